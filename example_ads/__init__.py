@@ -1,0 +1,4 @@
+"""Driving policies to search: careful ones, ones that are flawed on purpose, and published ones behind adapters.
+
+Each module has a factory ``make()`` that returns a fresh ADS (or, for highway-env's own drivers, the vehicle class).
+"""

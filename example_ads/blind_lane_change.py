@@ -1,0 +1,78 @@
+"""Flawed on purpose: changes lanes every eight seconds without looking.
+
+Kind (a), for ``pafot.Highway``. Within its lane it is careful: it follows the vehicle ahead by the Intelligent Driver
+Model (Treiber, Hennecke, Helbing 2000). But its lane changes depend on time alone: to the right until the road ends,
+then to the left, and so on. It never looks whether the lane that it enters is free.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pytest_pafot import Observation
+
+SECONDS_PER_LANE = 8.0
+
+MAX_ACCELERATION = 2.0
+COMFORTABLE_BRAKING = 3.0
+HARDEST_BRAKING = 8.0
+TIME_HEADWAY = 1.5
+STANDSTILL_GAP = 3.0
+
+LATERAL_GAIN = 0.7
+HEADING_GAIN = 2.5
+MAX_STEERING = 0.4
+
+
+class BlindLaneChange:
+    """Drives at the speed limit, and into the next lane when its time has come."""
+
+    def __init__(self) -> None:
+        self._lane: int | None = None
+        self._direction = 1
+        self._changes = 0
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering angle [rad]."""
+        if self._lane is None:
+            self._lane = observation.ego.lane
+        if observation.time >= (self._changes + 1) * SECONDS_PER_LANE:
+            self._lane = self._next_lane(self._lane, observation.lanes)
+            self._changes += 1
+        return acceleration(observation), steering(observation, self._lane * observation.lane_width)
+
+    def _next_lane(self, lane: int, lanes: int) -> int:
+        if not 0 <= lane + self._direction < lanes:
+            self._direction = -self._direction
+        return lane + self._direction
+
+
+def acceleration(observation: Observation) -> float:
+    """The Intelligent Driver Model behind the next vehicle in the ego's lane [m/s^2]."""
+    ego = observation.ego
+    free = 1 - (max(ego.speed, 0.0) / observation.speed_limit) ** 4
+    ahead = [other for other in observation.others if other.lane == ego.lane and other.x > ego.x]
+    if not ahead:
+        return max(MAX_ACCELERATION * free, -HARDEST_BRAKING)
+    leader = min(ahead, key=lambda other: other.x)
+    gap = max(leader.x - ego.x - (leader.length + ego.length) / 2, 0.1)
+    closing = ego.speed * (ego.speed - leader.speed) / (2 * math.sqrt(MAX_ACCELERATION * COMFORTABLE_BRAKING))
+    wanted = STANDSTILL_GAP + max(TIME_HEADWAY * ego.speed + closing, 0.0)
+    return max(MAX_ACCELERATION * (free - (wanted / gap) ** 2), -HARDEST_BRAKING)
+
+
+def steering(observation: Observation, target_y: float) -> float:
+    """Steer towards a line along the road [rad]: lateral error to heading, heading error to turning rate."""
+    ego = observation.ego
+    speed = max(ego.speed, 1.0)
+    wanted_heading = math.asin(max(-0.5, min(0.5, LATERAL_GAIN * (target_y - ego.y) / speed)))
+    turning = HEADING_GAIN * (wanted_heading - ego.heading)
+    slip = math.asin(max(-0.9, min(0.9, ego.length / 2 / speed * turning)))
+    return max(-MAX_STEERING, min(MAX_STEERING, math.atan(2 * math.tan(slip))))
+
+
+def make() -> BlindLaneChange:
+    """A fresh driver, about to wait eight seconds."""
+    return BlindLaneChange()

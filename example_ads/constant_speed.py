@@ -1,0 +1,18 @@
+"""Flawed on purpose: keeps its first speed and its lane whatever happens, and looks at nothing.
+
+Kind (a), for ``pafot.Highway``. It runs into whoever is slower ahead of it, so that every search finds it at fault
+within a few scenarios. It is the shortest ADS that there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pytest_pafot import Observation
+
+
+def make() -> Callable[[Observation], tuple[float, float]]:
+    """A policy that neither accelerates [m/s^2] nor steers [rad]."""
+    return lambda observation: (0.0, 0.0)

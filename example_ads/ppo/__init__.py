@@ -1,0 +1,58 @@
+"""A PPO policy on meta-actions (idle, lane left, lane right, faster, slower), run by numpy.
+
+Kind (b): it drives in ``pafot.World("highway-v0")`` and takes that environment's own default observation (Kinematics,
+five vehicles) and action (DiscreteMetaAction, one decision a second). Its network was trained with stable-baselines3 by
+``train.py`` in this folder; only the actor is kept, as plain arrays in ``actor.npz``, so that driving needs neither
+torch nor stable-baselines3.
+
+It is not flawed on purpose. Its limits are those of its interface: it is blind to vehicles further than two lengths
+behind it, it decides once a second, and highway-env's meta-actions know no speed below 20 m/s, so that it can evade
+but never stop.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+Shaped = TypeVar("Shaped", np.float32, np.float64)
+Layers = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
+
+ACTOR = Path(__file__).with_name("actor.npz")
+
+
+class PpoPolicy:
+    """The most probable action of a feed-forward actor with ReLU units.
+
+    Args:
+        layers: weights [inputs, outputs] and biases [outputs] of each layer, float32.
+    """
+
+    def __init__(self, layers: Layers) -> None:
+        self._layers = layers
+
+    def __call__(self, observation: npt.NDArray[Shaped]) -> int:
+        """The meta-action, 0 to 4, for a Kinematics observation of shape [vehicles, features]."""
+        return int(np.argmax(self.logits(observation)))
+
+    def logits(self, observation: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
+        """The unnormalised log-probability of each action, shape [actions]."""
+        *hidden, (last_weights, last_biases) = self._layers
+        units = observation.astype(np.float32).ravel()
+        for weights, biases in hidden:
+            units = np.maximum(units @ weights + biases, np.float32(0))
+        return units @ last_weights + last_biases
+
+
+def read_actor(path: Path = ACTOR) -> Layers:
+    """The layers that ``train.py`` wrote: arrays ``weights_0``, ``biases_0``, ``weights_1`` ... from the input on."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return tuple((arrays[f"weights_{n}"], arrays[f"biases_{n}"]) for n in range(len(arrays.files) // 2))
+
+
+def make() -> PpoPolicy:
+    """A fresh policy with the weights that are shipped."""
+    return PpoPolicy(read_actor())

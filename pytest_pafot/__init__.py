@@ -1,0 +1,64 @@
+"""Search for traffic that makes a driving policy crash, as a pytest plugin.
+
+Everything public is reachable from here and loaded when it is first used, so that importing the package costs
+nothing (PEP 562).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pytest_pafot import strategies as strategies
+    from pytest_pafot.findings.run import Run as Run
+    from pytest_pafot.grid import Cell as Cell
+    from pytest_pafot.plugin.marks import reject as reject
+    from pytest_pafot.plugin.marks import search as search
+    from pytest_pafot.scenario import Chromosome as Chromosome
+    from pytest_pafot.scenario import PositionInstruction as PositionInstruction
+    from pytest_pafot.scenario import Scenario as Scenario
+    from pytest_pafot.scenario import ScenarioError as ScenarioError
+    from pytest_pafot.trace import Collision as Collision
+    from pytest_pafot.trace import Outcome as Outcome
+    from pytest_pafot.trace import Trace as Trace
+    from pytest_pafot.world import Highway as Highway
+    from pytest_pafot.world import NpcLimits as NpcLimits
+    from pytest_pafot.world import Observation as Observation
+    from pytest_pafot.world import World as World
+    from pytest_pafot.world import WorldError as WorldError
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Cell": "grid",
+    "Chromosome": "scenario",
+    "Collision": "trace",
+    "Highway": "world",
+    "NpcLimits": "world",
+    "Observation": "world",
+    "Outcome": "trace",
+    "PositionInstruction": "scenario",
+    "Run": "findings.run",
+    "Scenario": "scenario",
+    "ScenarioError": "scenario",
+    "Trace": "trace",
+    "World": "world",
+    "WorldError": "world",
+    "reject": "plugin.marks",
+    "search": "plugin.marks",
+}
+
+__all__ = sorted([*_HOMES, "strategies"])  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name == "strategies":
+        return import_module("pytest_pafot.strategies")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,74 @@
+"""How dangerous a run was for the ego: every measure is a function of a Trace.
+
+Arrays have the shape [ticks + 1, NPCs], one value per physics tick and NPC; scalars take the worst over both.
+Minima are over every physics tick (15 a second by default), finer than the paper's six a second. Each
+measure keeps its own unit and direction, which its docstring states. NaN in a trace comes out as NaN and is
+never turned into a harmless number.
+
+Whoever needs several measures of one run asks an :class:`Encounters`, which computes what they share once.
+"""
+
+from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, overlaps, relate
+from pytest_pafot.criticality.encroachment import post_encroachment_time
+from pytest_pafot.criticality.measures import (
+    MANOEUVRE_SECONDS,
+    Encounters,
+    centre_distance,
+    ego_follows,
+    ettc,
+    execution_time,
+    gap,
+    hardest_brake,
+    max_safety_shortfall,
+    mettc,
+    min_centre_distance,
+    min_gap,
+    min_safety_distance,
+    min_ttc,
+    planned_duration,
+    required_deceleration,
+    safety_distance,
+    safety_shortfall,
+    ttc,
+)
+from pytest_pafot.criticality.rss import (
+    RssRules,
+    lateral_gap,
+    longitudinal_gap,
+    rss_lateral,
+    rss_longitudinal,
+)
+
+__all__ = [
+    "MANOEUVRE_SECONDS",
+    "Boxes",
+    "Encounters",
+    "Pairs",
+    "RssRules",
+    "box_gap",
+    "centre_distance",
+    "contact_time",
+    "ego_follows",
+    "ettc",
+    "execution_time",
+    "gap",
+    "hardest_brake",
+    "lateral_gap",
+    "longitudinal_gap",
+    "max_safety_shortfall",
+    "mettc",
+    "min_centre_distance",
+    "min_gap",
+    "min_safety_distance",
+    "min_ttc",
+    "overlaps",
+    "planned_duration",
+    "post_encroachment_time",
+    "relate",
+    "required_deceleration",
+    "rss_lateral",
+    "rss_longitudinal",
+    "safety_distance",
+    "safety_shortfall",
+    "ttc",
+]

@@ -1,0 +1,301 @@
+"""The paper's measures, time to collision of boxes, and what derives from them.
+
+Source, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 (Fitness
+Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an NPC.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, relate
+from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace, X, Y
+
+MANOEUVRE_SECONDS = 3.0
+"""The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
+
+_PARALLEL = 1e-9
+"""Headings whose sine differs by less are parallel [1]: their lines cross beyond any road, or only by rounding."""
+
+
+def ettc(trace: Trace) -> FloatArray:
+    """Estimated time to collision of the paper (equations 1 to 3) [s]; lower is worse.
+
+    The ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
+    positions, d the unit vectors of travel and x the cross product, that distance is
+    (p2 - p1) x d2 / d1 x d2, which equals the paper's expression wherever its tangents and cotangents exist and
+    is defined for headings along the axes as well.
+
+    Infinite where there is no single crossing point ahead of both: for parallel lines (also the same line: for
+    following, use :func:`ttc`), for a point behind either vehicle, and for an ego that stands. A vehicle that
+    drives backwards travels against its heading. When the NPC gets to the point plays no part, as in the paper.
+    """
+    return Encounters(trace).ettc.T
+
+
+def mettc(trace: Trace) -> float:
+    """The paper's METTC: the smallest :func:`ettc` of the run [s]; lower is worse, infinite if none is finite."""
+    return Encounters(trace).mettc
+
+
+def ttc(trace: Trace) -> FloatArray:
+    """Time until the boxes touch if both keep velocity and heading [s]; lower is worse, 0 at overlap, inf if never.
+
+    Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
+    oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
+    """
+    return Encounters(trace).ttc.T
+
+
+def min_ttc(trace: Trace) -> float:
+    """The smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
+    return Encounters(trace).min_ttc
+
+
+def centre_distance(trace: Trace) -> FloatArray:
+    """Distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
+    return Encounters(trace).centre_distance.T
+
+
+def min_centre_distance(trace: Trace) -> float:
+    """The paper's MD: the smallest :func:`centre_distance` of the run [m]; lower is worse."""
+    return Encounters(trace).min_centre_distance
+
+
+def gap(trace: Trace) -> FloatArray:
+    """Distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
+    return Encounters(trace).gap.T
+
+
+def min_gap(trace: Trace) -> float:
+    """The smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
+    return Encounters(trace).min_gap
+
+
+def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Whether the ego is the follower of the pair: the NPC's centre is level with its own or ahead, along the road.
+
+    The road's direction is that of the ego's lane (of the last lane where the ego is off the road).
+    """
+    return Encounters(trace).ego_follows.T
+
+
+def safety_distance(trace: Trace) -> FloatArray:
+    """SD of the paper (equation 5 with t = 3 s) [m]: by how much the follower gains on the leader within t.
+
+    (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:func:`ego_follows`) and 2 the leader. The
+    distance that the follower has to keep, so higher asks for more; negative where the leader pulls away.
+    """
+    return Encounters(trace).safety_distance.T
+
+
+def min_safety_distance(trace: Trace) -> float:
+    """The smallest :func:`safety_distance` of the run [m], which is what the paper's fitness minimises.
+
+    Taken as it is, it rewards leaders that pull away; :func:`safety_shortfall` is the reading that does not.
+    """
+    return Encounters(trace).min_safety_distance
+
+
+def safety_shortfall(trace: Trace) -> FloatArray:
+    """Share of the safety distance that is missing, clip((SD - gap) / SD, 0, 1); higher is worse.
+
+    0 where ego and NPC are not in the same lane (by their centres), and where SD <= 0; 1 at contact.
+    """
+    return Encounters(trace).safety_shortfall.T
+
+
+def max_safety_shortfall(trace: Trace) -> float:
+    """The largest :func:`safety_shortfall` of the run, 0 to 1; higher is worse."""
+    return Encounters(trace).max_safety_shortfall
+
+
+def required_deceleration(trace: Trace) -> FloatArray:
+    """Constant deceleration with which the follower just avoids the leader, who keeps its speed [m/s^2].
+
+    Higher is worse; (v1 - v2)^2 / (2 gap) while closing in the same lane, else 0; infinite at contact while
+    closing. Source: deceleration rate to avoid a crash, DRAC (Cooper and Ferguson 1976; in the review of
+    Westhofen et al. 2022).
+    """
+    return Encounters(trace).required_deceleration.T
+
+
+def hardest_brake(trace: Trace) -> float:
+    """The ego's largest deceleration in the run [m/s^2], positive; higher is worse, 0 if it never slowed down."""
+    return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
+
+
+def execution_time(trace: Trace) -> float:
+    """ET of the paper, t_f - t_0: simulated time until the run ended [s]; lower is worse where it ended badly."""
+    return trace.duration
+
+
+def planned_duration(trace: Trace) -> float:
+    """Time that the scenario's genes take [s]; a run ends earlier for a reason, or at the world's own limit."""
+    return trace.scenario.genes * trace.scenario.gene_seconds
+
+
+class Encounters:
+    """The measures of one run; whoever needs several asks one of these, and the shared geometry is computed once.
+
+    Arrays are as in the functions of the same names but transposed, [NPCs, ticks + 1]: with the long dimension
+    innermost numpy is about three times as fast. Each is computed when first asked for, then kept.
+    """
+
+    def __init__(self, trace: Trace) -> None:
+        self._states = trace.states
+        self._sizes = trace.sizes
+        self._lane_headings = np.array([lane.heading for lane in trace.lanes])
+
+    def column(self, index: int) -> FloatArray:
+        """One column of the trace's states, shape [vehicles, ticks + 1]."""
+        return np.ascontiguousarray(self._states[:, :, index].T)
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """Of all vehicles [m/s], shape [vehicles, ticks + 1]."""
+        return self.column(SPEED)
+
+    @cached_property
+    def boxes(self) -> Boxes:
+        """Of all vehicles, shape [vehicles, ticks + 1]."""
+        x, y, heading = self.column(X), self.column(Y), self.column(HEADING)
+        return Boxes.driving(x, y, heading, self.speed, self._sizes[:, :1], self._sizes[:, 1:])
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """(ego, NPC)."""
+        every = slice(None)
+        return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
+
+    @cached_property
+    def road(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of the road's heading at the ego, shape [1, ticks + 1], or [1, 1] where all lanes agree."""
+        headings = self._lane_headings
+        if (headings == headings[0]).all():
+            headings = headings[:1]
+            lanes = np.zeros((1, 1), dtype=np.intp)
+        else:
+            lanes = self.column(LANE)[:1].astype(np.intp)
+        return np.cos(headings)[lanes], np.sin(headings)[lanes]
+
+    @cached_property
+    def ego_follows(self) -> npt.NDArray[np.bool_]:
+        """See :func:`ego_follows`."""
+        boxes, (cos, sin) = self.boxes, self.road
+        ahead = (boxes.x[1:] - boxes.x[:1]) * cos + (boxes.y[1:] - boxes.y[:1]) * sin
+        follows: npt.NDArray[np.bool_] = ahead >= 0
+        return follows
+
+    @cached_property
+    def same_lane(self) -> npt.NDArray[np.bool_]:
+        """Whether the centres of ego and NPC are in one lane of the road."""
+        lane = self.column(LANE)
+        same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0)
+        return same
+
+    @cached_property
+    def gain(self) -> FloatArray:
+        """Speed of the follower minus that of the leader [m/s]."""
+        return self._follower_minus_leader(self.speed)
+
+    @cached_property
+    def ettc(self) -> FloatArray:
+        """See :func:`ettc`."""
+        pairs, speed = self.pairs, self.speed
+        way = np.where(speed < 0, -1.0, 1.0)
+        # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
+        # the headings' difference; likewise with the roles swapped. Parallel lines divide by 1 and are dropped.
+        parallel = np.abs(pairs.sin) < _PARALLEL
+        sine = np.where(parallel, 1.0, pairs.sin)
+        ego_way = -way[:1] * pairs.offsets[3] / sine
+        npc_way = -way[1:] * pairs.offsets[1] / sine
+        standing = speed[:1] == 0
+        none = parallel | (ego_way < 0) | (npc_way < 0) | standing
+        return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1])))
+
+    @cached_property
+    def ttc(self) -> FloatArray:
+        """See :func:`ttc`."""
+        return contact_time(self.pairs)
+
+    @cached_property
+    def centre_distance(self) -> FloatArray:
+        """See :func:`centre_distance`."""
+        # Along and across the ego's heading: the same distance, already at hand.
+        along, across = self.pairs.offsets[0], self.pairs.offsets[1]
+        distance: FloatArray = np.sqrt(along * along + across * across)
+        return distance
+
+    @cached_property
+    def gap(self) -> FloatArray:
+        """See :func:`gap`."""
+        return box_gap(self.pairs)
+
+    @cached_property
+    def safety_distance(self) -> FloatArray:
+        """See :func:`safety_distance`."""
+        t = MANOEUVRE_SECONDS
+        return self.gain * t + self._follower_minus_leader(self.column(ACCELERATION)) * (t * t / 2)
+
+    @cached_property
+    def safety_shortfall(self) -> FloatArray:
+        """See :func:`safety_shortfall`."""
+        keep = self.safety_distance
+        demanded = self.same_lane & ~(keep <= 0)
+        ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
+        return np.maximum(1.0 - ratio, 0.0)
+
+    @cached_property
+    def required_deceleration(self) -> FloatArray:
+        """See :func:`required_deceleration`."""
+        closing = np.maximum(self.gain, 0.0)
+        threatened = self.same_lane & ~(closing <= 0)
+        with np.errstate(divide="ignore"):
+            needed: FloatArray = np.divide(closing**2, 2 * self.gap, out=np.zeros_like(closing), where=threatened)
+        return needed
+
+    @property
+    def mettc(self) -> float:
+        """See :func:`mettc`."""
+        return _lowest(self.ettc)
+
+    @property
+    def min_ttc(self) -> float:
+        """See :func:`min_ttc`."""
+        return _lowest(self.ttc)
+
+    @property
+    def min_centre_distance(self) -> float:
+        """See :func:`min_centre_distance`."""
+        return _lowest(self.centre_distance)
+
+    @property
+    def min_gap(self) -> float:
+        """See :func:`min_gap`."""
+        return _lowest(self.gap)
+
+    @property
+    def min_safety_distance(self) -> float:
+        """See :func:`min_safety_distance`."""
+        return _lowest(self.safety_distance)
+
+    @property
+    def max_safety_shortfall(self) -> float:
+        """See :func:`max_safety_shortfall`."""
+        return _highest(self.safety_shortfall)
+
+    def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
+        ego_minus_npc = values[:1] - values[1:]
+        return np.where(self.ego_follows, ego_minus_npc, -ego_minus_npc)
+
+
+def _lowest(values: FloatArray) -> float:
+    return float(values.min(initial=np.inf))
+
+
+def _highest(values: FloatArray) -> float:
+    return float(values.max(initial=0.0))

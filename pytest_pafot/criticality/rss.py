@@ -1,0 +1,141 @@
+"""Safe distances of Responsibility-Sensitive Safety (RSS), and the gaps to hold against them.
+
+Source: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
+arXiv:1708.06374, 2017: safe longitudinal distance for the same direction, safe lateral distance. A pair is in
+danger where both gaps are below their safe distance. All is measured along and across the road's direction
+at the ego, that of its lane.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pytest_pafot.criticality.boxes import Boxes
+from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.trace import FloatArray, Trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RssRules:
+    """Parameters of RSS. The paper leaves their values open.
+
+    The defaults are the initial values that Intel published with its open implementation (ad-rss-lib, appendix
+    "Parameter Discussion"), where a response time of 1 s is the automated vehicle's and 2 s everybody else's.
+
+    Attributes:
+        ego_response, npc_response: rho, before which a vehicle may still do its worst [s].
+        acceleration: a_max,accel, the hardest acceleration during the response time [m/s^2].
+        least_braking: a_min,brake, with which a follower brakes at least afterwards [m/s^2].
+        hardest_braking: a_max,brake, with which a leader brakes at most [m/s^2].
+        lateral_acceleration: a_lat,max,accel, towards the other during the response time [m/s^2].
+        lateral_braking: a_lat,min,brake, at least afterwards [m/s^2].
+        fluctuation: mu, lateral margin [m].
+    """
+
+    ego_response: float = 1.0
+    npc_response: float = 2.0
+    acceleration: float = 3.5
+    least_braking: float = 4.0
+    hardest_braking: float = 8.0
+    lateral_acceleration: float = 0.2
+    lateral_braking: float = 0.8
+    fluctuation: float = 0.1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            divides = field.name in ("least_braking", "hardest_braking", "lateral_braking")
+            if not math.isfinite(value) or value < 0 or (divides and value == 0):
+                bound = "more than 0" if divides else "at least 0"
+                raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
+
+
+def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
+    """Longitudinal distance that the follower has to keep by RSS [m], shape [ticks + 1, NPCs]; at least 0.
+
+    Being closer than that (:func:`longitudinal_gap`) is worse. The leader may brake as hard as possible at
+    once; the follower may speed up for its response time rho and then brakes at least with a_min,brake:
+
+        v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
+
+    Speeds are along the road. A leader that drives against it comes closer while it brakes, which is why its
+    square takes the sign of the speed; the paper's second formula for oncoming traffic is not part of this.
+    """
+    rules = rules or RssRules()
+    road = _RoadFrame(trace)
+    ego_follows = road.ahead >= 0
+    follower = np.where(ego_follows, road.speed[:1], road.speed[1:])
+    leader = np.where(ego_follows, road.speed[1:], road.speed[:1])
+    response = np.where(ego_follows, rules.ego_response, rules.npc_response)
+    fastest = follower + response * rules.acceleration
+    travelled = (follower + fastest) / 2 * response + _stopping(fastest, rules.least_braking)
+    return np.maximum(travelled - _stopping(leader, rules.hardest_braking), 0.0).T
+
+
+def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
+    """Lateral distance that ego and NPC have to keep by RSS [m], shape [ticks + 1, NPCs]; at least mu.
+
+    Being closer than that (:func:`lateral_gap`) is worse. Both may accelerate towards each other for their
+    response time and then brake at least with a_lat,min,brake until they no longer move sideways: mu plus the
+    distance that they come closer in doing so, if any. Each vehicle has a response time of its own. Where a
+    vehicle moves away even after its response time, its stopping distance counts as moving away; the published
+    formula has the square of that speed without its sign, having in mind vehicles that come closer.
+    """
+    rules = rules or RssRules()
+    road = _RoadFrame(trace)
+    towards_npc = np.where(road.right >= 0, 1.0, -1.0)
+    ego_way = _sideways(towards_npc * road.drift[:1], rules.ego_response, rules)
+    npc_way = _sideways(-towards_npc * road.drift[1:], rules.npc_response, rules)
+    return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
+
+
+def longitudinal_gap(trace: Trace) -> FloatArray:
+    """Distance between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 while abreast."""
+    road = _RoadFrame(trace)
+    return np.maximum(np.abs(road.ahead) - road.half_along[:1] - road.half_along[1:], 0.0).T
+
+
+def lateral_gap(trace: Trace) -> FloatArray:
+    """Distance between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
+    road = _RoadFrame(trace)
+    return np.maximum(np.abs(road.right) - road.half_across[:1] - road.half_across[1:], 0.0).T
+
+
+class _RoadFrame:
+    """Positions and velocities along and across the road, shape [vehicles or NPCs, ticks + 1].
+
+    Attributes:
+        ahead, right: of the NPC's centre from the ego's [m].
+        speed, drift: of each vehicle, along the road and to its right [m/s].
+        half_along, half_across: half extents of each box [m].
+    """
+
+    def __init__(self, trace: Trace) -> None:
+        encounters = Encounters(trace)
+        (cos, sin), boxes = encounters.road, encounters.boxes
+        dx, dy = boxes.x[1:] - boxes.x[:1], boxes.y[1:] - boxes.y[:1]
+        self.ahead = dx * cos + dy * sin
+        self.right = dy * cos - dx * sin
+        self.speed = boxes.vx * cos + boxes.vy * sin
+        self.drift = boxes.vy * cos - boxes.vx * sin
+        self.half_along, self.half_across = _half_extents(boxes, cos, sin)
+
+
+def _half_extents(boxes: Boxes, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray]:
+    c, s = np.abs(boxes.cos * cos + boxes.sin * sin), np.abs(boxes.sin * cos - boxes.cos * sin)
+    length, width = boxes.half_length, boxes.half_width
+    return length * c + width * s, length * s + width * c
+
+
+def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
+    """Way until standstill, in the direction of travel [m]."""
+    return speed * np.abs(speed) / (2 * deceleration)
+
+
+def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:
+    """Way towards the other until the sideways motion ends, at worst [m]."""
+    fastest = drift + response * rules.lateral_acceleration
+    return (drift + fastest) / 2 * response + _stopping(fastest, rules.lateral_braking)

@@ -1,0 +1,250 @@
+"""A finding: a distinct failure with the scenario that shows it, as it is kept in the corpus."""
+
+from __future__ import annotations
+
+import linecache
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import FrameType, TracebackType
+from typing import Any
+
+from pytest_pafot.findings.responsibility import Responsibility
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, Signature, of_failure
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Outcome, Side
+
+MAX_MESSAGE = 300
+MAX_TRACEBACK = 8000
+MAX_KEY = 64
+MAX_DEPTH = 16
+
+_ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expect:
+    """What running the scenario is expected to show while the failure is not fixed.
+
+    Attributes:
+        failure: name of the exception class.
+        assertion: normalised, as in :class:`~pytest_pafot.findings.signature.Signature`.
+        message: first line of the exception's message; empty where the assertion says it.
+        outcome: how the run ended.
+        time: of the event [s], see :attr:`~pytest_pafot.findings.run.Run.event_time`.
+        npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
+        side: of the ego that was hit; None without a collision.
+        responsibility: who caused the collision.
+        preventable_by: reference drivers that survive the scenario in the ego's place.
+        traceback: of an ADS that raised; empty otherwise.
+    """
+
+    failure: str
+    outcome: Outcome
+    time: float
+    assertion: str = ""
+    message: str = ""
+    npc: int | None = None
+    cell: Cell | None = None
+    side: Side | None = None
+    responsibility: Responsibility = "none"
+    preventable_by: tuple[str, ...] = ()
+    traceback: str = ""
+
+    @property
+    def signature(self) -> Signature:
+        """The identity of the failure."""
+        return Signature(
+            failure=self.failure,
+            assertion=self.assertion,
+            outcome=self.outcome,
+            side=self.side,
+            cell=self.cell,
+            responsibility=self.responsibility,
+        )
+
+    @classmethod
+    def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = ()) -> Expect:
+        """What a failing run showed. Times are rounded to milliseconds; long texts are cut."""
+        signature = of_failure(run, failure)
+        is_told = bool(failure.assertion.strip()) and run.ads_error is None
+        return cls(
+            failure=signature.failure,
+            assertion=signature.assertion,
+            message="" if is_told else _first_line(failure.message),
+            outcome=signature.outcome,
+            time=round(run.event_time, 3),
+            npc=run.event_npc,
+            cell=signature.cell,
+            side=signature.side,
+            responsibility=signature.responsibility,
+            preventable_by=preventable_by,
+            traceback=_tail(failure.traceback),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """How a finding came about.
+
+    Attributes:
+        seed: of the search.
+        generation: in which it was found, counted from 0.
+        algorithm: name of the search.
+        versions: of the packages that the run depends on.
+    """
+
+    seed: int
+    generation: int
+    algorithm: str
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One file of the corpus.
+
+    Attributes:
+        id: name of the file without its suffix, given once: the signature's slug and six digits of the scenario
+            as first found. Letters, digits, ``.``, ``_`` and ``-``.
+        test: node id of the test, parameters included.
+        scenario: that fails.
+        world: the world that it fails in, as plain data.
+        expect: what running it shows.
+        found: how it came about.
+        xfail: the user's reason to accept the failure, or None.
+
+    Raises:
+        ValueError: if the id is no such name, the world no plain data or the reason empty.
+    """
+
+    id: str
+    test: str
+    scenario: Scenario
+    world: Mapping[str, Any]
+    expect: Expect
+    found: Found
+    xfail: str | None = None
+
+    def __post_init__(self) -> None:
+        if not is_id(self.id):
+            raise ValueError(f"id: expected letters, digits, '.', '_' and '-', at most 120, received {self.id!r}")
+        if self.xfail is not None and not self.xfail.strip():
+            raise ValueError("xfail: expected a reason or None, received an empty text")
+        check_plain("world", self.world)
+
+    @property
+    def signature(self) -> Signature:
+        """The identity of the failure."""
+        return self.expect.signature
+
+    @classmethod
+    def of(cls, run: Run, failure: Failure, *, test: str, world: Mapping[str, Any], found: Found) -> Finding:
+        """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
+        expect = Expect.of(run, failure)
+        return cls(
+            id=f"{expect.signature.slug}-{run.scenario.id}",
+            test=test,
+            scenario=run.scenario,
+            world=world,
+            expect=expect,
+            found=found,
+        )
+
+
+def is_id(text: str) -> bool:
+    """Whether a text can be a finding's id, and so part of a file name and of a node id on every platform."""
+    return _ID.fullmatch(text) is not None and not text.endswith(".")
+
+
+def ads_failure(run: Run) -> Failure | None:
+    """The failure that lies in the ADS itself, whatever the user's function asserts; None if there is none.
+
+    It raised, returned no action, hangs, or decided more slowly than the run's limit allows.
+    """
+    if run.ads_error is not None:
+        return Failure(kind=run.ads_error.kind, message=run.ads_error.message, traceback=run.ads_error.traceback)
+    if run.too_slow:
+        limit = f"{run.decision_limit:g} s"
+        return Failure(
+            kind="SlowDecision", message=f"a decision took {run.max_decision_time:.3f} s, allowed are {limit}"
+        )
+    return None
+
+
+def raised_failure(exception: BaseException, test_file: str) -> Failure:
+    """The failure in what a user's function raised, with the source text of the statement that raised it.
+
+    That is an ``assert`` anywhere, also in a helper's module; otherwise the statement of the test file in which
+    the exception arose, so that changes in other people's libraries do not change a signature.
+
+    Args:
+        exception: as caught, with its traceback.
+        test_file: path of the user's module, as in its code objects.
+    """
+    statements = [_statement(tb) for tb in _frames(exception.__traceback__)]
+    own = [text for text, file in statements if file == test_file and text]
+    deepest = statements[-1][0] if statements else ""
+    asserted = deepest if isinstance(exception, AssertionError) and deepest.startswith("assert") else ""
+    return Failure(
+        kind=type(exception).__name__,
+        message=str(exception),
+        assertion=asserted or (own[-1] if own else ""),
+    )
+
+
+def check_plain(name: str, value: object, depth: int = 0) -> None:
+    """Refuse what a file cannot hold.
+
+    Raises:
+        ValueError: if a value is not made of None, bool, int, float (no NaN), str, lists and mappings with short
+            textual keys; the message names the place.
+    """
+    if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value)):
+        return
+    if depth >= MAX_DEPTH:
+        raise ValueError(f"{name}: expected at most {MAX_DEPTH} levels of nesting, received more")
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            if not isinstance(key, str) or len(key) > MAX_KEY:
+                raise ValueError(f"{name}: expected keys of text, at most {MAX_KEY} characters, received {key!r:.80}")
+            check_plain(f"{name}.{key}", inner, depth + 1)
+        return
+    if isinstance(value, list):
+        for index, inner in enumerate(value):
+            check_plain(f"{name}[{index}]", inner, depth + 1)
+        return
+    raise ValueError(
+        f"{name}: expected plain data (null, true/false, numbers, text, lists, mappings), "
+        f"received {type(value).__name__} {value!r:.60}; convert it"
+    )
+
+
+def _first_line(text: str) -> str:
+    return next((line.strip() for line in text.splitlines() if line.strip()), "")[:MAX_MESSAGE]
+
+
+def _tail(text: str) -> str:
+    return text if len(text) <= MAX_TRACEBACK else "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
+
+
+def _frames(tb: TracebackType | None) -> list[TracebackType]:
+    frames = []
+    while tb is not None:
+        frames.append(tb)
+        tb = tb.tb_next
+    return frames
+
+
+def _statement(tb: TracebackType) -> tuple[str, str]:
+    """Source text at a traceback entry, over all its lines, and its file; the text is empty where there is none."""
+    frame: FrameType = tb.tb_frame
+    file = frame.f_code.co_filename
+    positions = list(frame.f_code.co_positions())
+    start, end, *_ = positions[tb.tb_lasti // 2] if 0 <= tb.tb_lasti // 2 < len(positions) else (None, None)
+    first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
+    lines = [linecache.getline(file, number, frame.f_globals) for number in range(first, min(last, first + 50) + 1)]
+    return "".join(lines).strip(), file

@@ -1,0 +1,249 @@
+"""The scenario in flight, on disk before it runs, so that a crash of the whole process names its cause.
+
+Each process writes a file of its own and holds a lock on it; the system releases the lock however the process
+ends. A file that nobody holds is what a process left behind. Process ids would not do alone: in containers each
+session may have the same one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+SUFFIX = ".inflight"
+MAX_BYTES = 1 << 20
+_HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
+_LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the bytes that are locked
+
+
+class InFlightError(Exception):
+    """The folder cannot be written; the search goes on, but a hard crash would not name its scenario."""
+
+
+class InFlight:
+    """A process's record of the scenario that it runs now. Never raises into the search.
+
+    Attributes:
+        error: why nothing can be recorded, or None; to be shown once.
+    """
+
+    def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
+        """Nothing is written before the first record.
+
+        Args:
+            folder: where the records of all processes lie; made when it is missing.
+            owner: node id of the test.
+            world: that the scenarios run in, as plain data.
+        """
+        self.error: InFlightError | None = None
+        self._folder = Path(folder)
+        self._descriptor: int | None = None
+        self._path: Path | None = None
+        details = {"owner": owner, "pid": os.getpid(), "world": dict(world) if world is not None else None}
+        self._prefix = json.dumps(details)[:-1] + ', "scenario": '
+
+    def record(self, scenario: Scenario) -> None:
+        """Put a scenario on disk; from now on a crash is its doing."""
+        self._write(f"{self._prefix}{scenario.canonical()}}}\n".encode())
+
+    def clear(self) -> None:
+        """Nothing is in flight."""
+        if self._descriptor is not None:
+            self._write(b"\n")
+
+    def close(self) -> None:
+        """Remove the record; a later :meth:`record` begins a new one."""
+        if self._descriptor is None or self._path is None:
+            return
+        descriptor, self._descriptor = self._descriptor, None
+        try:
+            os.close(descriptor)
+            self._path.unlink(missing_ok=True)
+        except OSError as error:
+            self.error = _error(self._folder, error)
+
+    def __enter__(self) -> InFlight:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, line: bytes) -> None:
+        if self.error is not None:
+            return
+        try:
+            if self._descriptor is None:
+                self._descriptor, self._path = _create(self._folder)
+            os.lseek(self._descriptor, 0, os.SEEK_SET)
+            os.write(self._descriptor, line)  # the first line counts; longer ones before it need no truncation
+        except OSError as error:
+            self.error = _error(self._folder, error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leftover:
+    """What a process that ended without a word was running.
+
+    Attributes:
+        path: of the record.
+        pid: of the process.
+        owner: node id of the test; empty where the record cannot be read.
+        scenario: in flight; None where the record cannot be read.
+        world: that it ran in, or None.
+    """
+
+    path: Path
+    pid: int
+    owner: str
+    scenario: Scenario | None
+    world: Mapping[str, Any] | None = field(default=None)
+
+    def discard(self) -> None:
+        """Remove the record once it is reported; another process may have done so already."""
+        with contextlib.suppress(OSError):  # a record that stays is reported again, which loses nothing
+            self.path.unlink(missing_ok=True)
+
+
+def leftovers(folder: Path) -> tuple[Leftover, ...]:
+    """The records of processes that are gone, by name; those of live ones, this one included, are left alone.
+
+    Records of processes that ended between two scenarios are removed. A folder that is not there has none.
+
+    Raises:
+        InFlightError: when the folder cannot be read.
+    """
+    try:
+        paths = sorted(path for path in Path(folder).iterdir() if path.name.endswith(SUFFIX))
+    except FileNotFoundError:
+        return ()
+    except OSError as error:
+        raise _error(Path(folder), error) from error
+    found = [_leftover(path) for path in paths]
+    return tuple(leftover for leftover in found if leftover is not None)
+
+
+def _create(folder: Path) -> tuple[int, Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    while True:
+        descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
+        if _hold(descriptor):
+            return descriptor, Path(name)
+        os.close(descriptor)
+        Path(name).unlink(missing_ok=True)
+
+
+def _hold(descriptor: int) -> bool:
+    """Lock a new record; False when another session looked at it before that, and so took it for a dead one."""
+    try:
+        _lock(descriptor)
+    except OSError as error:
+        return error.errno not in _HELD  # without locks on this file system, the process id in the name decides
+    return os.fstat(descriptor).st_nlink > 0
+
+
+def _leftover(path: Path) -> Leftover | None:
+    try:
+        with path.open("r+b") as file:
+            if _is_held(file.fileno(), path):
+                return None
+            file.seek(0)
+            line = file.read(MAX_BYTES).split(b"\n", 1)[0]
+    except OSError:
+        return None  # it has gone meanwhile, or belongs to somebody else
+    if line.strip():
+        return _parsed(path, line)
+    with contextlib.suppress(OSError):  # an empty record tells nothing, whether it stays or goes
+        path.unlink(missing_ok=True)
+    return None
+
+
+def _parsed(path: Path, line: bytes) -> Leftover:
+    try:
+        record = json.loads(line)
+        owner, world = str(record["owner"]), dict(record["world"]) if record["world"] is not None else None
+        scenario = _scenario(record["scenario"])
+    except (ValueError, KeyError, TypeError, ScenarioError, RecursionError):
+        return Leftover(path=path, pid=_pid(path), owner="", scenario=None)
+    return Leftover(path=path, pid=_pid(path), owner=owner, scenario=scenario, world=world)
+
+
+def _scenario(fields: list[Any]) -> Scenario:
+    """The inverse of :meth:`Scenario.canonical`."""
+    npcs, seed, ego_lane, ego_speed, gene_seconds = fields
+    chains = tuple(tuple(PositionInstruction(Cell(cell), speed) for cell, speed in chain) for chain in npcs)
+    return Scenario(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+
+def _is_held(descriptor: int, path: Path) -> bool:
+    try:
+        _lock(descriptor)
+    except OSError as error:
+        if error.errno in _HELD:
+            return True
+        return _is_alive(_pid(path))
+    return False
+
+
+def _is_alive(pid: int) -> bool:
+    """Whether a process of this id runs; only asked where the file system has no locks.
+
+    Windows has no harmless question of this kind (``os.kill(pid, 0)`` ends a process there), so that a record
+    counts as held.
+    """
+    if sys.platform == "win32" or pid <= 0:
+        return pid > 0
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _pid(path: Path) -> int:
+    digits = path.name.partition("-")[0]
+    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 12 else 0
+
+
+def _error(folder: Path, error: OSError) -> InFlightError:
+    reason = error.strerror or str(error)
+    return InFlightError(
+        f"{folder}: expected a folder that can be written, received: {reason}; a hard crash of this process "
+        "will not name the scenario that caused it; make the folder writable"
+    )
+
+
+if sys.platform == "win32":
+
+    def _lock(descriptor: int) -> None:
+        position = os.lseek(descriptor, 0, os.SEEK_CUR)
+        os.lseek(descriptor, _LOCK_AT, os.SEEK_SET)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        finally:
+            os.lseek(descriptor, position, os.SEEK_SET)
+
+else:
+
+    def _lock(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

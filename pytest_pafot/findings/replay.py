@@ -1,0 +1,93 @@
+"""What the replay of a saved finding means: its label, and which new finds it covers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, Signature, of_failure
+
+Label = Literal["fixed", "still failing", "drifted"]
+
+SAME_TIME = 0.2
+"""Two events are the same when they are no further apart than this [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replayed:
+    """What came of the replay of a saved finding.
+
+    Attributes:
+        id: of the finding.
+        signature: that it was saved with.
+        observed: the signature with which it fails now, or None where it passes.
+        xfailed: whether the file has an ``xfail`` reason.
+    """
+
+    id: str
+    signature: Signature
+    observed: Signature | None
+    xfailed: bool = False
+
+    @classmethod
+    def of(cls, finding: Finding, run: Run, failure: Failure | None) -> Replayed:
+        """From the finding, the run of its scenario and the failure in it, None where it passes."""
+        return cls(
+            id=finding.id,
+            signature=finding.signature,
+            observed=None if failure is None else of_failure(run, failure),
+            xfailed=finding.xfail is not None,
+        )
+
+    def covers(self, signature: Signature) -> bool:
+        """Whether this saved scenario already shows, or is an accepted example of, a failure.
+
+        One that fails in another way than it was saved with covers what it shows now, so that no failure goes
+        without an item that fails for it.
+        """
+        return self.observed == signature or (self.xfailed and self.signature == signature)
+
+
+def covered_by(signature: Signature, replayed: Iterable[Replayed]) -> str | None:
+    """The id of the first saved finding that makes a find *known*; None for a find that is new, or new again.
+
+    A signature is known while a saved scenario of it still fails or is xfailed; one whose files all pass is new.
+    """
+    return next((saved.id for saved in replayed if saved.covers(signature)), None)
+
+
+def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:
+    """What to call a replay, beside its passing or failing.
+
+    ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
+    one, or it passes under other versions, so that the file may no longer test what it was saved for. ``fixed``:
+    it passes under the same versions, and nothing else happened instead.
+
+    Args:
+        finding: as saved.
+        run: of its scenario now.
+        failure: in that run; None where it passes.
+        versions: of the packages now; compared where the file names them.
+    """
+    is_same = _same_event(finding, run)
+    if failure is not None:
+        return "still failing" if is_same and failure.kind == finding.expect.failure else "drifted"
+    if any(versions.get(name) != version for name, version in finding.found.versions.items()):
+        return "drifted"
+    return "fixed" if is_same or not _has_ended_otherwise(run) else "drifted"
+
+
+def _same_event(finding: Finding, run: Run) -> bool:
+    expect = finding.expect
+    side = None if run.collision is None else run.collision.side
+    now = (run.outcome, run.event_npc, run.event_cell, side)
+    same_kind = now == (expect.outcome, expect.npc, expect.cell, expect.side)
+    return same_kind and abs(run.event_time - expect.time) <= SAME_TIME + 1e-9
+
+
+def _has_ended_otherwise(run: Run) -> bool:
+    """Whether a passing run was cut short, so that the rest of the scenario was not driven."""
+    return run.collision is not None or run.ads_error is not None or run.outcome == "invalid"

@@ -1,0 +1,131 @@
+"""What makes two failures the same: a comparison of fields. Hundreds of collisions are a handful of findings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+from textwrap import dedent
+
+from pytest_pafot.findings.responsibility import Responsibility, position_rule
+from pytest_pafot.findings.run import Run
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import Outcome, Side
+
+MAX_ASSERTION = 200
+MAX_SLUG = 32
+NUMBER = "N"
+
+_ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
+_PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
+_NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """What made a run a failing one.
+
+    Attributes:
+        kind: name of the exception class.
+        message: of the exception.
+        assertion: source text of the failing assertion; empty where it is unknown.
+        traceback: worth keeping in the file, such as that of an ADS that raised; empty otherwise.
+    """
+
+    kind: str
+    message: str = ""
+    assertion: str = ""
+    traceback: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signature:
+    """The identity of a failure; two failures are the same when all fields are equal.
+
+    Attributes:
+        failure: name of the exception class.
+        assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
+        outcome: how the run ended.
+        side: of the ego that was hit; None without a collision.
+        cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment.
+        responsibility: who caused the collision.
+    """
+
+    failure: str
+    assertion: str
+    outcome: Outcome
+    side: Side | None
+    cell: Cell | None
+    responsibility: Responsibility
+
+    @property
+    def slug(self) -> str:
+        """A short name for files, in lower-case letters, digits and hyphens: ``front-2``, ``min-ttc-8``.
+
+        Different signatures may share it.
+        """
+        subject = self.side if self.outcome is Outcome.COLLISION and self.side else self._subject()
+        return subject if self.cell is None else f"{subject}-{int(self.cell)}"
+
+    def _subject(self) -> str:
+        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
+            return self.outcome.replace("_", "-")
+        words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
+        subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
+        return _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or self.outcome.replace("_", "-")
+
+
+def of_failure(run: Run, failure: Failure) -> Signature:
+    """The signature of a run that failed."""
+    return Signature(
+        failure=failure.kind,
+        assertion=normalised(failure.assertion, failure.message),
+        outcome=run.outcome,
+        side=None if run.collision is None else run.collision.side,
+        cell=run.event_cell,
+        responsibility=position_rule(run.trace),
+    )
+
+
+def normalised(assertion: str, message: str = "") -> str:
+    """A failing assertion without what varies from run to run or with unrelated edits.
+
+    From source text, the tested expression alone: no message, comments, line breaks or needless brackets, and
+    ``N`` for each number. From a message, its first line with ``N`` for numbers, ``ADDRESS`` for addresses and
+    ``PATH`` for files. At most 200 characters.
+    """
+    return (_from_source(assertion) or _from_message(assertion) or _from_message(message))[:MAX_ASSERTION].rstrip()
+
+
+class _Numberless(ast.NodeTransformer):
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        is_number = isinstance(node.value, (int, float, complex)) and not isinstance(node.value, bool)
+        return ast.Name(id=NUMBER) if is_number else node
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        inner = self.visit(node.operand)
+        signs_a_number = isinstance(node.op, (ast.USub, ast.UAdd)) and isinstance(inner, ast.Name)
+        return inner if signs_a_number and inner.id == NUMBER else ast.UnaryOp(op=node.op, operand=inner)
+
+
+def _from_source(assertion: str) -> str:
+    try:
+        body = ast.parse(dedent(assertion).strip()).body
+        if len(body) != 1:
+            return ""
+        tested = body[0].test if isinstance(body[0], ast.Assert) else body[0]
+        return " ".join(ast.unparse(_Numberless().visit(tested)).split())
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return ""  # no Python expression (or none that this interpreter can read): normalised as a message is
+
+
+def _from_message(message: str) -> str:
+    line = next((line for line in message.splitlines() if line.strip()), "")
+    line = _ADDRESS.sub("ADDRESS", line)
+    line = _NUMBER.sub(NUMBER, _PATH.sub("PATH", line))
+    return " ".join("".join(character if character.isprintable() else " " for character in line).split())
+
+
+def _kebab(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text)[:MAX_SLUG].strip("-")

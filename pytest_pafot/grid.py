@@ -1,0 +1,192 @@
+"""The nine-cell grid around the ego vehicle and the ring of its eight target cells.
+
+Geometry is in road coordinates: *longitudinal* runs along the ego's lane (positive ahead), *columns* count
+lanes (negative to the left). The ego holds the middle, which is no target cell.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from enum import IntEnum
+
+
+class Cell(IntEnum):
+    """A target cell, numbered clockwise from the front left as in the paper's figure 2."""
+
+    FRONT_LEFT = 1
+    FRONT = 2
+    FRONT_RIGHT = 3
+    RIGHT = 4
+    REAR_RIGHT = 5
+    REAR = 6
+    REAR_LEFT = 7
+    LEFT = 8
+
+    @property
+    def row(self) -> int:
+        """+1 ahead of the ego, 0 beside it, -1 behind it."""
+        return _ROWS[self - 1]
+
+    @property
+    def column(self) -> int:
+        """Lanes to the right of the ego's lane: -1, 0 or +1."""
+        return _COLUMNS[self - 1]
+
+    @property
+    def neighbours(self) -> tuple[Cell, Cell]:
+        """The cells one step anticlockwise and one step clockwise on the ring."""
+        return Cell((self - 2) % 8 + 1), Cell(self % 8 + 1)
+
+    @property
+    def label(self) -> str:
+        """The name used in files and reports, such as ``front-left``."""
+        return self.name.lower().replace("_", "-")
+
+
+_ROWS = (1, 1, 1, 0, -1, -1, -1, 0)
+_COLUMNS = (-1, 0, 1, 1, 1, 0, -1, -1)
+
+ALL_CELLS = frozenset(Cell)
+
+
+def ring_distance(a: Cell, b: Cell) -> int:
+    """Steps along the ring from one cell to another, 0 to 4."""
+    clockwise = (b - a) % 8
+    return min(clockwise, 8 - clockwise)
+
+
+def is_adjacent(a: Cell, b: Cell) -> bool:
+    """Whether a chain may hold ``b`` directly after ``a``: the same cell or a ring neighbour of it."""
+    return ring_distance(a, b) <= 1
+
+
+def longitudinal_target(cell: Cell, ego_length: float, clearance: float) -> float:
+    """Where the centre of a cell lies along the ego's lane, relative to the ego's centre [m].
+
+    The paper's cell is one ego length long (section 2.1). Taken literally, cells 2 and 6 are then bumper to
+    bumper, so that reaching them is a collision by construction; ``clearance`` [m] is the gap added between
+    the ego and the cells ahead and behind. ``clearance=0`` is the paper's literal grid.
+    """
+    return cell.row * (ego_length + clearance)
+
+
+def cell_at(longitudinal: float, lateral: float, ego_length: float, lane_width: float) -> Cell | None:
+    """The cell that contains a point given relative to the ego's centre, or None for the ego's own.
+
+    Args:
+        longitudinal: distance ahead along the ego's lane [m].
+        lateral: distance to the right of the ego [m].
+        ego_length: length of the ego and so of a row [m].
+        lane_width: width of a column [m].
+
+    The outer rows and columns are unbounded: a vehicle 80 m ahead in the ego's lane is in cell 2.
+    """
+    row = _third(longitudinal, ego_length / 2)
+    column = _third(lateral, lane_width / 2)
+    return next((cell for cell in Cell if (cell.row, cell.column) == (row, column)), None)
+
+
+def _third(value: float, half: float) -> int:
+    return 1 if value > half else -1 if value < -half else 0
+
+
+def toss(seed: int, npc: int, gene: int) -> bool:
+    """A fair coin that depends on nothing but its three arguments (splitmix64's finaliser)."""
+    mask = 0xFFFFFFFFFFFFFFFF
+    z = (seed * 0x9E3779B97F4A7C15 + npc * 0xBF58476D1CE4E5B9 + (gene + 1) * 0x94D049BB133111EB) & mask
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+    return bool((z ^ (z >> 31)) & 1)
+
+
+def repair_gene(
+    previous: Sequence[Cell] | None,
+    requested: Sequence[Cell],
+    existing: Collection[Cell],
+    coin: Callable[[int], bool],
+) -> tuple[Cell, ...]:
+    """The cells that all NPCs execute in one gene, given what they executed before and what they request.
+
+    A request is executed as it is when it is the previous cell or its ring neighbour, when its lane exists and
+    when no NPC with a smaller index holds it. Otherwise it becomes one of the two neighbours of the previous
+    cell, 50 % each by ``coin(npc)``; the one that is there if only one is; else the NPC holds its cell
+    (section 2.1). In the first gene, which has no previous cells, a request that cannot be met becomes the
+    nearest cell on the ring that can.
+
+    The result is distinct, and a fixed point: requesting it again yields it again. Both follow from taking the
+    first complete assignment in order of preference, in which everybody holding is always possible.
+
+    Args:
+        previous: the executed cells of the gene before, distinct, one per NPC; None in the first gene.
+        requested: the requested cells, one per NPC.
+        existing: the cells whose lane exists now.
+        coin: NPC index to a fair coin: False for the anticlockwise neighbour first, True for the clockwise.
+
+    Raises:
+        ValueError: in the first gene, when there are more NPCs than existing cells.
+    """
+    if previous is None:
+        preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
+    else:
+        preferences = [
+            _next_cells(before, cell, existing, coin(npc))
+            for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
+        ]
+    assignment = next(_assignments(preferences, ()), None)
+    if assignment is None:
+        raise ValueError(
+            f"expected a free cell for each NPC, received {len(requested)} NPCs for {len(existing)} existing cells; "
+            "use fewer NPCs or more lanes"
+        )
+    return assignment
+
+
+def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
+    """Make chains valid, gene by gene and on a road where every cell exists.
+
+    Args:
+        chains: one sequence of cells per NPC; they may differ in length.
+        seed: of the draws, which depend on (seed, NPC, gene) alone.
+
+    Returns:
+        chains of the same lengths in which each cell equals the one before or is its ring neighbour, and no
+        two NPCs hold the same cell in the same gene. Valid chains come back unchanged.
+    """
+    repaired: list[list[Cell]] = [[] for _ in chains]
+    for gene in range(max(map(len, chains), default=0)):
+        active = [npc for npc, chain in enumerate(chains) if gene < len(chain)]
+        executed = repair_gene(
+            [repaired[npc][-1] for npc in active] if gene else None,
+            [chains[npc][gene] for npc in active],
+            ALL_CELLS,
+            lambda position, active=active, gene=gene: toss(seed, active[position], gene),  # type: ignore[misc]
+        )
+        for npc, cell in zip(active, executed, strict=True):
+            repaired[npc].append(cell)
+    return tuple(map(tuple, repaired))
+
+
+def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
+    step = 1 if clockwise_first else -1
+    by_distance = [Cell((requested - 1 + step * sign * k) % 8 + 1) for k in range(5) for sign in (1, -1)]
+    return [cell for cell in dict.fromkeys(by_distance) if cell in existing]
+
+
+def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
+    anticlockwise, clockwise = previous.neighbours
+    neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
+    wanted = (requested,) if is_adjacent(previous, requested) else ()
+    moves = [cell for cell in (*wanted, *neighbours) if cell in existing]
+    return list(dict.fromkeys([*moves, previous]))
+
+
+def _assignments(preferences: Sequence[Sequence[Cell]], taken: tuple[Cell, ...]) -> Iterator[tuple[Cell, ...]]:
+    """All assignments of distinct cells, in lexicographic order of preference."""
+    if len(taken) == len(preferences):
+        yield taken
+        return
+    for cell in preferences[len(taken)]:
+        if cell not in taken:
+            yield from _assignments(preferences, (*taken, cell))

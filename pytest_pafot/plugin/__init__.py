@@ -1,0 +1,49 @@
+"""The pytest plugin: options, marks, collection, the search loop and its reports.
+
+Sessions without a marked test pay for the light modules imported here and nothing else: everything that needs
+numpy, yaml or highway-env is imported when a marked test is collected or run.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_pafot.plugin import fixtures, session
+from pytest_pafot.plugin.checks import Checks
+from pytest_pafot.plugin.collection import Collection, accept_files
+from pytest_pafot.plugin.execution import Execution
+from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.messages import Unseen
+from pytest_pafot.plugin.options import add_options
+from pytest_pafot.plugin.reporting import Reporter, WorkerReporter
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the options."""
+    add_options(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marks and one plugin object per feature."""
+    for line in (
+        f"{ANY_MARK}: every test that belongs to pytest-pafot, to select or deselect all of them",
+        f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
+        f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
+    ):
+        config.addinivalue_line("markers", line)
+    session.start(config)
+    is_worker = session.is_worker(config)
+    if not is_worker:
+        accept_files(config)
+    features = {
+        "fixtures": fixtures,
+        "collection": Collection(config),
+        "checks": Checks(),
+        "execution": Execution(),
+        "messages": Unseen(),
+        "reporting": WorkerReporter(config) if is_worker else Reporter(config),
+    }
+    if not is_worker:
+        features["sharing"] = session.Sharing(config)
+    for name, feature in features.items():
+        config.pluginmanager.register(feature, f"pafot-{name}")

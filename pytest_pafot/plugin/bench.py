@@ -1,0 +1,148 @@
+"""Everything that one item runs scenarios with: its world, its ADS, its test function, its place on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_pafot.findings.inflight import InFlight
+from pytest_pafot.findings.run import Run
+from pytest_pafot.plugin import places
+from pytest_pafot.plugin.flights import flight_folder, owner_of
+from pytest_pafot.plugin.marks import WORLD_FIXTURE
+from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge
+from pytest_pafot.plugin.request import Request, RequestError, build_world
+
+if TYPE_CHECKING:
+    from pytest_pafot.scenario import Scenario
+
+PACKAGES = ("pytest-pafot", "highway-env", "numpy")
+"""Whose versions a finding depends on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """How an item simulates and judges.
+
+    Attributes:
+        item: the test.
+        request: what its mark asks for.
+        world: of new scenarios.
+        ads: the factory.
+        test: the user's function with its fixtures.
+        folder: of the item's saved scenarios.
+        versions: of the packages that a run depends on.
+    """
+
+    item: pytest.Function
+    request: Request
+    world: Any
+    ads: Callable[[], Any]
+    test: Test
+    folder: Path
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, item: pytest.Function, request: Request) -> Bench:
+        """From an item whose fixtures are set up.
+
+        Raises:
+            RequestError: when a fixture gives something that cannot be used.
+        """
+        world = build_world(request, item.funcargs[WORLD_FIXTURE])
+        if not callable(getattr(world, "rollout", None)) or not hasattr(world, "to_dict"):
+            raise RequestError(
+                f"{item.name}: expected the fixture {WORLD_FIXTURE} to give pafot.Highway(...) or pafot.World(...), "
+                f"received {world!r:.100}"
+            )
+        return cls(
+            item=item,
+            request=request,
+            world=world,
+            ads=_factory(item, request),
+            test=bound_test(item, request.arg),
+            folder=places.folder_of_item(item, request.settings.corpus, item.config.rootpath),
+            versions=installed_versions(),
+        )
+
+    def simulate(self, scenario: Scenario, world: Any) -> Run:
+        """One run; refuses what no finding can be made of.
+
+        Raises:
+            RequestError: for a world, factory or scenario that does not fit.
+        """
+        __tracebackhide__ = True
+        from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
+        from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
+
+        try:
+            trace = world.rollout(scenario, self.ads)
+        except (WorldError, AdsFactoryError, ScenarioError) as error:
+            raise RequestError(f"{self.item.name}: {error}") from None
+        return Run(trace, decision_limit=self.request.decision_limit)
+
+    def judge(self, run: Run) -> Verdict:
+        """What the user's function, or the failure of the ADS, makes of a run."""
+        __tracebackhide__ = True
+        return judge(run, self.test, blame=self.request.blame, test_file=self.item.obj.__code__.co_filename)
+
+    def tried(self, scenario: Scenario, world: Any, owner: str) -> tuple[Run, Verdict]:
+        """One run and its verdict, with the scenario on disk meanwhile."""
+        __tracebackhide__ = True
+        with self.in_flight(world, owner) as flight:
+            flight.record(scenario)
+            run = self.simulate(scenario, world)
+            return run, self.judge(run)
+
+    @contextmanager
+    def in_flight(self, world: Any, owner: str = "") -> Iterator[InFlight]:
+        """The record of what runs now; gone at the end, however that comes, unless the process dies."""
+        folder = flight_folder(self.item, self.request)
+        with InFlight(folder, owner or owner_of(self.item), world=world.to_dict()) as flight:
+            yield flight
+        if folder.name != "pafot" and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+    def relative(self, path: Path) -> str:
+        """A path as people read it."""
+        root = self.item.config.rootpath
+        return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
+
+
+def is_same_run(a: Run, b: Run) -> bool:
+    """Whether two runs are the same to the last bit."""
+    return a.outcome == b.outcome and a.trace.states.shape == b.trace.states.shape and _equal(a, b)
+
+
+def installed_versions() -> dict[str, str]:
+    """Of the packages that a run depends on, where they are installed as packages."""
+    versions: dict[str, str] = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "unknown"
+    return versions
+
+
+def _equal(a: Run, b: Run) -> bool:
+    return a.trace.states.tobytes() == b.trace.states.tobytes()
+
+
+def _factory(item: pytest.Function, request: Request) -> Callable[[], Any]:
+    if not isinstance(request.ads, str):
+        return request.ads
+    factory = item.funcargs[request.ads]
+    if not callable(factory):
+        raise RequestError(
+            f"{item.name}: expected the fixture {request.ads!r} to give a factory, a function that makes a fresh ADS "
+            f"for each scenario such as `return lambda: MyPlanner()`, received {factory!r:.100}"
+        )
+    made: Callable[[], Any] = factory
+    return made

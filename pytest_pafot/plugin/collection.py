@@ -1,0 +1,212 @@
+"""Items: one for the search of each marked test, then one for each of its saved scenarios."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_pafot.plugin import orphans, places
+from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
+from pytest_pafot.plugin.options import OptionError, resolve
+from pytest_pafot.plugin.places import Saved
+from pytest_pafot.plugin.session import EXPLICIT, SAVED_PART, SEARCH_PART, SHARED, Explicit
+
+ORPHANS = pytest.StashKey[list[Path]]()
+
+SEARCH = "search"
+"""The argument of a searching item, until each simulated run takes its place."""
+
+
+def accept_files(config: pytest.Config) -> None:
+    """Let corpus files be given on the command line: their test files are collected, and filtered later."""
+    given = [arg for arg in config.args if arg.endswith(places.SUFFIX)]
+    if not given:
+        return
+    explicit = config.stash[EXPLICIT] = Explicit()
+    others = [Path(_without_ids(arg)).resolve() for arg in config.args if arg not in given]
+    added: list[str] = []
+    for arg in given:
+        file = Path(arg).resolve()
+        module = _module_of(file, config)
+        explicit.files.add(file)
+        if not any(other in (module, *module.parents) for other in others):
+            explicit.modules.add(module)
+            added.append(os.path.relpath(module, config.invocation_params.dir))
+    config.args[:] = [*(arg for arg in config.args if arg not in given), *dict.fromkeys(added)]
+
+
+class Collection:
+    """Hooks that make, filter and order the items."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._seen = orphans.Seen()
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """The search first, then every file that may belong to an item of the function."""
+        arguments = arguments_of(metafunc.definition)
+        if arguments is None:
+            return
+        arg = arguments.get("arg", DEFAULT_ARG)
+        if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
+            return  # The one item that this leaves says what is wrong when it is set up.
+        saved = [_param(value) for value in self._saved(metafunc, arguments)]
+        metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
+        """Drop the combinations of parameters and files that do not belong together."""
+        made = yield
+        if isinstance(collector, pytest.Class):
+            self._seen.opened.add(collector.nodeid)
+        if isinstance(made, pytest.Class):
+            self._seen.classes.add(made.nodeid)
+        if not isinstance(made, list):
+            return made
+        return [item for item in made if self._belongs(item)]
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> Generator[None, None, None]:
+        """Find orphans before any selection, drop known searches after all."""
+        config.stash[ORPHANS] = orphans.find(self._seen, items, self._default_corpus(), config.rootpath)
+        _keep_explicit(config, items)
+        yield
+        _drop_known_searches(config, items)
+
+    def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> str | None:
+        """How many items are searches and replays."""
+        searches = sum(is_search(item) for item in items)
+        saved = sum(saved_of(item) is not None for item in items)
+        if not searches and not saved:
+            return None
+        return f"pafot: {_count(searches, 'search', 'searches')}, {_count(saved, 'saved scenario', 'saved scenarios')}"
+
+    def _belongs(self, item: pytest.Item) -> bool:
+        """Whether an item is to be kept: files belong to one parametrisation, and others drop out here."""
+        arguments = arguments_of(item)
+        if arguments is None:
+            return True
+        folder = self._folder(item, arguments)
+        if folder is not None:
+            self._seen.folders.add(folder)
+            self._seen.roots[folder.parents[1]] = item.path.parent
+        saved = saved_of(item)
+        if saved is None:
+            return True
+        frozen = self._config.stash[SHARED].frozen
+        return saved.path.parent == folder and (frozen is None or item.nodeid in frozen)
+
+    def _folder(self, item: pytest.Item, arguments: dict[str, Any]) -> Path | None:
+        try:
+            corpus = resolve(self._config, arguments, 0).corpus
+        except OptionError:
+            return None
+        return places.folder_of_item(item, corpus, self._config.rootpath)
+
+    def _saved(self, metafunc: pytest.Metafunc, arguments: dict[str, Any]) -> list[Saved]:
+        """Every file that may belong to an item of the function, in the order of folders and ids."""
+        try:
+            corpus = resolve(self._config, arguments, 0).corpus
+        except OptionError:
+            return []
+        module_folder = places.folder_of_module(metafunc.definition.path, corpus, self._config.rootpath)
+        return places.read_saved(module_folder, metafunc.definition)
+
+    def _default_corpus(self) -> str:
+        try:
+            return resolve(self._config, {}, 0).corpus
+        except OptionError:
+            return "pafot_corpus"
+
+
+def is_search(item: pytest.Item) -> bool:
+    """Whether an item is the search itself."""
+    return item.get_closest_marker(SEARCH_MARK) is not None and item.get_closest_marker(SAVED_MARK) is None
+
+
+def saved_of(item: pytest.Item) -> Saved | None:
+    """The saved scenario that an item replays, or None."""
+    mark = item.get_closest_marker(SAVED_MARK)
+    if mark is None or not mark.args or not isinstance(mark.args[0], Saved):
+        return None
+    return mark.args[0]
+
+
+def _param(saved: Saved) -> Any:
+    marks = [getattr(pytest.mark, SAVED_MARK)(saved)]
+    if saved.xfail is not None:
+        # A scenario that kills the process cannot be tried while it is accepted.
+        marks.append(pytest.mark.xfail(strict=True, reason=saved.xfail, run=not saved.is_crash))
+    return pytest.param(saved, id=f"{SAVED_PART}{saved.id}", marks=marks)
+
+
+def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
+    for mark in metafunc.definition.iter_markers("parametrize"):
+        names = mark.args[0] if mark.args else mark.kwargs.get("argnames", ())
+        if arg in ([name.strip() for name in names.split(",")] if isinstance(names, str) else names):
+            return True
+    return False
+
+
+def _keep_explicit(config: pytest.Config, items: list[pytest.Item]) -> None:
+    explicit = config.stash.get(EXPLICIT, None)
+    if explicit is None:
+        return
+
+    def is_kept(item: pytest.Item) -> bool:
+        saved = saved_of(item)
+        return item.path not in explicit.modules or (saved is not None and saved.path in explicit.files)
+
+    _deselect(config, items, [item for item in items if not is_kept(item)])
+
+
+def _drop_known_searches(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Under ``--lf``, a search that failed by finds which are items by now need not run again."""
+    if not config.getoption("lf", False) or getattr(config, "cache", None) is None:
+        return
+    failed = config.cache.get("cache/lastfailed", {})
+    bases = {places.base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
+    known = [item for item in items if is_search(item) and item.nodeid in failed and places.base_id(item) in bases]
+    _deselect(config, items, known)
+
+
+def _deselect(config: pytest.Config, items: list[pytest.Item], dropped: Iterable[pytest.Item]) -> None:
+    gone = list(dropped)
+    if gone:
+        config.hook.pytest_deselected(items=gone)
+        ids = set(map(id, gone))
+        items[:] = [item for item in items if id(item) not in ids]
+
+
+def _module_of(file: Path, config: pytest.Config) -> Path:
+    if not file.is_file():
+        raise pytest.UsageError(f"{file}: expected a saved scenario, found no such file")
+    module = places.module_of_file(file, _corpus_name(config), config.rootpath)
+    if module is None or not module.is_file():
+        where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
+        raise pytest.UsageError(
+            f"{file}: expected a saved scenario of a test file, but {where}; move the folder to where the test is now"
+        )
+    return module
+
+
+def _corpus_name(config: pytest.Config) -> str:
+    try:
+        return resolve(config, {}, 0).corpus
+    except OptionError as error:
+        raise pytest.UsageError(str(error)) from None
+
+
+def _without_ids(arg: str) -> str:
+    return arg.split("::", 1)[0]
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"

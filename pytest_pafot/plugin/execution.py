@@ -1,0 +1,60 @@
+"""Running an item: a search calls the test function for each simulated run, a replay for one."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.plugin.checks import REQUEST
+from pytest_pafot.plugin.collection import saved_of
+from pytest_pafot.plugin.request import Request, RequestError
+
+if TYPE_CHECKING:
+    from pytest_pafot.plugin.bench import Bench
+
+
+class Execution:
+    """The hook that calls test functions."""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
+        """Search or replay in place of the one call that pytest would make."""
+        request = pyfuncitem.stash.get(REQUEST, None)
+        if request is None:
+            return None
+        try:
+            _run(pyfuncitem, request)
+        except RequestError as error:
+            pytest.fail(str(error), pytrace=False)
+        return True
+
+
+def item_seed(base_seed: int, base_id: str) -> int:
+    """The seed of a search: a function of the base seed and the node id, the same in every process."""
+    digest = hashlib.sha256(f"{base_seed}:{base_id}".encode()).digest()
+    return int.from_bytes(digest[:4], "big")
+
+
+def _run(item: pytest.Function, request: Request) -> None:
+    __tracebackhide__ = True
+    from pytest_pafot.plugin.bench import Bench  # noqa: PLC0415
+
+    saved = saved_of(item)
+    if saved is not None:
+        from pytest_pafot.plugin.replaying import replay  # noqa: PLC0415
+
+        replay(item, request, saved)
+        return
+    _search(Bench.of(item, request), request)
+
+
+def _search(bench: Bench, request: Request) -> None:
+    __tracebackhide__ = True
+    from pytest_pafot.plugin import places  # noqa: PLC0415
+    from pytest_pafot.plugin.searcher import Searching  # noqa: PLC0415
+
+    seed = item_seed(request.settings.seed, places.base_id(bench.item))
+    Searching(bench=bench, seed=seed, clock=time.monotonic).run()

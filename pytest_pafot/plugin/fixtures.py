@@ -1,0 +1,92 @@
+"""Fixtures for searches and for ordinary tests that simulate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+from pytest_pafot.plugin import places
+from pytest_pafot.plugin.marks import arguments_of
+from pytest_pafot.plugin.options import OptionError, resolve
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.finding import Finding
+    from pytest_pafot.findings.run import Run
+    from pytest_pafot.scenario import Scenario
+
+
+class Simulate(Protocol):
+    """What the fixture ``pafot_simulate`` gives."""
+
+    def __call__(self, scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
+        """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corpus:
+    """What the fixture ``pafot_corpus`` gives: the saved scenarios of the module that asks for it.
+
+    Attributes:
+        folder: in which a folder for each test lies; it may not exist.
+    """
+
+    folder: Path
+
+    def __iter__(self) -> Iterator[Finding]:
+        """Every finding, by test and id.
+
+        Raises:
+            CorpusError: for a file that cannot be read.
+        """
+        from pytest_pafot.findings import corpus  # noqa: PLC0415
+
+        for path in self.paths:
+            yield corpus.read(path)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @property
+    def paths(self) -> list[Path]:
+        """Of the files."""
+        return sorted(self.folder.glob(f"*/*{places.SUFFIX}"))
+
+
+@pytest.fixture(scope="session")
+def pafot_world() -> Any:
+    """The world of searches whose mark gives none: a straight motorway. Override it in a conftest.py."""
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    return Highway()
+
+
+@pytest.fixture(scope="session")
+def pafot_simulate(pafot_world: Any) -> Simulate:
+    """A function (scenario, ads_factory, world=None) -> Run, warm, so that the first call is no slower."""
+    from pytest_pafot.findings.run import Run  # noqa: PLC0415
+    from pytest_pafot.grid import Cell  # noqa: PLC0415
+    from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    def simulate(scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
+        return Run((pafot_world if world is None else world).rollout(scenario, ads_factory))
+
+    # The first run imports highway-env, about a second, which would look like a slow test to hypothesis.
+    still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))
+    simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
+    return simulate
+
+
+@pytest.fixture
+def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
+    """The saved scenarios of all tests of the module, to iterate over."""
+    try:
+        corpus = resolve(request.config, arguments_of(request.node) or {}, 0).corpus
+    except OptionError as error:
+        pytest.fail(str(error), pytrace=False)
+    return Corpus(folder=places.folder_of_module(request.path, corpus, request.config.rootpath))

@@ -1,0 +1,154 @@
+"""The search loop: scenarios in, evaluations out, and every distinct find handed on the moment it is there.
+
+It knows neither pytest's items nor files nor worlds: those are given as functions.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from pytest_pafot.findings.replay import Replayed, covered_by
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import of_failure
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import (
+    CampaignFinished,
+    Evaluated,
+    Event,
+    GenerationFinished,
+    LocalSearchFinished,
+    LocalSearchStarted,
+)
+from pytest_pafot.searching.health import Health
+from pytest_pafot.trace import Outcome
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.signature import Signature
+    from pytest_pafot.plugin.oracle import Verdict
+    from pytest_pafot.scenario import Scenario
+    from pytest_pafot.trace import Trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """What a search runs on.
+
+    Attributes:
+        run: simulates a scenario; the scenario is on disk while it does.
+        judge: says what the user's function makes of a run; likewise.
+        fitness: of a trace, higher is worse for the ego.
+        keep: takes a new find (run, verdict, generation, number of the run), saves and announces it.
+        lethal: scenarios in which a process died; they are not run.
+    """
+
+    run: Callable[[Scenario], Run]
+    judge: Callable[[Run], Verdict]
+    fitness: Callable[[Trace], float]
+    keep: Callable[[Run, Verdict, int, int], str]
+    lethal: frozenset[Scenario] = frozenset()
+
+
+@dataclass(slots=True)
+class Hunt:
+    """A search in progress: what it has seen so far.
+
+    Attributes:
+        stage: that it runs on.
+        replayed: what the replays of the saved scenarios showed.
+        finds: ids of new finds by signature, with the number of further runs of each.
+        known: failing runs by the id of the saved scenario that covers them.
+        verdicts: counts by kind.
+        health: of the evaluations.
+        generation: of the main search, from 0.
+        finished: the last event, once the campaign is over.
+        skip: the last exception by which the function declined to judge.
+    """
+
+    stage: Stage
+    replayed: Sequence[Replayed] = ()
+    finds: dict[Signature, str] = field(default_factory=dict)
+    repeats: Counter[str] = field(default_factory=Counter)
+    known: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    health: Health = field(default_factory=Health)
+    generation: int = 0
+    finished: CampaignFinished | None = None
+    skip: BaseException | None = None
+
+    @property
+    def runs(self) -> int:
+        """Simulated scenarios."""
+        return self.verdicts.total()
+
+    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        """The evaluations that a campaign asks for."""
+        return [self._evaluated(scenario) for scenario in scenarios]
+
+    def follow(self, events: Iterable[Event], tick: Callable[[], None]) -> None:
+        """Run a campaign to its end; ``tick`` is called after each event."""
+        for event in events:
+            self.health = _counted(self.health, event)
+            self._note(event)
+            tick()
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, GenerationFinished) and event.local_generation == 0:
+            self.generation = event.generation + 1
+        elif isinstance(event, LocalSearchStarted):
+            self.generation = event.generation
+        elif isinstance(event, LocalSearchFinished):
+            self.generation = event.generation + 1
+        elif isinstance(event, CampaignFinished):
+            self.finished = event
+
+    def _evaluated(self, scenario: Scenario) -> Evaluation:
+        if scenario in self.stage.lethal:
+            return _not_run(scenario)
+        run = self.stage.run(scenario)
+        verdict = self.stage.judge(run)
+        self.verdicts[verdict.kind] += 1
+        if verdict.failed:
+            self._failed(run, verdict)
+        if verdict.kind == "skipped":
+            self.skip = verdict.exception
+        return Evaluation.of(
+            run.trace,
+            fitness=self.stage.fitness(run.trace),
+            failing=verdict.failed,
+            discarded=verdict.discarded,
+        )
+
+    def _failed(self, run: Run, verdict: Verdict) -> None:
+        """A failure is known, or one of this search's own again, or new."""
+        if verdict.failure is None:
+            return
+        signature = of_failure(run, verdict.failure)
+        saved = covered_by(signature, self.replayed)
+        if saved is not None:
+            self.known[saved] += 1
+        elif signature in self.finds:
+            self.repeats[self.finds[signature]] += 1
+        else:
+            self.finds[signature] = self.stage.keep(run, verdict, self.generation, self.runs)
+
+
+def _counted(health: Health, event: Event) -> Health:
+    return health.counted(event.evaluation, reused=event.reused) if isinstance(event, Evaluated) else health
+
+
+def _not_run(scenario: Scenario) -> Evaluation:
+    return Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=False,
+        outcome=Outcome.SAFE,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )

@@ -1,0 +1,108 @@
+"""The decorator by which a test function asks for a search, and the way to discard a scenario.
+
+This module is imported by every test file that uses the plugin: it imports nothing but pytest.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar, Unpack, overload
+
+import pytest
+
+if TYPE_CHECKING:
+    from pytest_pafot.trace import Trace
+
+SEARCH_MARK = "pafot_search"
+SAVED_MARK = "pafot_saved"
+ANY_MARK = "pafot"
+
+WORLD_FIXTURE = "pafot_world"
+DEFAULT_ADS = "ads"
+DEFAULT_ARG = "run"
+
+POSITIONAL = "<positional>"
+"""Key of positional arguments, which a search does not take, so that the item can say so."""
+
+Target = TypeVar("Target", bound=Callable[..., Any] | type)
+
+
+class SearchArguments(TypedDict, total=False):
+    """What :func:`search` accepts; every argument is optional."""
+
+    world: Any
+    lanes: int
+    speed_limit: float
+    clearance: float
+    npcs: int
+    genes: int
+    gene_seconds: float
+    ego_lane: int
+    ego_speed: float
+    ads: Any
+    arg: str
+    fitness: str | Callable[[Trace], float]
+    blame: str
+    decision_limit: float
+    generations: int
+    population: int
+    seed: int
+    algorithm: str
+    max_time: float
+    stop_after: int
+    corpus: str
+    save: str
+    profile: str
+    strict_drift: bool
+    strict_health: bool
+
+
+class Rejected(BaseException):
+    """Raised by :func:`reject`. No ``Exception``, so that the test's own handlers do not swallow it."""
+
+
+@overload
+def search(target: Target, /) -> Target: ...
+@overload
+def search(**arguments: Unpack[SearchArguments]) -> Callable[[Target], Target]: ...
+def search(*target: Any, **arguments: Any) -> Any:
+    """Search for scenarios that make the decorated test function raise.
+
+    Works bare, with arguments, on functions and on classes of test functions. Arguments are checked when the test
+    is about to run, so that a wrong one is one failing item and not a module that cannot be imported.
+    """
+    if len(target) == 1 and not arguments and (inspect.isfunction(target[0]) or inspect.isclass(target[0])):
+        return _decorated(target[0], (), {})
+
+    def decorate(function: Any) -> Any:
+        return _decorated(function, target, arguments)
+
+    return decorate
+
+
+def reject() -> NoReturn:
+    """Discard the scenario that is running: it counts neither as passed nor as failed."""
+    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
+
+
+def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
+    ads = arguments.get("ads", DEFAULT_ADS)
+    fixtures = [ads, WORLD_FIXTURE] if isinstance(ads, str) else [WORLD_FIXTURE]
+    # usefixtures, and not getfixturevalue at run time: a parametrised fixture must be known at collection.
+    target = pytest.mark.usefixtures(*fixtures)(target)
+    target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
+    return getattr(pytest.mark, ANY_MARK)(target)
+
+
+def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
+    """The arguments of an item's searching marks, the closest winning; None without such a mark."""
+    marks = list(item.iter_markers(SEARCH_MARK))
+    if not marks:
+        return None
+    merged: dict[str, Any] = {}
+    for mark in reversed(marks):
+        merged.update(mark.kwargs)
+        if mark.args:
+            merged[POSITIONAL] = mark.args
+    return merged

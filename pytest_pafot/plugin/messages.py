@@ -1,0 +1,45 @@
+"""What a running item tells the controller, as it happens and from any worker.
+
+A message is a test report of a phase of its own. Such a report reaches the controller under pytest-xdist like any
+other, at once; everybody else takes it for a passed phase that shows nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+PHASE = "pafot"
+
+
+def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
+    """Tell the controller; the data must be plain."""
+    report = pytest.TestReport(
+        nodeid=item.nodeid,
+        location=item.location,
+        keywords={},
+        outcome="passed",
+        longrepr=None,
+        when=PHASE,  # type: ignore[arg-type]
+        pafot={"kind": kind, **data},
+    )
+    item.ihook.pytest_runtest_logreport(report=report)
+
+
+def received(report: Any) -> dict[str, Any] | None:
+    """The message in a report, or None for an ordinary report."""
+    if getattr(report, "when", None) != PHASE:
+        return None
+    message: dict[str, Any] = report.pafot
+    return message
+
+
+class Unseen:
+    """Keeps messages out of the results, in the controller and in workers."""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
+        """Messages are no category of results."""
+        return ("", "", "") if getattr(report, "when", None) == PHASE else None

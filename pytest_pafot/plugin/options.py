@@ -1,0 +1,343 @@
+"""The options, in one typed table, and the settings that an item ends up with.
+
+Command line, ini and toml keys, ``PAFOT_*`` variables, marker arguments and the reference documentation are all
+made from :data:`OPTIONS`. Precedence: command line, marker, environment, a profile that was named, ini, the
+automatic profile, the default.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pytest
+
+Kind = Literal["integer", "seconds", "text", "switch"]
+Source = Literal["command line", "marker", "environment", "ini"]
+
+SEED_LIMIT = 2**63
+
+FULL, LOCAL = "ci", "local"
+
+PROFILES: Mapping[str, Mapping[str, object]] = {
+    FULL: {"generations": 100, "seed": 0},
+    LOCAL: {"generations": 10},
+}
+"""``ci`` is automatic when the variable CI is set, ``local`` otherwise. ``local`` has a fresh base seed."""
+
+
+class OptionError(ValueError):
+    """A value that an option cannot take; the message names the place, what was expected and received."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """One option and everything that is generated from it.
+
+    Attributes:
+        name: as marker argument; ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>`` follow from it.
+        kind: how values are read.
+        default: without any source and profile.
+        help: one sentence.
+        least: smallest number that is accepted.
+        choices: the texts that are accepted, or nothing for any.
+        everywhere: False for what concerns the session and is a deliberate act: command line only.
+    """
+
+    name: str
+    kind: Kind
+    default: object
+    help: str
+    least: float = 0
+    choices: tuple[str, ...] = ()
+    everywhere: bool = True
+
+    @property
+    def flag(self) -> str:
+        """On the command line."""
+        return f"--pafot-{self.name.replace('_', '-')}"
+
+    @property
+    def key(self) -> str:
+        """In ini and toml files, and the attribute of ``config.option``."""
+        return f"pafot_{self.name}"
+
+    @property
+    def variable(self) -> str:
+        """In the environment."""
+        return f"PAFOT_{self.name.upper()}"
+
+    @property
+    def metavar(self) -> str:
+        """What the help shows for a value."""
+        return {"integer": "N", "seconds": "SECONDS", "text": self.name.upper(), "switch": ""}[self.kind]
+
+    def read(self, value: object) -> Any:
+        """The typed value of a text or of a Python value.
+
+        Raises:
+            OptionError: expected, received; without the place, which the caller knows.
+        """
+        typed = _READERS[self.kind](self, value)
+        if self.choices and typed not in self.choices:
+            raise OptionError(f"expected {' or '.join(self.choices)}, received {value!r}")
+        return typed
+
+
+OPTIONS: tuple[Option, ...] = (
+    Option(
+        name="generations",
+        kind="integer",
+        default=10,
+        help="Generations of each search; 0 replays saved scenarios only. 10, or 100 in the profile ci.",
+    ),
+    Option(name="population", kind="integer", default=4, least=2, help="Scenarios per generation."),
+    Option(
+        name="seed",
+        kind="integer",
+        default=None,
+        help="Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci.",
+    ),
+    Option(
+        name="algorithm",
+        kind="text",
+        default="pafot",
+        choices=("pafot", "random"),
+        help="Search algorithm: pafot (genetic, with local fuzzer and restarts) or random.",
+    ),
+    Option(
+        name="max_time",
+        kind="seconds",
+        default=None,
+        help="End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
+    ),
+    Option(
+        name="stop_after",
+        kind="integer",
+        default=None,
+        least=1,
+        help="End each search after so many distinct findings that are new.",
+    ),
+    Option(
+        name="corpus",
+        kind="text",
+        default="pafot_corpus",
+        help="Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
+    ),
+    Option(
+        name="save",
+        kind="text",
+        default="new",
+        choices=("new", "none"),
+        help="Whether new findings are written to the corpus.",
+    ),
+    Option(
+        name="prune",
+        kind="switch",
+        default=False,
+        everywhere=False,
+        help="Remove saved scenarios whose test was collected and no longer exists.",
+    ),
+    Option(
+        name="profile",
+        kind="text",
+        default=None,
+        choices=tuple(PROFILES),
+        help="Defaults for an occasion: ci (100 generations, seed 0; automatic when CI is set) or local.",
+    ),
+    Option(
+        name="strict_drift",
+        kind="switch",
+        default=False,
+        help="Fail saved scenarios that pass under other versions than those that found them.",
+    ),
+    Option(
+        name="strict_health",
+        kind="switch",
+        default=False,
+        help="Fail searches with a health warning, such as scenarios without any interaction.",
+    ),
+)
+
+BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The value of every option for one item. ``seed`` is the base seed."""
+
+    generations: int
+    population: int
+    seed: int
+    algorithm: str
+    max_time: float | None
+    stop_after: int | None
+    corpus: str
+    save: str
+    profile: str
+    strict_drift: bool
+    strict_health: bool
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare the whole table to pytest."""
+    group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
+    for option in OPTIONS:
+        if option.kind == "switch":
+            group.addoption(option.flag, dest=option.key, action="store_true", default=None, help=option.help)
+        else:
+            group.addoption(
+                option.flag,
+                dest=option.key,
+                type=_argparse_type(option),
+                default=None,
+                metavar=option.metavar,
+                help=option.help,
+            )
+        if option.everywhere:
+            parser.addini(
+                option.key, f"{option.help} Same as {option.flag}.", type=_INI_TYPES[option.kind], default=None
+            )
+
+
+def is_ci(environ: Mapping[str, str]) -> bool:
+    """Whether the profile ``ci`` is automatic: CI is set to anything but an empty text, 0 or false."""
+    return environ.get("CI", "").lower() not in ("", "0", "false")
+
+
+def resolve(
+    config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
+) -> Settings:
+    """The settings of an item.
+
+    Args:
+        config: of the session, for command line and ini.
+        marker: the arguments of the item's marker; those that are no options are not looked at.
+        fresh_seed: the base seed when no source gives one.
+        environ: where PAFOT_* variables and CI are looked up.
+
+    Raises:
+        OptionError: naming the source, what was expected and received.
+    """
+    sources = _Sources(config=config, marker=marker, environ=environ)
+    named = sources.first(BY_NAME["profile"], ("command line", "marker", "environment", "ini"))
+    automatic = FULL if is_ci(environ) else LOCAL
+    values = {
+        option.name: _value(option, sources, named, automatic)
+        for option in OPTIONS
+        if option.everywhere and option.name != "profile"
+    }
+    if values["seed"] is None:
+        values["seed"] = fresh_seed
+    return Settings(profile=named or automatic, **values)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sources:
+    """Where values come from, read one option at a time so that an error names its place."""
+
+    config: pytest.Config
+    marker: Mapping[str, object]
+    environ: Mapping[str, str]
+
+    def first(self, option: Option, order: tuple[Source, ...]) -> Any:
+        for source in order:
+            place, value = self._raw(option, source)
+            if value is None:
+                continue
+            try:
+                return option.read(value)
+            except OptionError as error:
+                raise OptionError(f"{place}: {error}") from None
+        return None
+
+    def _raw(self, option: Option, source: Source) -> tuple[str, object]:
+        if source == "command line":
+            return option.flag, self.config.getoption(option.key)
+        if source == "marker":
+            return f"@pafot.search({option.name}=...)", self.marker.get(option.name)
+        if source == "environment":
+            return f"environment variable {option.variable}", self.environ.get(option.variable) or None
+        return f"ini key {option.key}", _ini(self.config, option)
+
+
+def _value(option: Option, sources: _Sources, named: str | None, automatic: str) -> Any:
+    value = sources.first(option, ("command line", "marker", "environment"))
+    if value is None and named:
+        value = PROFILES[named].get(option.name)
+    if value is None:
+        value = sources.first(option, ("ini",))
+    if value is None and not named:
+        value = PROFILES[automatic].get(option.name)
+    return option.default if value is None else value
+
+
+def _ini(config: pytest.Config, option: Option) -> object:
+    try:
+        return config.getini(option.key)
+    except (TypeError, ValueError, pytest.UsageError) as error:
+        raise OptionError(f"ini key {option.key}: {error}") from None
+
+
+def _argparse_type(option: Option) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        try:
+            return option.read(text)
+        except OptionError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
+
+
+def _read_integer(option: Option, value: object) -> int:
+    try:
+        number = int(value, 10) if isinstance(value, str) else value
+    except ValueError:
+        number = None
+    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
+        raise OptionError(f"expected a whole number, at least {option.least:g}, received {value!r}")
+    return number
+
+
+def _read_seconds(option: Option, value: object) -> float:
+    try:
+        seconds = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else -1.0
+    except ValueError:
+        seconds = -1.0
+    if not option.least <= seconds < float("inf"):
+        raise OptionError(f"expected seconds, at least {option.least:g}, received {value!r}")
+    return seconds
+
+
+def _read_text(option: Option, value: object) -> str:
+    if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
+        raise OptionError(f"expected a text, received {value!r}")
+    return str(os.fspath(value))
+
+
+def _read_switch(option: Option, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
+    word = value.lower() if isinstance(value, str) else None
+    if word not in words:
+        raise OptionError(f"expected true or false, received {value!r}")
+    return words[word]
+
+
+_READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
+    "integer": _read_integer,
+    "seconds": _read_seconds,
+    "text": _read_text,
+    "switch": _read_switch,
+}
+
+_INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
+    "integer": "int",
+    "seconds": "float",
+    "text": "string",
+    "switch": "bool",
+}

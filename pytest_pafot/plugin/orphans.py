@@ -1,0 +1,106 @@
+"""Saved scenarios whose test is gone: found without blaming a selection, removed only when asked for."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.plugin import places
+
+_TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
+
+
+@dataclass(slots=True)
+class Seen:
+    """What a session collected, before any selection.
+
+    Attributes:
+        folders: corpus folders of the items.
+        roots: corpora of the items, with the folder of the test files that each serves.
+        classes: node ids of the classes that exist in collected places.
+        opened: node ids of the classes whose members were collected.
+    """
+
+    folders: set[Path] = field(default_factory=set)
+    roots: dict[Path, Path] = field(default_factory=dict)
+    classes: set[str] = field(default_factory=set)
+    opened: set[str] = field(default_factory=set)
+
+
+def find(seen: Seen, items: Iterable[pytest.Item], corpus: str, rootpath: Path) -> list[Path]:
+    """Folders that hold saved scenarios of no test.
+
+    A folder is an orphan when its module is gone, or when the place where its test would be, module or class, was
+    collected and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all
+    members of a module or class before it selects. A module that failed or was skipped at import blames nobody.
+    """
+    collected = {item.path for item in items if item.path.suffix == ".py"}
+    roots = {places.corpus_root(path, corpus, rootpath): path.parent for path in collected}
+    roots.update(seen.roots)
+    found: list[Path] = []
+    for root, directory in sorted(roots.items()):
+        found += [folder for folder in _folders(root) if _is_orphan(folder, directory, collected, seen, rootpath)]
+    return found
+
+
+def prune(folders: Iterable[Path]) -> list[str]:
+    """Remove orphaned folders, and the folders around them that are empty then; returns what failed."""
+    failures: list[str] = []
+    for folder in folders:
+        try:
+            shutil.rmtree(folder)
+            if not any(folder.parent.iterdir()):
+                folder.parent.rmdir()
+        except FileNotFoundError:
+            continue  # Another session was faster.
+        except OSError as error:
+            failures.append(f"{folder}: {error.strerror or error}")
+    return failures
+
+
+def count(folder: Path) -> int:
+    """Saved scenarios in a folder."""
+    return sum(path.name.endswith(places.SUFFIX) for path in folder.iterdir()) if folder.is_dir() else 0
+
+
+def _folders(root: Path) -> Iterator[Path]:
+    if not root.is_dir():
+        return
+    for module in sorted(path for path in root.iterdir() if path.is_dir()):
+        yield from sorted(folder for folder in module.iterdir() if folder.is_dir() and count(folder))
+
+
+def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, rootpath: Path) -> bool:
+    if folder in seen.folders:
+        return False
+    module = places.module_named(directory, folder.parent.name)
+    if not module.exists():
+        return True
+    if module not in collected:
+        return False
+    prefix = module.relative_to(rootpath).as_posix() if module.is_relative_to(rootpath) else module.as_posix()
+    for name in _classes(folder):
+        prefix = f"{prefix}::{name}"
+        if prefix not in seen.classes:
+            return True
+        if prefix not in seen.opened:
+            return False  # Its members were not collected, since another node id was asked for.
+    return True
+
+
+def _classes(folder: Path) -> list[str]:
+    """The classes around the test that a folder belongs to, from the first file that names it."""
+    for path in sorted(folder.glob(f"*{places.SUFFIX}")):
+        try:
+            line = _TEST_LINE.search(path.read_bytes()[:65536])
+        except OSError:
+            continue
+        if line:
+            name = line.group(1).decode("utf-8", "replace").strip("'\"")
+            return name.partition("[")[0].split("::")[1:-1]
+    return []

@@ -1,0 +1,183 @@
+"""Where the saved scenarios of a test lie, and how their names relate to node ids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.plugin.session import SAVED_PART, SEARCH_PART
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.finding import Finding
+
+SUFFIX = ".pafot.yaml"
+
+CRASH = "ProcessCrash"
+"""Failure of a finding whose scenario was in flight when a process died."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Saved:
+    """A corpus file as collected.
+
+    Attributes:
+        path: of the file.
+        finding: its content; None when it cannot be read.
+        error: why it cannot be read.
+    """
+
+    path: Path
+    finding: Finding | None = None
+    error: str = ""
+
+    @property
+    def id(self) -> str:
+        """The name of the file, which is the finding's id."""
+        return self.path.name.removesuffix(SUFFIX)
+
+    @property
+    def xfail(self) -> str | None:
+        """The reason why the failure is accepted, or None."""
+        return None if self.finding is None else self.finding.xfail
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether a process died in this scenario."""
+        return self.finding is not None and self.finding.expect.failure == CRASH
+
+    def __repr__(self) -> str:
+        return f"<saved {self.id}>"
+
+
+def read_saved_file(path: Path) -> Saved:
+    """A file as it is; one that cannot be read says why when its item runs."""
+    from pytest_pafot.findings import corpus  # noqa: PLC0415
+
+    try:
+        return Saved(path=path, finding=corpus.read(path))
+    except (corpus.CorpusError, OSError) as error:
+        return Saved(path=path, error=str(error))
+
+
+def saved_in(folder: Path) -> list[Saved]:
+    """All files of one item, by id."""
+    return [read_saved_file(path) for path in _files(folder)]
+
+
+def read_saved(module_folder: Path, definition: pytest.Item) -> list[Saved]:
+    """All files that may belong to an item of a test function, whatever its parameters."""
+    if not module_folder.is_dir():
+        return []
+    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+
+    name = safe_name(qualified_name(definition))
+
+    def may_belong(folder: Path) -> bool:
+        return folder.name.startswith((name, f"{name}@")) or "~" in folder.name
+
+    folders = sorted(folder for folder in module_folder.iterdir() if folder.is_dir() and may_belong(folder))
+    return [saved for folder in folders for saved in saved_in(folder)]
+
+
+def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
+    """The corpus that serves a test file: beside it, or for an absolute path in one place for all."""
+    folder = Path(corpus)
+    if not folder.is_absolute():
+        return test_file.parent / folder
+    try:
+        return folder / test_file.parent.relative_to(rootpath)
+    except ValueError:
+        return folder
+
+
+def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
+    """Where the folders of all tests of a module lie."""
+    root = corpus_root(test_file, corpus, rootpath)
+    if not root.is_dir():
+        return root / test_file.stem
+    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+
+    return root / safe_name(test_file.stem)
+
+
+def folder_of_item(item: pytest.Item, corpus: str, rootpath: Path) -> Path:
+    """Where the files of one item lie, parametrisation included."""
+    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+
+    root = corpus_root(item.path, corpus, rootpath)
+    return root / safe_name(item.path.stem) / safe_name(qualified_name(item))
+
+
+def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
+    """The test file that a corpus file belongs to, whatever its content; None outside of a corpus."""
+    if len(file.parents) < 3:
+        return None
+    root, module = file.parents[2], file.parents[1].name
+    folder = Path(corpus)
+    if folder.is_absolute():
+        directory = rootpath / root.relative_to(folder) if root.is_relative_to(folder) else None
+    else:
+        directory = root.parents[len(folder.parts) - 1] if root.parts[-len(folder.parts) :] == folder.parts else None
+    return None if directory is None else module_named(directory, module)
+
+
+def module_named(directory: Path, folder: str) -> Path:
+    """The test file of a directory whose corpus folder has this name; it may not exist."""
+    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+
+    return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
+
+
+def base_name(item: pytest.Item) -> str:
+    """The name without the plugin's own part: ``test_x[1-search]`` is ``test_x[1]``."""
+    mark = item.get_closest_marker(SAVED_MARK)
+    token = SEARCH_PART if mark is None else f"{SAVED_PART}{mark.args[0].id}"
+    head, found, tail = item.name.rpartition(token)
+    if not found or not head.endswith(("[", "-")):
+        return item.name
+    if tail.startswith("-"):
+        return head + tail[1:]
+    inner = head[:-1]
+    return inner if head.endswith("[") else inner + tail
+
+
+def base_id(item: pytest.Item) -> str:
+    """The node id without the plugin's own part; equal for a search and its saved scenarios."""
+    return _with_name(item, base_name(item))
+
+
+def saved_node_id(item: pytest.Item, id_: str) -> str:
+    """The node id that a finding of a search will have as an item."""
+    return _renamed(item.nodeid, id_)
+
+
+def saved_name(item: pytest.Item, id_: str) -> str:
+    """The same for the last part of the node id, or for the third part of a report's location."""
+    return _renamed(item.location[2], id_)
+
+
+def qualified_name(item: pytest.Item) -> str:
+    """The test with its classes and parameters: ``TestBraking::test_x[1]``."""
+    classes = [node.name for node in item.listchain() if isinstance(node, pytest.Class)]
+    return "::".join([*classes, base_name(item)])
+
+
+def _with_name(item: pytest.Item, name: str) -> str:
+    parent = item.parent
+    return name if parent is None else f"{parent.nodeid}::{name}"
+
+
+def _renamed(text: str, id_: str) -> str:
+    head, _, tail = text.rpartition(SEARCH_PART)
+    return f"{head}{SAVED_PART}{id_}{tail}"
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
+    except OSError:
+        return []

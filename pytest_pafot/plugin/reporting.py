@@ -1,0 +1,221 @@
+"""The controller's side: messages from running items become progress, reports of finds, and the summary."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_pafot.plugin import messages, orphans
+from pytest_pafot.plugin.collection import ORPHANS
+from pytest_pafot.plugin.options import BY_NAME
+from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS
+from pytest_pafot.report import terminal
+
+WORKER_ORPHANS = "pafot_orphans"
+
+
+class Reporter:
+    """Gathers what items tell, on the controller alone."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._session: pytest.Session | None = None
+        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
+        self._expanded: set[str] = set()
+        self._running: dict[str, None] = {}
+        self._searches: list[terminal.Search] = []
+        self._replays: list[terminal.Replay] = []
+        self._orphans: dict[Path, int] = {}
+        self._problems: list[str] = []
+        self._has_line = False
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        """Know the session, and how often progress can be told."""
+        self._session = session
+        if self._rewrites():
+            self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_logreport(self, report: Any) -> Any:
+        """Take messages; report the finds of a search after its teardown."""
+        message = messages.received(report)
+        if message is None:
+            self._erase_line()
+        result = yield
+        if message is not None:
+            self._take(report, message)
+        elif report.when == "teardown":
+            self._expand(report.nodeid)
+        return result
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        """Take what a worker knew at its end."""
+        for folder in getattr(node, "workeroutput", {}).get(WORKER_ORPHANS, ()):
+            self._note_orphan(Path(folder))
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self) -> None:
+        """Report what is left, gather orphans, prune them when asked."""
+        self._erase_line()
+        # An interrupt or a dead worker leaves finds whose search never came to its teardown.
+        for node_id in list(self._pending):
+            self._expand(node_id)
+        for folder in self._config.stash.get(ORPHANS, []):
+            self._note_orphan(folder)
+        if self._config.getoption(BY_NAME["prune"].key):
+            self._problems += orphans.prune(self._orphans)
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """One section for searches, replays, orphans and problems."""
+        root = self._config.rootpath
+        session = terminal.Session(
+            searches=self._searches,
+            replays=self._replays,
+            orphans=[(_relative(folder, root), count) for folder, count in self._orphans.items()],
+            pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
+            problems=self._problems,
+            interrupted=list(self._running),
+        )
+        lines = terminal.session_lines(session, verbose=self._config.get_verbosity() > 0)
+        if not lines:
+            return
+        terminalreporter.section("pafot")
+        for line in lines:
+            terminalreporter.line(line)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
+        """The label of a replay that passes is shown by ``-v``."""
+        label = dict(getattr(report, "user_properties", ())).get("pafot")
+        if label is None or report.when != "call" or hasattr(report, "wasxfail"):
+            return None
+        return ("passed", ".", f"PASSED ({label})") if report.passed else None
+
+    def _take(self, report: Any, message: dict[str, Any]) -> None:
+        kind = message["kind"]
+        if kind == "start":
+            self._running[report.nodeid] = None
+        elif kind == "progress":
+            self._show_progress(terminal.Progress(**_without_kind(message)))
+        elif kind == "find":
+            self._take_find(report, message)
+        elif kind == "search":
+            self._running.pop(report.nodeid, None)
+            self._searches.append(terminal.Search.from_plain(_without_kind(message)))
+        elif kind == "replay":
+            self._replays.append(
+                terminal.Replay(node_id=report.nodeid, label=message["label"], detail=message["detail"])
+            )
+
+    def _take_find(self, report: Any, message: dict[str, Any]) -> None:
+        node_id = message["node_id"]
+        if node_id not in self._expanded:
+            finds = self._pending.setdefault(report.nodeid, {})
+            finds[node_id] = (message["report"], getattr(report, "node", None))
+        self._erase_line()
+        if self._config.get_verbosity() >= 0:
+            self._write_lines(message["lines"])
+
+    def _expand(self, search_id: str) -> None:
+        """Report the finds of a search as the items that they will be in the next session."""
+        for node_id, (data, node) in self._pending.pop(search_id, {}).items():
+            self._expanded.add(node_id)
+            report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
+            if self._session is not None:
+                self._session.testscollected += 1
+            for phase in (_phase(report, "setup"), report, _phase(report, "teardown")):
+                if node is not None:
+                    phase.__dict__["node"] = node  # As pytest-xdist marks reports of its workers.
+                self._config.hook.pytest_runtest_logreport(report=phase)
+
+    def _show_progress(self, progress: terminal.Progress) -> None:
+        writer = self._terminal()
+        if writer is None or self._config.get_verbosity() < 0:
+            return
+        if not self._rewrites():
+            self._write_lines([terminal.progress_line(progress)])
+            return
+        width = shutil.get_terminal_size((terminal.WIDTH, 24)).columns
+        with self._uncaptured():
+            writer.ensure_newline()
+            writer.rewrite(terminal.progress_line(progress, width - 1), erase=True)
+            writer.flush()
+        self._has_line = True
+
+    def _erase_line(self) -> None:
+        writer = self._terminal()
+        if self._has_line and writer is not None:
+            with self._uncaptured():
+                writer.rewrite("", erase=True)
+                writer.rewrite("")
+                writer.flush()
+        self._has_line = False
+
+    def _write_lines(self, lines: Iterable[str]) -> None:
+        writer = self._terminal()
+        if writer is None:
+            return
+        with self._uncaptured():
+            for line in lines:
+                writer.write_line(line)
+            writer.flush()
+
+    def _uncaptured(self) -> AbstractContextManager[None]:
+        """Messages of this process come from inside a running test, whose output pytest captures."""
+        manager = self._config.pluginmanager.get_plugin("capturemanager")
+        silent: AbstractContextManager[None] = (
+            nullcontext() if manager is None else manager.global_and_fixture_disabled()
+        )
+        return silent
+
+    def _rewrites(self) -> bool:
+        """Whether one line can be written again and again: a terminal, and one item at a time."""
+        writer = self._terminal()
+        is_parallel = self._config.pluginmanager.has_plugin("dsession")
+        return writer is not None and bool(writer.isatty) and not is_parallel
+
+    def _terminal(self) -> Any:
+        return self._config.pluginmanager.get_plugin("terminalreporter")
+
+    def _note_orphan(self, folder: Path) -> None:
+        if folder not in self._orphans:
+            self._orphans[folder] = orphans.count(folder)
+
+
+class WorkerReporter:
+    """A worker's side: what it knows at its end."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    def pytest_sessionfinish(self) -> None:
+        """Hand over what this worker collected."""
+        found = self._config.stash.get(ORPHANS, [])
+        self._config.workeroutput[WORKER_ORPHANS] = [str(folder) for folder in found]  # type: ignore[attr-defined]
+
+
+def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:
+    return pytest.TestReport(
+        nodeid=report.nodeid,
+        location=report.location,
+        keywords=report.keywords,
+        outcome="passed",
+        longrepr=None,
+        when=when,
+        user_properties=report.user_properties,
+    )
+
+
+def _without_kind(message: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in message.items() if key != "kind"}
+
+
+def _relative(path: Path, root: Path) -> str:
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)

@@ -1,0 +1,200 @@
+"""What one item asks for: the arguments of its mark, checked, beside its settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL, SearchArguments
+from pytest_pafot.plugin.options import BY_NAME, OptionError, Settings, resolve
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.space import SearchSpace
+    from pytest_pafot.trace import Trace
+
+ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
+SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
+BLAMES = ("any", "ego")
+
+
+class RequestError(Exception):
+    """An item that cannot be run as it is marked; the message is complete for the user."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A checked request for a search or a replay.
+
+    Attributes:
+        settings: the options.
+        ads: name of the fixture that gives the factory, or the factory itself.
+        arg: the parameter of the test function that receives the run.
+        blame: ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody.
+        decision_limit: slowest decision of the ADS that is no finding [s].
+        fitness: a name, or a function of a trace.
+        world: given by the mark, or None for the fixture's.
+        road: arguments of :class:`~pytest_pafot.world.Highway` that the mark gives.
+        space: arguments of :class:`~pytest_pafot.searching.space.SearchSpace` that the mark gives.
+    """
+
+    settings: Settings
+    ads: str | Callable[[], Any]
+    arg: str = DEFAULT_ARG
+    blame: str = "any"
+    decision_limit: float | None = None
+    fitness: str | Callable[[Trace], float] = "default"
+    world: Any = None
+    road: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    space: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def read_request(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
+    """Check the arguments of a mark.
+
+    Raises:
+        RequestError: on the first wrong argument or option.
+    """
+    _check_names(arguments)
+    try:
+        settings = resolve(config, arguments, fresh_seed)
+    except OptionError as error:
+        raise RequestError(str(error)) from None
+    if arguments.get("world") is not None:
+        _check_world(arguments)
+    return Request(
+        settings=settings,
+        ads=_ads(arguments.get("ads", DEFAULT_ADS)),
+        arg=_identifier("arg", arguments.get("arg", DEFAULT_ARG)),
+        blame=_blame(arguments.get("blame", "any")),
+        decision_limit=_positive("decision_limit", arguments.get("decision_limit")),
+        fitness=_fitness(arguments.get("fitness", "default")),
+        world=arguments.get("world"),
+        road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
+        space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+    )
+
+
+def build_world(request: Request, fixture_world: Any) -> Any:
+    """The world of a search: the mark's, else the fixture's with the mark's road arguments.
+
+    A road that is not given by ``world=`` lasts as long as the chains that the mark describes.
+
+    Raises:
+        RequestError: when the road arguments do not fit the world.
+    """
+    if request.world is not None:
+        return request.world
+    changes = dict(request.road)
+    if not changes and not {"genes", "gene_seconds"} & set(request.space):
+        return fixture_world
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    if not isinstance(fixture_world, Highway):
+        if changes:
+            raise RequestError(
+                f"@pafot.search({next(iter(changes))}=...): expected the fixture pafot_world to give a pafot.Highway, "
+                f"received {fixture_world!r}; describe the whole road with world= instead"
+            )
+        return fixture_world
+    space = _space(request, speed_limit=26.8)
+    changes["duration"] = space.genes * space.gene_seconds
+    try:
+        return dataclasses.replace(fixture_world, **changes)
+    except (TypeError, ValueError) as error:
+        raise RequestError(f"@pafot.search({', '.join(request.road) or 'genes'}=...): {error}") from None
+
+
+def build_space(request: Request, world: Any) -> SearchSpace:
+    """The space of scenarios on a world.
+
+    Raises:
+        RequestError: when an argument is out of range.
+    """
+    return _space(request, speed_limit=float(world.speed_limit))
+
+
+def _space(request: Request, speed_limit: float) -> SearchSpace:
+    from pytest_pafot.searching.space import SearchSpace  # noqa: PLC0415
+
+    try:
+        return SearchSpace(**request.space, speed_limit=speed_limit)
+    except (TypeError, ValueError) as error:
+        raise RequestError(f"@pafot.search({', '.join(request.space)}): {error}") from None
+
+
+def _check_names(arguments: Mapping[str, Any]) -> None:
+    if arguments.get(POSITIONAL):
+        raise RequestError(
+            f"@pafot.search: expected keyword arguments only, received {arguments[POSITIONAL]!r}; "
+            "write the argument's name, as in @pafot.search(generations=20)"
+        )
+    known = SearchArguments.__annotations__
+    unknown = [name for name in arguments if name not in known and name != POSITIONAL]
+    if unknown and unknown[0] in BY_NAME:
+        raise RequestError(
+            f"@pafot.search({unknown[0]}=...): this concerns the whole session; give {BY_NAME[unknown[0]].flag} "
+            "on the command line"
+        )
+    if unknown:
+        raise RequestError(
+            f"@pafot.search({unknown[0]}=...): expected one of {', '.join(sorted(known))}, received {unknown[0]!r}"
+        )
+
+
+def _check_world(arguments: Mapping[str, Any]) -> None:
+    double = [name for name in ROAD_ARGUMENTS if arguments.get(name) is not None]
+    if double:
+        raise RequestError(
+            f"@pafot.search(world=..., {double[0]}=...): expected either a whole world or its parts, received both; "
+            f"give {double[0]} to the world"
+        )
+    world = arguments["world"]
+    if not callable(getattr(world, "rollout", None)):
+        raise RequestError(
+            f"@pafot.search(world=...): expected pafot.Highway(...) or pafot.World(...), received {world!r}"
+        )
+
+
+def _ads(value: object) -> str | Callable[[], Any]:
+    if isinstance(value, str):
+        return _identifier("ads", value)
+    if not callable(value):
+        raise RequestError(
+            "@pafot.search(ads=...): expected the name of a fixture or a factory such as `lambda: MyPlanner()`, "
+            f"received {value!r}"
+        )
+    return value
+
+
+def _identifier(name: str, value: object) -> str:
+    if not isinstance(value, str) or not value.isidentifier():
+        raise RequestError(f"@pafot.search({name}=...): expected a name, received {value!r}")
+    return value
+
+
+def _blame(value: object) -> str:
+    if value not in BLAMES:
+        raise RequestError(f"@pafot.search(blame=...): expected {' or '.join(BLAMES)}, received {value!r}")
+    return str(value)
+
+
+def _positive(name: str, value: object) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (math.isfinite(value) and value > 0):
+        raise RequestError(f"@pafot.search({name}=...): expected seconds, more than 0, received {value!r}")
+    return float(value)
+
+
+def _fitness(value: object) -> Any:
+    if not isinstance(value, str) and not callable(value):
+        raise RequestError(
+            "@pafot.search(fitness=...): expected default, paper or a function of a Trace that returns a float, "
+            f"received {value!r}"
+        )
+    return value

@@ -1,0 +1,219 @@
+"""One search from its first replay to its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+
+import pytest
+
+from pytest_pafot.findings.inflight import InFlight
+from pytest_pafot.findings.responsibility import position_rule
+from pytest_pafot.findings.run import Run
+from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin.bench import Bench
+from pytest_pafot.plugin.flights import left_behind
+from pytest_pafot.plugin.hunt import Hunt, Stage
+from pytest_pafot.plugin.keeping import Keeper
+from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.plugin.replaying import replay_for_search
+from pytest_pafot.plugin.request import RequestError, build_space
+from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.report import terminal
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching import algorithm_named, run_campaign, sample
+from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
+from pytest_pafot.searching.space import SearchSpace
+
+REASONS = {"generations": "all generations done", "time": "--pafot-max-time", "stopped": "enough findings"}
+
+
+WHOLE = (REASONS["generations"], REASONS["time"])
+"""Reasons that leave a search whose health says something."""
+
+
+@dataclass(slots=True)
+class Searching:
+    """A search of one item.
+
+    Attributes:
+        bench: that it runs on.
+        seed: of the search.
+        clock: seconds since any moment.
+        told_at: when progress was told last.
+    """
+
+    bench: Bench
+    seed: int
+    clock: Callable[[], float]
+    started: float = field(init=False)
+    told_at: float = field(init=False)
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.started = self.told_at = self.clock()
+
+    def run(self) -> None:
+        """Replay, search, report; fails the item when there is something new, or nothing was tested."""
+        __tracebackhide__ = True
+        messages.send(self.bench.item, "start", {})
+        with self.bench.in_flight(self.bench.world) as flight:
+
+            def run(scenario: Scenario) -> Run:
+                __tracebackhide__ = True
+                flight.record(scenario)
+                return self.bench.simulate(scenario, self.bench.world)
+
+            keeper = Keeper(bench=self.bench, seed=self.seed, rerun=run)
+            for leftover in left_behind(self.bench.item, self.bench.request):
+                keeper.keep_crash(leftover)
+            saved = places.saved_in(self.bench.folder)
+            hunt = Hunt(stage=self._stage(keeper, flight, run, _lethal(saved)))
+            reason = "interrupted"
+            try:
+                reason = self._hunted(hunt, keeper, saved)
+            finally:
+                if flight.error is not None:
+                    self.notes.append(str(flight.error))
+                search = self._summary(hunt, keeper, reason)
+                messages.send(self.bench.item, "search", search.to_plain())
+        self._conclude(hunt, keeper, search)
+
+    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved]) -> str:
+        """Run the campaign; returns why it ended."""
+        __tracebackhide__ = True
+        settings = self.bench.request.settings
+        if settings.generations == 0:
+            return "replay only"
+        space = checked_space(self.bench)
+        replayed = [replay_for_search(self.bench, each) for each in saved]
+        hunt.replayed = [each for each in replayed if each is not None]
+        limit = 1 if _stops_at_first(self.bench.item.config) else settings.stop_after
+        events = run_campaign(
+            algorithm_named(settings.algorithm, space, population=settings.population),
+            hunt.evaluate,
+            generations=settings.generations,
+            seed=self.seed,
+            max_seconds=settings.max_time,
+            clock=self.clock,
+            stop=lambda: limit is not None and len(keeper.finds) >= limit,
+        )
+        try:
+            hunt.follow(events, lambda: self._tick(hunt, keeper))
+        except FitnessError as error:
+            raise RequestError(f"{self.bench.item.name}: {error}") from None
+        return "interrupted" if hunt.finished is None else REASONS[hunt.finished.reason]
+
+    def _stage(
+        self, keeper: Keeper, flight: InFlight, run: Callable[[Scenario], Run], lethal: frozenset[Scenario]
+    ) -> Stage:
+        def judge(run: Run) -> Verdict:
+            __tracebackhide__ = True
+            verdict = self.bench.judge(run)
+            flight.clear()
+            return verdict
+
+        return Stage(run=run, judge=judge, fitness=checked_fitness(self.bench), keep=keeper.keep, lethal=lethal)
+
+    def _tick(self, hunt: Hunt, keeper: Keeper) -> None:
+        now = self.clock()
+        if now - self.told_at < self.bench.item.config.stash[SHARED].progress_seconds:
+            return
+        self.told_at = now
+        generations = self.bench.request.settings.generations
+        progress = terminal.Progress(
+            node_id=self.bench.item.nodeid,
+            generation=min(hunt.generation + 1, generations),
+            generations=generations,
+            runs=hunt.runs,
+            failing=hunt.verdicts["failed"],
+            finds=len(keeper.finds),
+            seconds=now - self.started,
+        )
+        messages.send(self.bench.item, "progress", asdict(progress))
+
+    def _summary(self, hunt: Hunt, keeper: Keeper, reason: str) -> terminal.Search:
+        settings, health = self.bench.request.settings, hunt.health
+        finds = tuple(replace(find, repeats=hunt.repeats[find.id]) for find in keeper.finds)
+        if reason == REASONS["time"]:
+            self.notes.append("cut by --pafot-max-time: the same seed may find other scenarios next time")
+        return terminal.Search(
+            node_id=self.bench.item.nodeid,
+            algorithm=settings.algorithm,
+            profile=settings.profile,
+            base_seed=settings.seed,
+            seed=self.seed,
+            generations=hunt.generation if hunt.finished is None else hunt.finished.generations,
+            asked=settings.generations,
+            reason=reason,
+            seconds=self.clock() - self.started,
+            runs=hunt.runs,
+            known_runs=health.reused,
+            invalid=hunt.verdicts["invalid"],
+            npc=hunt.verdicts["npc"],
+            rejected=hunt.verdicts["rejected"],
+            skipped=hunt.verdicts["skipped"],
+            reached=health.reached_share,
+            no_interaction=health.no_interaction,
+            failing=hunt.verdicts["failed"],
+            finds=finds,
+            known=dict(hunt.known),
+            warnings=tuple(health.warnings()) if reason in WHOLE else (),
+            notes=tuple(self.notes),
+            coverage=health.coverage.describe(float(self.bench.world.speed_limit)) if hunt.runs else "",
+        )
+
+    def _conclude(self, hunt: Hunt, keeper: Keeper, search: terminal.Search) -> None:
+        __tracebackhide__ = True
+        if keeper.finds:
+            if self.bench.item.config.getoption("usepdb", False) and keeper.first is not None:
+                keeper.first.add_note(terminal.search_failure(search))
+                raise keeper.first  # The debugger then stands where the test function failed.
+            pytest.fail(terminal.search_failure(search), pytrace=False)
+        if search.reason == "replay only":
+            return
+        if hunt.skip is not None and hunt.verdicts["skipped"] == hunt.runs:
+            raise hunt.skip
+        if hunt.health.vacuous:
+            pytest.fail("\n".join(["the search tested nothing:", *search.warnings]), pytrace=False)
+        if search.warnings and self.bench.request.settings.strict_health:
+            pytest.fail("\n".join(["health warnings (--pafot-strict-health):", *search.warnings]), pytrace=False)
+
+
+def checked_space(bench: Bench) -> SearchSpace:
+    """The space of scenarios, tried once so that a wrong argument is one clear error.
+
+    Raises:
+        RequestError: when no scenario can be made of it.
+    """
+    import numpy as np  # noqa: PLC0415
+
+    space = build_space(bench.request, bench.world)
+    try:
+        sample(space, np.random.default_rng(0))
+    except (TypeError, ValueError) as error:
+        given = ", ".join(f"{name}={value!r}" for name, value in bench.request.space.items())
+        raise RequestError(f"@pafot.search({given}): {error}") from None
+    return space
+
+
+def checked_fitness(bench: Bench) -> Fitness:
+    """The fitness of the search; under ``blame="ego"`` it is steered towards what the ego is responsible for.
+
+    Raises:
+        RequestError: for a fitness that does not exist.
+    """
+    by_ego = (lambda trace: position_rule(trace) == "ego") if bench.request.blame == "ego" else None
+    try:
+        return resolve(bench.request.fitness, responsible=by_ego)
+    except FitnessError as error:
+        raise RequestError(f"@pafot.search(fitness=...): {error}") from None
+
+
+def _lethal(saved: list[places.Saved]) -> frozenset[Scenario]:
+    return frozenset(each.finding.scenario for each in saved if each.finding is not None and each.is_crash)
+
+
+def _stops_at_first(config: pytest.Config) -> bool:
+    """Whether the session ends at the first failure, which a loop inside of an item must do by itself."""
+    return bool(config.getoption("usepdb", False)) or config.getoption("maxfail", 0) == 1

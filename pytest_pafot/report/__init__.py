@@ -1,0 +1,1 @@
+"""Text for people. Renders values, decides nothing."""

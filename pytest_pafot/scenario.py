@@ -1,0 +1,235 @@
+"""Position-Instructions, chromosomes and scenarios: what the search evolves and a corpus file stores.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from pytest_pafot.grid import Cell, is_adjacent, repair_chains
+
+SPEED_STEPS_PER_MPS = 10
+"""Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
+
+MAX_SPEED = 1000.0
+"""No vehicle is faster [m/s]; worlds have limits of their own, far below."""
+
+MAX_SEED = 2**63 - 1
+
+
+class ScenarioError(ValueError):
+    """A scenario that breaks a rule; the message says where, what was expected and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionInstruction:
+    """One gene: drive into a cell of the grid, then at a speed.
+
+    Attributes:
+        cell: target cell, 1 to 8.
+        speed: target speed [m/s], >= 0, in steps of 0.1.
+    """
+
+    cell: Cell
+    speed: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cell", _checked_cell(self.cell))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+
+
+Chromosome = tuple[PositionInstruction, ...]
+"""One NPC's chain of Position-Instructions, executed one after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """An individual: one chromosome per NPC, the start, and the seed of the repair inside the run.
+
+    Attributes:
+        npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
+            its lane and speed (paper, section 2).
+        seed: of the draws by which chains are repaired inside the run, 0 to 2**63 - 1.
+        ego_lane: the ego's first lane, counted from 0 at the left.
+        ego_speed: everybody's first speed [m/s].
+        gene_seconds: duration of one gene [s].
+
+    Raises:
+        ScenarioError: on any broken rule, among them a cell that is no ring neighbour of the one before and
+            two NPCs that hold the same cell in the same gene. :meth:`repaired` makes such chains valid.
+    """
+
+    npcs: tuple[Chromosome, ...]
+    seed: int = 0
+    ego_lane: int = 1
+    ego_speed: float = 22.0
+    gene_seconds: float = 10.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "npcs", _checked_chains(self.npcs))
+        object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
+        object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
+        object.__setattr__(self, "ego_speed", _number("ego_speed", self.ego_speed))
+        object.__setattr__(self, "gene_seconds", _number("gene_seconds", self.gene_seconds))
+        _check_start(self)
+        _check_adjacency(self.npcs)
+        _check_distinct(self.npcs)
+
+    @classmethod
+    def repaired(
+        cls,
+        npcs: Sequence[Sequence[PositionInstruction]],
+        *,
+        seed: int = 0,
+        ego_lane: int = 1,
+        ego_speed: float = 22.0,
+        gene_seconds: float = 10.0,
+    ) -> Scenario:
+        """A scenario from chains that may break the ring; the speeds stay, the cells are repaired."""
+        npcs = _checked_chains(npcs)
+        seed = _checked_whole("seed", seed, MAX_SEED)
+        cells = repair_chains([[gene.cell for gene in chain] for chain in npcs], seed)
+        chains = tuple(
+            tuple(replace(gene, cell=cell) for gene, cell in zip(chain, row, strict=True))
+            for chain, row in zip(npcs, cells, strict=True)
+        )
+        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+    @property
+    def genes(self) -> int:
+        """Length of the longest chain."""
+        return max(map(len, self.npcs))
+
+    @property
+    def id(self) -> str:
+        """Six hexadecimal digits of a digest of all fields; equal scenarios have equal ids."""
+        return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
+
+    def canonical(self) -> str:
+        """A text that is equal for equal scenarios, on any machine."""
+        npcs = [[[int(gene.cell), gene.speed] for gene in chain] for chain in self.npcs]
+        fields = [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
+        return json.dumps(fields, separators=(",", ":"))
+
+    def truncated(self, genes: int) -> Scenario:
+        """The same scenario with at most so many genes per NPC."""
+        return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
+
+    def __repr__(self) -> str:
+        chains = "; ".join(" ".join(f"{int(g.cell)}@{g.speed:g}" for g in chain) for chain in self.npcs)
+        return f"<Scenario {self.id}: {chains}>"
+
+
+def _checked_cell(value: object) -> Cell:
+    number = _whole(value)
+    if number is None or not 1 <= number <= 8:
+        raise ScenarioError(
+            f"cell: expected a whole number from 1 (front-left) clockwise to 8 (left), received {value!r}"
+        )
+    return Cell(number)
+
+
+def _checked_speed(value: object) -> float:
+    speed = _number("speed", value)
+    if speed > MAX_SPEED:
+        raise ScenarioError(f"speed: expected m/s, at most {MAX_SPEED:g}, received {value!r}")
+    steps = round(speed * SPEED_STEPS_PER_MPS)
+    if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
+        raise ScenarioError(
+            f"speed: expected m/s, at least 0 and in steps of 0.1, received {value!r}; "
+            f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}"
+        )
+    return steps / SPEED_STEPS_PER_MPS
+
+
+def _number(name: str, value: object) -> float:
+    whole = _whole(value)
+    try:
+        number = float(value if isinstance(value, float) else math.nan if whole is None else whole)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ScenarioError(f"{name}: expected a finite number, received {value!r}")
+    return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+
+
+def _whole(value: object) -> int | None:
+    """Python's int of a whole number, also of numpy's; None for everything else and for truth values."""
+    if isinstance(value, bool) or not hasattr(type(value), "__index__"):
+        return None
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:  # numpy's arrays and truth values
+        return None
+
+
+def _checked_whole(name: str, value: object, top: int) -> int:
+    number = _whole(value)
+    if number is None or not 0 <= number <= top:
+        raise ScenarioError(f"{name}: expected a whole number from 0 to {top}, received {value!r}")
+    return number
+
+
+def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
+    try:
+        chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
+    except TypeError:
+        raise ScenarioError(
+            f"npcs: expected one chain of Position-Instructions per NPC, received {npcs!r}; write "
+            "[[PositionInstruction(cell, speed), ...], ...]"
+        ) from None
+    _check_counts(chains)
+    return chains
+
+
+def _check_counts(npcs: Sequence[Chromosome]) -> None:
+    if not 1 <= len(npcs) <= 8:
+        raise ScenarioError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {len(npcs)}")
+    for npc, chain in enumerate(npcs):
+        if not chain:
+            raise ScenarioError(f"npcs[{npc}]: expected at least one Position-Instruction, received an empty chain")
+        for gene, instruction in enumerate(chain):
+            if not isinstance(instruction, PositionInstruction):
+                raise ScenarioError(
+                    f"npcs[{npc}][{gene}]: expected a PositionInstruction, received {instruction!r}; "
+                    "write PositionInstruction(cell, speed)"
+                )
+
+
+def _check_start(scenario: Scenario) -> None:
+    if scenario.ego_speed < 0:
+        raise ScenarioError(f"ego_speed: expected m/s, at least 0, received {scenario.ego_speed!r}")
+    if scenario.gene_seconds <= 0:
+        raise ScenarioError(f"gene_seconds: expected seconds, more than 0, received {scenario.gene_seconds!r}")
+
+
+def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
+    for npc, chain in enumerate(npcs):
+        for gene in range(1, len(chain)):
+            before, cell = chain[gene - 1].cell, chain[gene].cell
+            if not is_adjacent(before, cell):
+                low, high = sorted(before.neighbours)
+                raise ScenarioError(
+                    f"npcs[{npc}][{gene}]: expected cell {int(before)} again or its ring neighbour {int(low)} or "
+                    f"{int(high)}, received cell {int(cell)}; Scenario.repaired(...) makes such chains valid"
+                )
+
+
+def _check_distinct(npcs: Sequence[Chromosome]) -> None:
+    for gene in range(max(map(len, npcs))):
+        holders: dict[Cell, int] = {}
+        for npc, chain in enumerate(npcs):
+            if gene >= len(chain):
+                continue
+            other = holders.setdefault(chain[gene].cell, npc)
+            if other != npc:
+                raise ScenarioError(
+                    f"npcs[{npc}][{gene}]: expected a cell that no other NPC holds in gene {gene}, received cell "
+                    f"{int(chain[gene].cell)} of npcs[{other}]; Scenario.repaired(...) makes such chains valid"
+                )

@@ -1,0 +1,235 @@
+"""A campaign: an algorithm asks, scenarios are evaluated, the algorithm is told, generation after generation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import (
+    AlgorithmEvent,
+    CampaignFinished,
+    CampaignStarted,
+    EndReason,
+    Evaluated,
+    Event,
+    GenerationFinished,
+    Restarted,
+)
+from pytest_pafot.searching.memory import Memory
+from pytest_pafot.searching.operators import improves
+from pytest_pafot.searching.turns import check_order
+
+Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
+"""Simulates scenarios and judges them; the results are in the order of the scenarios."""
+
+
+class SearchState(Protocol):
+    """What a campaign needs to know of an algorithm's state, which is a value."""
+
+    @property
+    def generation(self) -> int:
+        """The generation of the main search that is in progress or comes next, from 0."""
+        ...
+
+    @property
+    def local_generation(self) -> int:
+        """Within a local search the generation from 1; 0 in the main search."""
+        ...
+
+
+StateT = TypeVar("StateT", bound=SearchState)
+
+
+class Algorithm(Protocol[StateT]):
+    """A search strategy: a value with no state of its own and no randomness but what it is given."""
+
+    @property
+    def name(self) -> str:
+        """By which users select it."""
+        ...
+
+    def start(self, rng: np.random.Generator) -> StateT:
+        """The state before the first generation."""
+        ...
+
+    def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
+        """The scenarios to evaluate next, at least one."""
+        ...
+
+    def tell(
+        self, state: StateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+        """Finish the generation that was asked for."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits:
+    """What ends a campaign before its generations are finished."""
+
+    max_seconds: float | None
+    clock: Callable[[], float]
+    stop: Callable[[], bool] | None
+
+    def exceeded(self, started: float) -> EndReason | None:
+        if self.stop is not None and self.stop():
+            return "stopped"
+        if self.max_seconds is not None and self.clock() - started >= self.max_seconds:
+            return "time"
+        return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Tally:
+    """What the finishing event sums up."""
+
+    generations: int = 0
+    evaluated: int = 0
+    simulated: int = 0
+    best: Evaluation | None = None
+
+    def counted(self, event: Event) -> _Tally:
+        if isinstance(event, GenerationFinished) and event.local_generation == 0:
+            return replace(self, generations=self.generations + 1)
+        if not isinstance(event, Evaluated):
+            return self
+        return replace(
+            self,
+            evaluated=self.evaluated + 1,
+            simulated=self.simulated + (not event.reused),
+            best=event.evaluation if improves(event.evaluation, self.best) else self.best,
+        )
+
+    def finished(self, reason: EndReason, seconds: float) -> CampaignFinished:
+        return CampaignFinished(
+            reason=reason,
+            generations=self.generations,
+            evaluated=self.evaluated,
+            simulated=self.simulated,
+            best=self.best,
+            seconds=seconds,
+        )
+
+
+def run_campaign(
+    algorithm: Algorithm[StateT],
+    evaluate: Evaluate,
+    *,
+    generations: int,
+    seed: int,
+    max_seconds: float | None = None,
+    clock: Callable[[], float] | None = None,
+    stop: Callable[[], bool] | None = None,
+    batch: int = 1,
+) -> Generator[Event, None, None]:
+    """Search, and yield what happens as it happens.
+
+    A scenario is simulated only when no earlier run of the campaign showed what it does; else the earlier
+    evaluation is used and marked. The events depend on the algorithm, the seed and the evaluations alone: every
+    generation draws from its own generator, derived from (seed, generation, local generation), and neither the
+    batch nor the order in which a batch is simulated changes one. What does depend on time is when a limit cuts
+    the campaign, and ``CampaignFinished.seconds``.
+
+    Closing the generator ends the campaign at the last event, without another evaluation.
+
+    Args:
+        algorithm: what to try.
+        evaluate: simulates scenarios; what it raises ends the campaign and reaches the consumer.
+        generations: of the main search, at least 1; generations of local searches come on top.
+        seed: of all draws, at least 0.
+        max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated.
+        clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
+        stop: asked between two calls of ``evaluate`` whether to end the campaign.
+        batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
+            larger ones let ``evaluate`` simulate in parallel.
+
+    Raises:
+        ValueError: for an argument out of range, before anything runs.
+    """
+    for name, value, least in (("generations", generations, 1), ("seed", seed, 0), ("batch", batch, 1)):
+        if value < least:
+            raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
+    if max_seconds is not None and not max_seconds >= 0:
+        raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
+    if max_seconds is not None and clock is None:
+        raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
+    limits = _Limits(max_seconds=max_seconds, clock=clock or _timeless, stop=stop)
+    return _campaign(algorithm, _Evaluator(evaluate, batch), limits, generations=generations, seed=seed)
+
+
+def _timeless() -> float:
+    return 0.0
+
+
+def generation_rng(seed: int, *generation: int) -> np.random.Generator:
+    """The generator of one generation: a function of the seed and the generation's numbers alone."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
+
+
+def _campaign(
+    algorithm: Algorithm[StateT], evaluator: _Evaluator, limits: _Limits, *, generations: int, seed: int
+) -> Generator[Event, None, None]:
+    tally, started = _Tally(), limits.clock()
+    yield CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+    state = algorithm.start(generation_rng(seed))
+    while state.generation < generations:
+        rng = generation_rng(seed, state.generation, state.local_generation)
+        state, scenarios = algorithm.ask(state, rng)
+        evaluations: list[Evaluation] = []
+        for batch in evaluator.batches(scenarios):
+            reason = limits.exceeded(started) if tally.evaluated else None
+            if reason is not None:
+                yield tally.finished(reason, limits.clock() - started)
+                return
+            for evaluation, reused in evaluator.evaluated(batch):
+                event = Evaluated(
+                    generation=state.generation,
+                    local_generation=state.local_generation,
+                    index=len(evaluations),
+                    evaluation=evaluation,
+                    reused=reused,
+                )
+                evaluations.append(evaluation)
+                tally = tally.counted(event)
+                yield event
+        state, events = algorithm.tell(state, evaluations, rng)
+        for told in events:
+            # A restart that no generation follows does not take place.
+            if not (isinstance(told, Restarted) and told.generation >= generations):
+                tally = tally.counted(told)
+                yield told
+    yield tally.finished("generations", limits.clock() - started)
+
+
+class _Evaluator:
+    """The one gate before each simulation."""
+
+    def __init__(self, evaluate: Evaluate, batch: int) -> None:
+        self._evaluate = evaluate
+        self._batch = batch
+        self._memory = Memory()
+
+    def batches(self, scenarios: Sequence[Scenario]) -> Iterator[Sequence[Scenario]]:
+        for first in range(0, len(scenarios), self._batch):
+            yield scenarios[first : first + self._batch]
+
+    def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
+        """The evaluation of each scenario, and whether it is reused.
+
+        Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
+        though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
+        """
+        unknown = tuple(dict.fromkeys(scenario for scenario in batch if self._memory.recall(scenario) is None))
+        results = tuple(self._evaluate(unknown)) if unknown else ()
+        check_order("evaluate", unknown, results)
+        new = dict(zip(unknown, results, strict=True))
+        for scenario in batch:
+            known = self._memory.recall(scenario)
+            if known is None:
+                self._memory.add(new[scenario])
+            yield (new[scenario], False) if known is None else (known, True)

@@ -1,0 +1,145 @@
+"""What the search knows of one simulated scenario, and the order in which it prefers scenarios."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import HEADING, LANE, SPEED, FloatArray, Outcome, Trace, X, Y
+
+Rank = tuple[bool, bool, float]
+"""Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
+
+INTERACTION_HEADWAY = 1.5
+"""An NPC in the ego's lane interacts with it within so many seconds of the follower's travel [s].
+
+Below the 2 s at which NPCs start, so that a start alone is no interaction."""
+
+INTERACTION_GAP = 2.0
+"""... and within this gap at any speed [m]."""
+
+FAR_BEHIND = 100.0
+"""An NPC farther behind than this cannot catch up within a gene of 10 s [m]."""
+
+BARELY_MOVING = 2.0
+"""Mean speed of an ego that tests nothing [m/s]; one that brakes to a stop from 22 m/s is below it after 30 s."""
+
+_IMPOSSIBLE: Rank = (False, False, -math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """A scenario with what its run showed.
+
+    Attributes:
+        scenario: as it was asked for.
+        executed: as it was driven, with the repair inside the run written back.
+        fitness: higher is worse for the ego; NaN where the measure failed.
+        failing: whether the user's function rejected the run.
+        outcome: how the run ended.
+        duration: simulated time [s].
+        genes_started: genes that the run came to, counted over all NPCs.
+        genes_reached: those of them whose cell was reached.
+        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
+        discarded: whether the user's function declined to judge the run.
+        outran: whether the ego left all NPCs behind, see :func:`outran`.
+        barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
+    """
+
+    scenario: Scenario
+    executed: Scenario
+    fitness: float
+    failing: bool
+    outcome: Outcome
+    duration: float
+    genes_started: int
+    genes_reached: int
+    interaction: bool
+    discarded: bool = False
+    outran: bool = False
+    barely_moved: bool = False
+
+    def __post_init__(self) -> None:
+        # One NaN object for all: equal evaluations then compare equal, since tuples compare by identity first.
+        fitness = float(self.fitness)
+        object.__setattr__(self, "fitness", math.nan if math.isnan(fitness) else fitness)
+
+    @classmethod
+    def of(cls, trace: Trace, *, fitness: float, failing: bool, discarded: bool = False) -> Self:
+        """The evaluation of a run: the judgements given, the rest read from its trace."""
+        return cls(
+            scenario=trace.scenario,
+            executed=trace.executed,
+            fitness=fitness,
+            failing=failing,
+            outcome=trace.outcome,
+            duration=trace.duration,
+            genes_started=sum(map(len, trace.arrivals)),
+            genes_reached=sum(tick is not None for arrivals in trace.arrivals for tick in arrivals),
+            interaction=interacted(trace),
+            discarded=discarded,
+            outran=outran(trace),
+            barely_moved=barely_moved(trace),
+        )
+
+    @property
+    def eligible(self) -> bool:
+        """Whether it may be a best: a valid run that was judged and measured."""
+        return not (self.outcome is Outcome.INVALID or self.discarded or math.isnan(self.fitness))
+
+    @property
+    def rank(self) -> Rank:
+        """The order of the search. What fails outranks all that does not; then the fitness decides.
+
+        Invalid and discarded runs and those without a fitness come last, all equal, even when they fail: an
+        invalid run says nothing about the ego, and NaN compares with nothing.
+        """
+        return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
+
+    @property
+    def depth(self) -> int:
+        """Genes per NPC that decided the run: those that it came to; all where it came to none.
+
+        All NPCs share one gene clock, so the count over all NPCs determines it. An evaluation in which no gene
+        was started tells nothing about any other scenario.
+        """
+        lengths = [len(chain) for chain in self.executed.npcs]
+        depths = range(1, max(lengths) + 1)
+        enough = (depth for depth in depths if sum(min(n, depth) for n in lengths) >= self.genes_started > 0)
+        return next(enough, depths[-1])
+
+
+def interacted(trace: Trace) -> bool:
+    """Whether the ego collided, or shared its lane with an NPC at a headway below 1.5 s or a gap below 2 m."""
+    if trace.outcome is Outcome.COLLISION:
+        return True
+    ahead = _longitudinal(trace)
+    gap = np.abs(ahead) - (trace.sizes[0, 0] + trace.sizes[1:, 0]) / 2
+    follower = np.where(ahead >= 0, trace.ego[:, None, SPEED], trace.npcs[:, :, SPEED])
+    same_lane = trace.npcs[:, :, LANE] == trace.ego[:, None, LANE]
+    close = gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP)
+    return bool(np.any(same_lane & close))
+
+
+def outran(trace: Trace) -> bool:
+    """Whether all NPCs were more than 100 m behind the ego for at least half of the run."""
+    alone = np.all(_longitudinal(trace) < -FAR_BEHIND, axis=1)
+    return bool(np.mean(alone) >= 0.5)
+
+
+def barely_moved(trace: Trace) -> bool:
+    """Whether the ego's mean speed was below 2 m/s."""
+    return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
+
+
+def _longitudinal(trace: Trace) -> FloatArray:
+    """How far each NPC's centre is ahead of the ego's, along the ego's heading [m], shape [ticks + 1, npcs]."""
+    ego = trace.ego[:, None, :]
+    offset_x = trace.npcs[:, :, X] - ego[:, :, X]
+    offset_y = trace.npcs[:, :, Y] - ego[:, :, Y]
+    along: FloatArray = offset_x * np.cos(ego[:, :, HEADING]) + offset_y * np.sin(ego[:, :, HEADING])
+    return along

@@ -1,0 +1,271 @@
+"""Fitness: one number per run, higher = worse for the ego. The search maximises it.
+
+Sources: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 names four measures (METTC, MD, SD,
+ET) and combines them linearly, all minimised, without giving weights: that is ``"paper"``. The default asks the
+same four questions with bounded answers, so that no measure drowns the others.
+
+Every fitness that :func:`resolve` returns holds two promises: an invalid run (two NPCs touched) is minus
+infinity, and so is NaN, which therefore never becomes a best.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from numbers import Real
+from types import MappingProxyType
+
+import numpy as np
+
+from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, execution_time, planned_duration
+from pytest_pafot.trace import Outcome, Trace
+
+Fitness = Callable[[Trace], float]
+"""Trace to a number, higher = worse for the ego."""
+
+Responsible = Callable[[Trace], bool]
+"""Whether the ego is responsible for the collision in which a run ended."""
+
+WORST_RANK = -math.inf
+"""The fitness of what must never be preferred: invalid runs and NaN."""
+
+
+class FitnessError(ValueError):
+    """A fitness that cannot be used, or that failed on a run; the message says what was expected and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weights:
+    """How much each of the four risks of the default fitness counts. Only their ratios matter.
+
+    Attributes:
+        ttc: of the risk 1 / (1 + TTC / tau), with the smallest time to contact of the boxes.
+        gap: of the risk 1 / (1 + gap / 1 m), with the smallest distance between the boxes.
+        shortfall: of the largest shortfall of the safety distance, 0 to 1.
+        time: of the risk 1 - ET / planned duration; 0 without a collision.
+        tau: the TTC at which that risk is one half [s]; 1.5 s is the usual threshold between normal and critical
+            (van der Horst 1990).
+    """
+
+    ttc: float = 1.0
+    gap: float = 1.0
+    shortfall: float = 1.0
+    time: float = 1.0
+    tau: float = 1.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
+                raise FitnessError(f"Weights.{field.name}: expected a finite number, at least 0, received {value!r}")
+        if self.ttc + self.gap + self.shortfall + self.time == 0:
+            raise FitnessError("Weights: expected at least one weight above 0, received four zeros")
+        if self.tau == 0:
+            raise FitnessError("Weights.tau: expected seconds, more than 0, received 0")
+
+
+def weighted(trace: Trace, weights: Weights | None = None) -> float:
+    """The default: weighted mean of four risks, each 0 (none) to 1, plus 1 if the run ended in a collision.
+
+    So it lies in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The
+    measures are those of the paper in forms that a search can climb: the time to contact of the boxes instead of
+    METTC, which ignores when the NPC gets to the crossing point and is infinite at nearly every tick of a
+    straight road; the gap between the boxes instead of MD between the centres, which is smallest when driving
+    harmlessly alongside; the shortfall of the safety distance instead of SD, whose minimum is a leader that
+    pulls away.
+    """
+    if trace.outcome == Outcome.INVALID:
+        return WORST_RANK
+    weights = weights or Weights()
+    encounters = Encounters(trace)
+    total = (
+        weights.ttc / (1 + encounters.min_ttc / weights.tau)
+        + weights.gap / (1 + encounters.min_gap)
+        + weights.shortfall * encounters.max_safety_shortfall
+        + weights.time * (1 - _time_to_collision(trace) / planned_duration(trace))
+    )
+    mean = total / (weights.ttc + weights.gap + weights.shortfall + weights.time)
+    return _never_nan(mean + (trace.outcome == Outcome.COLLISION))
+
+
+def paper(trace: Trace) -> float:
+    """The paper's own four measures in its plain linear combination, -(METTC + MD + SD + ET).
+
+    Seconds and metres are added as they are; the paper gives no weights. METTC is capped at the planned
+    duration, which also stands for an infinite one. MD is between centres. SD is the smallest signed value of
+    equation 5, follower minus leader. ET is the time to the collision, without one the planned duration. The
+    combination has no bonus for a collision, and none is added.
+    """
+    if trace.outcome == Outcome.INVALID:
+        return WORST_RANK
+    encounters = Encounters(trace)
+    # np.minimum keeps NaN, min() would drop it.
+    mettc = float(np.minimum(encounters.mettc, planned_duration(trace)))
+    return _never_nan(
+        -(mettc + encounters.min_centre_distance + encounters.min_safety_distance + _time_to_collision(trace))
+    )
+
+
+FITNESSES: Mapping[str, Fitness] = MappingProxyType({"default": weighted, "paper": paper})
+"""What ``fitness=`` accepts by name."""
+
+
+def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
+    """The function that a search maximises.
+
+    Args:
+        fitness: ``"default"``, ``"paper"``, :class:`Weights` for the default with other weights, or a function
+            of a Trace that returns a number, higher = worse for the ego.
+        responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
+            then :func:`steered` by it.
+
+    Returns:
+        a function that maps invalid runs and NaN to minus infinity, and that raises a :class:`FitnessError`
+        where a user's function raises or returns anything but a number.
+
+    Raises:
+        FitnessError: for anything else.
+    """
+    checked = _Checked(_function(fitness))
+    return checked if responsible is None else steered(checked, responsible)
+
+
+def steered(fitness: Fitness, responsible: Responsible) -> Fitness:
+    """The fitness of a search for collisions that the ego is responsible for (``blame="ego"``).
+
+    Two rules, which hold whatever the fitness is:
+
+    1. A collision for which the ego is responsible lies in [2, 4], every other run in [-1, 1]; minus infinity
+       stays what it is. Within either, the order is that of the given fitness f, by the increasing f / (1 + |f|).
+    2. A collision for which the ego is not responsible is judged by what came before: as the run it was, without
+       a collision, until 3 s before the impact (the paper's time to manoeuvre). An NPC that rams the ego gains
+       nothing by it; a near-miss of the ego earlier in the run keeps its worth.
+    """
+    return _Steered(fitness, responsible)
+
+
+def before_impact(trace: Trace, seconds: float = MANOEUVRE_SECONDS) -> Trace:
+    """The part of a colliding run that ended ``seconds`` before the impact, as a run without collision.
+
+    At least the start remains. A run that did not collide comes back as it is.
+    """
+    if trace.collision is None:
+        return trace
+    last = max(trace.collision.tick - math.ceil(seconds * trace.physics_hz), 0)
+    off_road = trace.off_road_tick is not None and trace.off_road_tick <= last
+    ticks_per_gene = trace.scenario.gene_seconds * trace.physics_hz
+    return replace(
+        trace,
+        outcome=Outcome.OFF_ROAD if off_road else Outcome.SAFE,
+        collision=None,
+        states=trace.states[: last + 1],
+        actions=trace.actions[: -(-last * trace.ads_hz // trace.physics_hz)],
+        arrivals=tuple(
+            tuple(
+                tick if tick is not None and tick <= last else None
+                for gene, tick in enumerate(genes)
+                if gene * ticks_per_gene <= last
+            )
+            for genes in trace.arrivals
+        ),
+        off_road_tick=trace.off_road_tick if off_road else None,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighted:
+    weights: Weights
+
+    def __call__(self, trace: Trace) -> float:
+        return weighted(trace, self.weights)
+
+
+@dataclass(frozen=True, slots=True)
+class _Checked:
+    """A fitness that keeps the module's promises; a value and not a closure, so that it travels to workers."""
+
+    function: Fitness
+
+    def __call__(self, trace: Trace) -> float:
+        if trace.outcome == Outcome.INVALID:
+            return WORST_RANK
+        try:
+            value = self.function(trace)
+        except Exception as error:
+            raise FitnessError(
+                f"fitness: expected {_name(self.function)} to return a number for every run, but for {trace!r} it "
+                f"raised {type(error).__name__}: {error}; runs may end at any tick and in any outcome"
+            ) from error
+        if not isinstance(value, (Real, np.bool_)):
+            raise FitnessError(
+                f"fitness: expected {_name(self.function)} to return a number, received {value!r} for {trace!r}; "
+                "return a float, higher = worse for the ego"
+            )
+        return _never_nan(float(value))
+
+
+@dataclass(frozen=True, slots=True)
+class _Steered:
+    fitness: Fitness
+    responsible: Responsible
+
+    def __call__(self, trace: Trace) -> float:
+        if trace.outcome != Outcome.COLLISION:
+            return _bounded(self.fitness(trace))
+        if self.responsible(trace):
+            return 3.0 + _bounded(self.fitness(trace))
+        return _bounded(self.fitness(before_impact(trace)))
+
+
+def _function(fitness: object) -> Fitness:
+    if isinstance(fitness, Weights):
+        return _Weighted(fitness)
+    if isinstance(fitness, str) and fitness in FITNESSES:
+        return FITNESSES[fitness]
+    names = ", ".join(map(repr, FITNESSES))
+    if isinstance(fitness, str):
+        near = difflib.get_close_matches(fitness, FITNESSES, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise FitnessError(f"fitness: expected {names} or a function of a Trace, received {fitness!r}{hint}")
+    if not callable(fitness):
+        raise FitnessError(f"fitness: expected {names}, Weights(...) or a function of a Trace, received {fitness!r}")
+    _check_signature(fitness)
+    return fitness
+
+
+def _check_signature(function: Callable[..., object]) -> None:
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return  # builtins without a signature: the first call tells
+    try:
+        signature.bind(None)
+    except TypeError as error:
+        raise FitnessError(
+            f"fitness: expected a function that can be called with one Trace, received {_name(function)}{signature} "
+            f"({error}); take the trace as the first parameter and give the others defaults"
+        ) from error
+
+
+def _name(function: object) -> str:
+    return getattr(function, "__name__", None) or repr(function)
+
+
+def _time_to_collision(trace: Trace) -> float:
+    """ET where it counts: time to the collision, at most the planned duration, which it is without one [s]."""
+    planned = planned_duration(trace)
+    return min(execution_time(trace), planned) if trace.outcome == Outcome.COLLISION else planned
+
+
+def _never_nan(value: float) -> float:
+    return WORST_RANK if math.isnan(value) else value
+
+
+def _bounded(value: float) -> float:
+    """The increasing f / (1 + |f|), -1 to 1, but minus infinity stays; NaN counts as minus infinity."""
+    if math.isnan(value) or value == WORST_RANK:
+        return WORST_RANK
+    return 1.0 if value == math.inf else value / (1 + abs(value))

@@ -1,0 +1,212 @@
+"""Whether a search tested anything: counts over its evaluations, and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
+from pytest_pafot.searching.events import Evaluated, Event
+from pytest_pafot.trace import Outcome
+
+SPEED_BIN = 5.0
+"""Width of a bin of target speeds [m/s]."""
+
+MAX_INVALID_SHARE = 0.25
+MIN_REACHED_SHARE = 0.3
+MAX_USELESS_SHARE = 0.5
+"""Of the valid runs, for each kind of run that tests nothing."""
+
+IMMEDIATE = 1.0
+"""A collision before this time was hardly caused by driving [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """Which Position-Instructions the simulated runs came to.
+
+    Attributes:
+        cells: of the eight.
+        steps: pairs of successive cells of an NPC, of the 24 that a valid chain can take.
+        speed_bins: target speeds in bins of 5 m/s, numbered from 0.
+    """
+
+    cells: frozenset[int] = frozenset()
+    steps: frozenset[tuple[int, int]] = frozenset()
+    speed_bins: frozenset[int] = frozenset()
+
+    def counted(self, scenario: Scenario, genes: int) -> Coverage:
+        """With the first genes of every NPC of a scenario."""
+        chains = [[(int(gene.cell), gene.speed) for gene in chain[:genes]] for chain in scenario.npcs]
+        cells = {cell for chain in chains for cell, _ in chain}
+        steps = {(a, b) for chain in chains for (a, _), (b, _) in pairwise(chain)}
+        bins = {int(speed // SPEED_BIN) for chain in chains for _, speed in chain}
+        if cells <= self.cells and steps <= self.steps and bins <= self.speed_bins:
+            return self
+        return Coverage(cells=self.cells | cells, steps=self.steps | steps, speed_bins=self.speed_bins | bins)
+
+    def describe(self, speed_limit: float) -> str:
+        """One line for a summary; the limit [m/s] says how many bins there are."""
+        bins = int(speed_limit // SPEED_BIN) + 1
+        return f"{len(self.cells)}/8 cells, {len(self.steps)}/24 ring steps, {len(self.speed_bins)}/{bins} speed bins"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """Counts over the evaluations of a search. All but ``evaluated`` count simulated scenarios only.
+
+    Attributes:
+        evaluated: scenarios that the algorithm asked for.
+        simulated: those of them that were run; the others were known from earlier runs.
+        invalid: runs in which two NPCs touched.
+        discarded: runs that the user's function declined to judge.
+        genes_started, genes_reached: counted over all NPCs.
+        valid: runs that were neither invalid nor discarded; the counts below are among these.
+        failing: runs that the user's function rejected.
+        no_interaction: runs in which no NPC gave the ego a reason to react.
+        outran: runs in which the ego left all NPCs behind.
+        barely_moved: runs in which the ego hardly drove.
+        immediate: collisions within the first second.
+        coverage: of the Position-Instructions that the runs came to.
+    """
+
+    evaluated: int = 0
+    simulated: int = 0
+    invalid: int = 0
+    discarded: int = 0
+    genes_started: int = 0
+    genes_reached: int = 0
+    valid: int = 0
+    failing: int = 0
+    no_interaction: int = 0
+    outran: int = 0
+    barely_moved: int = 0
+    immediate: int = 0
+    coverage: Coverage = field(default_factory=Coverage)
+
+    @classmethod
+    def of(cls, events: Iterable[Event]) -> Health:
+        """Counted over the events of a campaign."""
+        health = cls()
+        for event in events:
+            if isinstance(event, Evaluated):
+                health = health.counted(event.evaluation, reused=event.reused)
+        return health
+
+    def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
+        """With one more evaluation."""
+        if reused:
+            return replace(self, evaluated=self.evaluated + 1)
+        invalid = evaluation.outcome is Outcome.INVALID
+        discarded = evaluation.discarded and not invalid
+        valid = not invalid and not discarded
+        collided = evaluation.outcome is Outcome.COLLISION
+        return Health(
+            evaluated=self.evaluated + 1,
+            simulated=self.simulated + 1,
+            invalid=self.invalid + invalid,
+            discarded=self.discarded + discarded,
+            genes_started=self.genes_started + evaluation.genes_started,
+            genes_reached=self.genes_reached + evaluation.genes_reached,
+            valid=self.valid + valid,
+            failing=self.failing + (valid and evaluation.failing),
+            no_interaction=self.no_interaction + (valid and not evaluation.interaction),
+            outran=self.outran + (valid and evaluation.outran),
+            barely_moved=self.barely_moved + (valid and evaluation.barely_moved),
+            immediate=self.immediate + (valid and collided and evaluation.duration < IMMEDIATE),
+            coverage=self.coverage.counted(evaluation.executed, evaluation.depth if evaluation.genes_started else 0),
+        )
+
+    @property
+    def unique(self) -> int:
+        """Scenarios that differ in something that a run executed; a campaign simulates no others."""
+        return self.simulated
+
+    @property
+    def reused(self) -> int:
+        """Scenarios that were not simulated, since an earlier run showed what they do."""
+        return self.evaluated - self.simulated
+
+    @property
+    def vacuous(self) -> bool:
+        """Whether the search can have shown nothing: no valid run."""
+        return self.valid == 0
+
+    @property
+    def reached_share(self) -> float:
+        """Of the genes started, those whose cell was reached; 0 when none was started."""
+        return _share(self.genes_reached, self.genes_started)
+
+    @property
+    def invalid_share(self) -> float:
+        """Of the simulated scenarios."""
+        return _share(self.invalid, self.simulated)
+
+    def warnings(self) -> list[str]:
+        """What makes the search doubtful, in sentences that say what to do; empty when it is well."""
+        if self.simulated == 0:
+            return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
+        found = [self._warning_of_no_valid_run(), self._warning_of_invalid_runs(), self._warning_of_unreached_genes()]
+        useless = (
+            (
+                self.no_interaction,
+                "never brought an NPC near the ego in its lane",
+                "raise the number of NPCs or genes, or check that the ego drives on the lanes that the NPCs can use",
+            ),
+            (
+                self.outran,
+                "left all NPCs more than 100 m behind the ego for half of the run or longer",
+                "raise speed_limit to the ego's speed, or check that the ADS keeps the limit",
+            ),
+            (
+                self.barely_moved,
+                f"had an ego with a mean speed below {BARELY_MOVING:g} m/s",
+                "check that the ADS returns accelerations in m/s^2 and that the factory makes a fresh one",
+            ),
+            (
+                self.immediate,
+                "collided within the first second, before an NPC can have caused it",
+                "check that the ego starts on a free lane and that the ADS steers in rad",
+            ),
+        )
+        found += [self._warning_of_useless_runs(*kind) for kind in useless]
+        return [warning for warning in found if warning]
+
+    def _warning_of_no_valid_run(self) -> str:
+        if not self.vacuous:
+            return ""
+        return (
+            f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash between "
+            f"NPCs, {self.discarded} were discarded), so nothing was tested; use fewer NPCs, or reject less"
+        )
+
+    def _warning_of_invalid_runs(self) -> str:
+        if self.invalid_share <= MAX_INVALID_SHARE:
+            return ""
+        return (
+            f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and tested "
+            "nothing, which should be at most 25 %; use fewer NPCs or more lanes"
+        )
+
+    def _warning_of_unreached_genes(self) -> str:
+        if self.genes_started == 0 or self.reached_share >= MIN_REACHED_SHARE:
+            return ""
+        return (
+            f"NPCs reached the cell of only {_percent(self.genes_reached, self.genes_started)} Position-Instructions "
+            "that they began; give them more time (gene_seconds) or a higher speed_limit than the ego's speed"
+        )
+
+    def _warning_of_useless_runs(self, count: int, what: str, remedy: str) -> str:
+        if _share(count, self.valid) <= MAX_USELESS_SHARE:
+            return ""
+        return f"{_percent(count, self.valid)} valid runs {what}; {remedy}"
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{_share(part, whole):.0%} ({part}) of {whole}".replace("%", " %", 1)

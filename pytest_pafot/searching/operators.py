@@ -1,0 +1,113 @@
+"""The operators of the genetic algorithm: crossover, mutation, tournament and elitism.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 3.4 and 3.5. None of them changes what it
+is given. They act always; the rates at which they are applied belong to the algorithm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pytest_pafot.grid import is_adjacent
+from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.repair import repaired
+from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction
+
+
+def crossover(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:
+    """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1)."""
+    in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
+    return (
+        _child(a, _with_chain(a.npcs, in_a, b.npcs[in_b]), rng),
+        _child(b, _with_chain(b.npcs, in_b, a.npcs[in_a]), rng),
+    )
+
+
+def mutate(scenario: Scenario, space: SearchSpace, rng: np.random.Generator) -> Scenario:
+    """Replace one random Position-Instruction by a new one that is repaired to fit in (section 3.4.2).
+
+    The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
+    it instead would rewrite the rest of the chain and lose what the parent was selected for.
+    """
+    chains = scenario.npcs
+    places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
+    npc, gene = places[int(rng.integers(len(places)))]
+    chain = chains[npc]
+    new = chain[gene]
+    while new == chain[gene]:
+        new = _fitted(chains, npc, gene, random_instruction(space, rng), bool(rng.integers(2)))
+    return _child(scenario, _with_chain(chains, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
+
+
+def _fitted(
+    chains: Sequence[Chromosome], npc: int, gene: int, new: PositionInstruction, clockwise_first: bool
+) -> PositionInstruction:
+    """A new instruction with a cell that is adjacent to the ones before and after it and that nobody else holds.
+
+    Its own if that fits; else one of the two neighbours of the cell before (of the one after, in the first gene),
+    50 % each where both fit; else the cell of the gene that it replaces, which always fits.
+    """
+    chain = chains[npc]
+    around = [chain[k].cell for k in (gene - 1, gene + 1) if 0 <= k < len(chain)]
+    held = {other[gene].cell for index, other in enumerate(chains) if index != npc and gene < len(other)}
+    anticlockwise, clockwise = around[0].neighbours if around else new.cell.neighbours
+    neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
+    candidates = (new.cell, *neighbours, chain[gene].cell)
+    cell = next(c for c in candidates if c not in held and all(is_adjacent(c, other) for other in around))
+    return replace(new, cell=cell)
+
+
+def tournament(population: Sequence[Evaluation], rng: np.random.Generator) -> Evaluation:
+    """The better of two members drawn with replacement; the first drawn of two equals.
+
+    The paper does not name its selection of parents; binary tournament is the usual choice.
+    """
+    first, second = (population[int(index)] for index in rng.integers(len(population), size=2))
+    return second if second.rank > first.rank else first
+
+
+def parents(population: Sequence[Evaluation], rng: np.random.Generator) -> tuple[Evaluation, Evaluation]:
+    """Two different members, each by binary tournament; a population of one is both."""
+    first = tournament(population, rng)
+    others = [member for member in population if member is not first]
+    return first, tournament(others or population, rng)
+
+
+def elites(population: Sequence[Evaluation], share: float) -> tuple[Evaluation, ...]:
+    """The best share of a population, rounded up, best first (section 3.5).
+
+    Fewer where fewer are eligible: an invalid run is never passed on.
+    """
+    # A share of 0.1 of 30 is 3 and must not become 4 by the error of a float.
+    count = math.ceil(round(share * len(population), 9))
+    ranked = sorted(population, key=lambda evaluation: evaluation.rank, reverse=True)
+    return tuple(evaluation for evaluation in ranked[:count] if evaluation.eligible)
+
+
+def best_of(evaluations: Sequence[Evaluation]) -> Evaluation | None:
+    """The first of those that rank highest; None when none is eligible."""
+    best = max(evaluations, key=lambda evaluation: evaluation.rank, default=None)
+    return best if best is not None and best.eligible else None
+
+
+def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
+    """Whether a candidate is a new best."""
+    return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
+
+
+def _with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
+    return (*chains[:npc], chain, *chains[npc + 1 :])
+
+
+def _child(parent: Scenario, chains: tuple[Chromosome, ...], rng: np.random.Generator) -> Scenario:
+    """A scenario that starts like its parent, with other chains and a new seed.
+
+    The new seed keeps the coin of the repair fair: with the parent's, the same NPC and gene would fall to the
+    same side in all of its descendants.
+    """
+    return repaired(chains, fresh_seed(rng), parent)

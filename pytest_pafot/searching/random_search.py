@@ -1,0 +1,89 @@
+"""Random search, the baseline: every scenario is drawn anew and nothing is learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
+from pytest_pafot.searching.operators import best_of, improves
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.turns import check_ask, check_evaluations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomState:
+    """Where a search is, between two calls.
+
+    Attributes:
+        generation: from 0.
+        local_generation: always 0; there is no local search.
+        best: so far; None before the first eligible run.
+        asked: scenarios that are out for evaluation.
+    """
+
+    generation: int = 0
+    local_generation: int = 0
+    best: Evaluation | None = None
+    asked: tuple[Scenario, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RandomSearch:
+    """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2).
+
+    Attributes:
+        space: of the scenarios.
+        population: scenarios in a generation.
+    """
+
+    name: ClassVar[str] = "random"
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 1:
+            raise ValueError(f"population: expected at least one scenario, received {self.population!r}")
+
+    def start(self, rng: np.random.Generator) -> RandomState:
+        """The state before the first generation; it needs no draw."""
+        return RandomState()
+
+    def ask(self, state: RandomState, rng: np.random.Generator) -> tuple[RandomState, tuple[Scenario, ...]]:
+        """The scenarios of the next generation.
+
+        Raises:
+            RuntimeError: when the last ask has not been told.
+        """
+        check_ask(state.asked)
+        asked = tuple(sample(self.space, rng) for _ in range(self.population))
+        return replace(state, asked=asked), asked
+
+    def tell(
+        self,
+        state: RandomState,
+        evaluations: Sequence[Evaluation],
+        rng: np.random.Generator,
+    ) -> tuple[RandomState, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order.
+
+        Raises:
+            RuntimeError: without an ask before.
+            ValueError: when the evaluations are not those of the scenarios asked for.
+        """
+        check_evaluations(state.asked, evaluations)
+        generation, candidate = state.generation, best_of(evaluations)
+        events: list[AlgorithmEvent] = [
+            GenerationFinished(generation=generation, local_generation=0, population=tuple(evaluations), elites=0)
+        ]
+        state = replace(state, generation=generation + 1, asked=())
+        if candidate is not None and improves(candidate, state.best):
+            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
+            state = replace(state, best=candidate)
+        return state, tuple(events)

@@ -1,0 +1,75 @@
+"""The space that a search draws scenarios from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
+from pytest_pafot.searching.repair import repaired
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchSpace:
+    """What all scenarios of a search have in common. The defaults are the paper's setup (section 4.1).
+
+    Attributes:
+        npcs: NPCs in a scenario, 1 to 8.
+        genes: Position-Instructions of each NPC.
+        gene_seconds: duration of one gene [s].
+        speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
+        ego_lane: the ego's first lane, counted from 0 at the left.
+        ego_speed: everybody's first speed [m/s].
+    """
+
+    npcs: int = 2
+    genes: int = 6
+    gene_seconds: float = 10.0
+    speed_limit: float = 26.8
+    ego_lane: int = 1
+    ego_speed: float = 22.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.npcs <= 8:
+            raise ValueError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {self.npcs!r}")
+        if self.genes < 1:
+            raise ValueError(f"genes: expected at least one Position-Instruction per NPC, received {self.genes!r}")
+        if not (math.isfinite(self.speed_limit) and self.speed_limit >= 0):
+            raise ValueError(f"speed_limit: expected a finite speed in m/s, at least 0, received {self.speed_limit!r}")
+
+    @property
+    def top_step(self) -> int:
+        """The highest target speed in steps of 0.1 m/s."""
+        return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+
+
+def sample(space: SearchSpace, rng: np.random.Generator) -> Scenario:
+    """A random valid scenario.
+
+    The first cells are any distinct ones; then each NPC walks on the ring, with equal chances of holding its
+    cell and of a step to either side. A step into a cell that another NPC holds is repaired. Speeds are uniform
+    over the steps of 0.1 m/s up to the limit.
+    """
+    first = rng.permutation(8)[: space.npcs, None]
+    steps = rng.integers(-1, 2, size=(space.npcs, space.genes - 1))
+    walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
+    speeds = rng.integers(space.top_step + 1, size=(space.npcs, space.genes)).tolist()
+    chains = [
+        [PositionInstruction(Cell(cell), speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
+        for chain in zip(walks, speeds, strict=True)
+    ]
+    return repaired(chains, fresh_seed(rng), space)
+
+
+def random_instruction(space: SearchSpace, rng: np.random.Generator) -> PositionInstruction:
+    """A Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
+    cell = Cell(int(rng.integers(1, 9)))
+    return PositionInstruction(cell, int(rng.integers(space.top_step + 1)) / SPEED_STEPS_PER_MPS)
+
+
+def fresh_seed(rng: np.random.Generator) -> int:
+    """A seed for the repair of one scenario; 31 bits, so that it stays readable in a file."""
+    return int(rng.integers(2**31))

@@ -1,0 +1,54 @@
+"""Ask and tell take turns; these checks refuse everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+
+
+def check_ask(asked: Sequence[Scenario]) -> None:
+    """Refuse an ask while scenarios are out.
+
+    Raises:
+        RuntimeError: when the state's last ask has not been told.
+    """
+    if asked:
+        raise RuntimeError(
+            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios; received another ask; "
+            "evaluate them and pass the state that ask returned to tell"
+        )
+
+
+def check_evaluations(asked: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
+    """Refuse evaluations that do not belong one by one to the scenarios asked for.
+
+    Raises:
+        RuntimeError: when nothing was asked for.
+        ValueError: when the number or a scenario differs.
+    """
+    if not asked:
+        raise RuntimeError(
+            "tell: expected an ask before; received a state without one; pass the state that ask returned"
+        )
+    check_order("tell", asked, evaluations)
+
+
+def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
+    """Refuse evaluations that are not those of the scenarios, one by one.
+
+    Raises:
+        ValueError: naming the place, when the number or a scenario differs.
+    """
+    if len(evaluations) != len(scenarios):
+        raise ValueError(
+            f"{place}: expected {len(scenarios)} evaluations, one per scenario, received {len(evaluations)}; "
+            "evaluate each scenario, also the invalid ones"
+        )
+    for index, (scenario, evaluation) in enumerate(zip(scenarios, evaluations, strict=True)):
+        if evaluation.scenario is not scenario and evaluation.scenario != scenario:
+            raise ValueError(
+                f"{place}: expected the evaluation of {scenario!r} at {index}, received one of "
+                f"{evaluation.scenario!r}; keep the order of the scenarios"
+            )

@@ -1,0 +1,182 @@
+"""Hypothesis strategies for valid Position-Instructions, chromosomes and scenarios.
+
+Valid by construction: a chain is a start cell and steps along the ring, so nothing is filtered. They shrink
+towards few NPCs, short chains, "stay" and low round speeds.
+
+    from hypothesis import given
+    import pytest_pafot as pafot
+
+    @given(scenario=pafot.strategies.scenarios())
+    def test_never_collides(scenario, pafot_simulate): ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, Chromosome, PositionInstruction, Scenario
+
+__all__ = ["chromosomes", "position_instructions", "scenarios"]
+
+T = TypeVar("T")
+
+PAPER_SPEED_LIMIT = 26.8
+"""60 mph [m/s]."""
+
+
+def position_instructions(
+    *, cells: Iterable[int] = tuple(Cell), min_speed: float = 0.0, max_speed: float = PAPER_SPEED_LIMIT
+) -> SearchStrategy[PositionInstruction]:
+    """Single genes.
+
+    Args:
+        cells: to choose from, 1 to 8.
+        min_speed, max_speed: bounds of the target speed [m/s]; speeds are multiples of 0.1.
+
+    Raises:
+        ValueError: for a cell outside 1 to 8 or bounds that leave no speed.
+    """
+    return st.builds(PositionInstruction, st.sampled_from(_cells(cells)), _speeds(min_speed, max_speed))
+
+
+def chromosomes(
+    *,
+    cells: Iterable[int] = tuple(Cell),
+    min_speed: float = 0.0,
+    max_speed: float = PAPER_SPEED_LIMIT,
+    min_genes: int = 1,
+    max_genes: int = 6,
+) -> SearchStrategy[Chromosome]:
+    """One NPC's chain: each cell equals the one before or is its ring neighbour.
+
+    Args:
+        cells: that the chain may visit; steps to others are not taken.
+        min_speed, max_speed: bounds of the target speeds [m/s].
+        min_genes, max_genes: bounds of the length.
+
+    Raises:
+        ValueError: for bounds that leave nothing to draw.
+    """
+    chains = _chains(_cells(cells), _cells(cells), _speeds(min_speed, max_speed))
+    return _lengths(min_genes, max_genes).flatmap(lambda genes: chains(1, genes)).map(lambda npcs: npcs[0])
+
+
+def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
+    *,
+    cells: Iterable[int] = tuple(Cell),
+    min_speed: float = 0.0,
+    max_speed: float = PAPER_SPEED_LIMIT,
+    min_genes: int = 1,
+    max_genes: int = 6,
+    min_npcs: int = 1,
+    max_npcs: int = 2,
+    lanes: int = 4,
+    ego_lane: int | None = None,
+    ego_speed: float = 22.0,
+    gene_seconds: float = 10.0,
+) -> SearchStrategy[Scenario]:
+    """Whole scenarios: chains in which no two NPCs hold the same cell in the same gene.
+
+    Args:
+        cells: that the chains may visit.
+        min_speed, max_speed: bounds of the target speeds [m/s].
+        min_genes, max_genes: bounds of the length of the chains, which all have the same.
+        min_npcs, max_npcs: bounds of the number of NPCs, 1 to 8.
+        lanes: of the road; every NPC starts in a cell whose lane exists.
+        ego_lane: the ego's first lane, 0 at the left; None draws it.
+        ego_speed: everybody's first speed [m/s].
+        gene_seconds: duration of one gene [s].
+
+    Raises:
+        ValueError: for bounds that leave nothing to draw.
+    """
+    allowed, speeds = _cells(cells), _speeds(min_speed, max_speed)
+    lengths, counts = _lengths(min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
+    if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
+        raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
+    starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
+    usable = [lane for lane in _lanes(lanes, ego_lane) if len(starts[lane]) >= max_npcs]
+    if not usable:
+        raise ValueError(
+            f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs} with "
+            f"cells {[int(cell) for cell in allowed]} on {lanes} lanes; use fewer NPCs, more cells or more lanes"
+        )
+
+    @st.composite
+    def build(draw: Callable[[SearchStrategy[Any]], Any]) -> Scenario:
+        lane = draw(st.sampled_from(usable))
+        chains = _chains(starts[lane], allowed, speeds)
+        npcs = draw(counts.flatmap(lambda count: lengths.flatmap(lambda genes: chains(count, genes))))
+        seed = draw(st.integers(0, 2**16 - 1))
+        return Scenario(npcs=npcs, seed=seed, ego_lane=lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+    return build()
+
+
+def _chains(
+    starts: list[Cell], allowed: list[Cell], speeds: SearchStrategy[float]
+) -> Callable[[int, int], SearchStrategy[tuple[Chromosome, ...]]]:
+    """(number of NPCs, genes) to chains that start in, and stay within, given cells."""
+
+    @st.composite
+    def build(draw: Callable[[SearchStrategy[Any]], Any], npcs: int, genes: int) -> tuple[Chromosome, ...]:
+        held: list[Cell] = []
+        for _ in range(npcs):
+            held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
+        rows = [list(held)]
+        for _ in range(genes - 1):
+            # One NPC after the other moves to a cell that nobody holds, so that "stay" is always open to it. In
+            # which order decides who can follow whom along the ring.
+            order = range(npcs) if npcs == 1 or not draw(st.booleans()) else reversed(range(npcs))
+            for npc in order:
+                moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
+                held[npc] = draw(st.sampled_from(moves))
+            rows.append(list(held))
+        return tuple(tuple(PositionInstruction(row[npc], draw(speeds)) for row in rows) for npc in range(npcs))
+
+    return build
+
+
+def _speeds(low: float, high: float) -> SearchStrategy[float]:
+    first, last = round(low * SPEED_STEPS_PER_MPS), round(high * SPEED_STEPS_PER_MPS)
+    if not 0 <= first <= last:
+        raise ValueError(f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}")
+    steps = st.integers(first, last).map(lambda step: step / SPEED_STEPS_PER_MPS)
+    whole = range(-(-first // SPEED_STEPS_PER_MPS), last // SPEED_STEPS_PER_MPS + 1)
+    return st.sampled_from(whole).map(float) | steps if whole else steps
+
+
+def _cells(cells: Iterable[int]) -> list[Cell]:
+    chosen = sorted({Cell(cell) for cell in cells})
+    if not chosen:
+        raise ValueError("cells: expected at least one cell from 1 to 8, received none")
+    return chosen
+
+
+def _lengths(low: int, high: int) -> SearchStrategy[int]:
+    return _bounds("genes", low, high, None)
+
+
+def _bounds(name: str, low: int, high: int, most: int | None) -> SearchStrategy[int]:
+    if not 1 <= low <= high or (most is not None and high > most):
+        raise ValueError(
+            f"min_{name}, max_{name}: expected 1 <= min_{name} <= max_{name}{'' if most is None else f' <= {most}'}, "
+            f"received {low!r} and {high!r}"
+        )
+    return st.integers(low, high)
+
+
+def _lanes(lanes: int, ego_lane: int | None) -> list[int]:
+    """Candidate lanes of the ego, the one next to the leftmost first because examples shrink to it."""
+    return sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane)) if ego_lane is None else [ego_lane]
+
+
+def _register() -> None:
+    """Hypothesis calls this entry point when it is imported, so that types alone give strategies."""
+    st.register_type_strategy(PositionInstruction, lambda _: position_instructions())
+    st.register_type_strategy(Scenario, lambda _: scenarios())

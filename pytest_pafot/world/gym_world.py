@@ -1,0 +1,251 @@
+"""A registered highway-env environment as a world: its road, observations, actions and frequencies, our NPCs."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world import checks
+from pytest_pafot.world.errors import AdsFactoryError, WorldError
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.road import StraightRoad
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.ads import AdsFactory, EgoDriver
+    from pytest_pafot.world.engine import Rules
+    from pytest_pafot.world.vehicles import ParallelLanes
+
+
+@dataclass(frozen=True)
+class World:
+    """An environment that is registered with gymnasium and derives from highway-env's ``AbstractEnv``.
+
+    Its ADS is a callable from the environment's own observation to its own action, or a highway-env vehicle class
+    that drives itself, or comes from a factory with a parameter ``env`` for planners that simulate inside the
+    environment. The environment's road is kept; its random traffic is replaced by the NPCs.
+
+    Attributes:
+        env_id: such as ``"highway-v0"``.
+        config: the environment's configuration, as for ``gymnasium.make(env_id, config=config)``.
+        duration: of a run, at most [s]; by default the environment's own ``duration``.
+        clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
+
+    Raises:
+        WorldError: when the environment cannot be used; the message says why. The environment itself is made at
+            the first use, or by :meth:`check`.
+    """
+
+    env_id: str
+    config: dict[str, Any] | None = None
+    duration: float | None = None
+    clearance: float = 3.0
+    headway: float = 2.0
+    limits: NpcLimits = field(default_factory=NpcLimits)
+    hang_limit: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
+            raise WorldError(
+                f"env_id: expected the id of a registered environment without a module in front, such as "
+                f'"highway-v0", received {self.env_id!r}; import the module that registers it first'
+            )
+        if self.config is not None and not isinstance(self.config, dict):
+            raise WorldError(f"config: expected a dict of the environment's options, received {self.config!r}")
+        object.__setattr__(self, "config", checks.plain("config", self.config))
+        for name, low, high in (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0)):
+            object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
+        if self.duration is not None:
+            object.__setattr__(self, "duration", checks.number("duration", self.duration, 0.1, 3600.0))
+        if not isinstance(self.limits, NpcLimits):
+            raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+
+    def check(self) -> None:
+        """Make the environment now, to see whether it can be used.
+
+        Raises:
+            WorldError: when it cannot; the message says why.
+        """
+        checks.top_speed(self.limits, self.road)
+        checks.road_is_long_enough(self.road, 2 * self._rules.ego_start, self._rules.duration)
+
+    @property
+    def road(self) -> StraightRoad:
+        """The environment's road."""
+        return self._rules.road
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes."""
+        return len(self.road.lanes)
+
+    @property
+    def speed_limit(self) -> float:
+        """Of the fastest lane [m/s]."""
+        return self.road.speed_limit
+
+    @property
+    def physics_hz(self) -> int:
+        """The environment's ``simulation_frequency``."""
+        return self._rules.physics_hz
+
+    @property
+    def ads_hz(self) -> int:
+        """The environment's ``policy_frequency``."""
+        return self._rules.ads_hz
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario with a fresh ADS.
+
+        Args:
+            scenario: to run; checked against this world.
+            ads_factory: called once, gives the ADS; with ``env=`` if it has such a parameter.
+
+        Raises:
+            ScenarioError: when the scenario does not fit this world.
+            AdsFactoryError: when the factory gives nothing that can drive here.
+            WorldError: when the environment cannot be used.
+            Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
+        """
+        from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+        from pytest_pafot.world.ads import SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.engine import run  # noqa: PLC0415
+        from pytest_pafot.world.policy import Policy, View  # noqa: PLC0415
+
+        self.check()
+        checks.fits(scenario, self.road, self.limits, self.physics_hz)
+        env = copy.copy(self._env)  # of its own for every run: runs may nest and share no state
+        env.np_random = _generator(scenario.seed)
+        env.time = env.steps = 0
+        road = Road(
+            self._network,
+            np_random=env.np_random,
+            neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
+        )
+        env.road = road
+
+        def make_ego(start: tuple[float, float, float]) -> EgoDriver:
+            x, y, heading = start
+            if is_vehicle_class(ads_factory):
+                return SelfDriving(ads_factory, road, start, scenario.ego_speed)
+            ego = env.action_type.vehicle_class(road, [x, y], heading, scenario.ego_speed)
+            ego.check_collisions = False
+            env.controlled_vehicles = [ego]
+            road.vehicles = [ego]
+            env.define_spaces()
+            if wants_env(ads_factory):
+                view = View(self._make_env(), env)
+                return Policy(made(ads_factory, env=view.env), env, self.physics_hz // self.ads_hz, view)
+            ads = made(ads_factory)
+            if is_vehicle_class(ads):
+                return SelfDriving(ads, road, start, scenario.ego_speed)
+            return Policy(ads, env, self.physics_hz // self.ads_hz)
+
+        return run(self._rules, scenario, road, make_ego)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
+        return {"kind": "gym", **asdict(self)}
+
+    @cached_property
+    def _env(self) -> Any:
+        return self._make_env()
+
+    def _make_env(self) -> Any:
+        import gymnasium  # noqa: PLC0415
+        import highway_env  # noqa: F401, PLC0415  (registers its environments)
+        from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415
+
+        if self.env_id not in gymnasium.registry:
+            known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
+            raise WorldError(
+                f"env_id: expected a registered environment, received {self.env_id!r}; highway-env's straight roads "
+                f"are {', '.join(known)}; an environment of your own must be registered by an import before it is used"
+            )
+        config = {**_with_tuples(self.config or {}), "vehicles_count": 0}
+        try:
+            env: Any = gymnasium.make(self.env_id, config=config, disable_env_checker=True).unwrapped
+        except Exception as error:
+            raise WorldError(
+                f"{self.env_id}: expected a configuration that the environment accepts, received {self.config!r}; it "
+                f"raised {type(error).__name__}: {error}"
+            ) from error
+        if not isinstance(env, AbstractEnv):
+            raise WorldError(
+                f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
+                f"{self.env_id!r} ({type(env).__name__})"
+            )
+        self._check_config(type(env).default_config(), env.config)
+        return env
+
+    def _check_config(self, known: dict[str, Any], config: dict[str, Any]) -> None:
+        unknown = sorted(set(self.config or {}) - set(known))
+        if unknown:
+            near = difflib.get_close_matches(unknown[0], known, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(sorted(known))}"
+            raise WorldError(f"config: expected options of {self.env_id}, received {', '.join(unknown)}{hint}")
+        if config.get("controlled_vehicles", 1) != 1:
+            raise WorldError(
+                f"config.controlled_vehicles: expected 1, the ego, received {config['controlled_vehicles']!r}; the "
+                "other vehicles are the NPCs"
+            )
+
+    @cached_property
+    def _network(self) -> ParallelLanes:
+        from pytest_pafot.world.vehicles import ParallelLanes  # noqa: PLC0415
+
+        assert self.road.lanes  # described() has checked the shape  # noqa: S101
+        return ParallelLanes(self._plain_network)
+
+    @cached_property
+    def _plain_network(self) -> Any:
+        return self._env.road.network
+
+    @cached_property
+    def _rules(self) -> Rules:
+        from pytest_pafot.world.engine import Rules  # noqa: PLC0415
+        from pytest_pafot.world.vehicles import described  # noqa: PLC0415
+
+        config = self._env.config
+        physics_hz = checks.whole("config.simulation_frequency", config["simulation_frequency"], 5, 1000)
+        ads_hz = checks.whole("config.policy_frequency", config["policy_frequency"], 1, 1000)
+        checks.divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
+        name = "config.duration" if self.duration is None else "duration"
+        wanted = config.get("duration", 60.0) if self.duration is None else self.duration
+        duration = checks.number(name, wanted, 1 / physics_hz, 3600.0)
+        return Rules(
+            road=described(self._plain_network, self.env_id),
+            physics_hz=physics_hz,
+            ads_hz=ads_hz,
+            duration=duration,
+            clearance=self.clearance,
+            headway=self.headway,
+            limits=self.limits,
+            hang_limit=self.hang_limit,
+        )
+
+
+def _with_tuples(config: Any) -> Any:
+    """A copy with a tuple where highway-env insists on one."""
+    if isinstance(config, list):
+        return [_with_tuples(item) for item in config]
+    if not isinstance(config, dict):
+        return config
+    copied = {key: _with_tuples(item) for key, item in config.items()}
+    if isinstance(copied.get("observation_shape"), list):
+        copied["observation_shape"] = tuple(copied["observation_shape"])
+    return copied
+
+
+def _generator(seed: int) -> Any:
+    import numpy as np  # noqa: PLC0415
+
+    return np.random.default_rng(seed)
+
+
+__all__ = ["AdsFactoryError", "World"]

@@ -1,0 +1,146 @@
+"""The default world: a straight motorway, and an ADS that thinks in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world import checks
+from pytest_pafot.world.errors import AdsFactoryError, WorldError
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.road import StraightRoad
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.ads import AdsFactory, EgoDriver
+    from pytest_pafot.world.engine import Rules
+
+LANE_WIDTH = 4.0
+"""highway-env's [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Highway:
+    """A straight motorway of three to six lanes.
+
+    Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])``, or
+    a highway-env vehicle class that drives itself.
+
+    Attributes:
+        lanes: 3 to 6, numbered from 0 at the left.
+        speed_limit: [m/s]; the default is the paper's 60 mph.
+        physics_hz: simulation ticks per second.
+        ads_hz: decisions of the ADS per second; divides ``physics_hz``.
+        duration: of a run, at most [s].
+        clearance: gap between the ego and the cells ahead and behind [m]; 0 is the paper's literal grid.
+        headway: of NPCs that start ahead of or behind the ego [s].
+        limits: of every NPC.
+        hang_limit: longest decision of the ADS in wall-clock time, after which it is interrupted [s].
+
+    Raises:
+        WorldError: when a value cannot be used; the message says what can.
+    """
+
+    lanes: int = 4
+    speed_limit: float = 26.8
+    physics_hz: int = 15
+    ads_hz: int = 5
+    duration: float = 60.0
+    clearance: float = 3.0
+    headway: float = 2.0
+    limits: NpcLimits = field(default_factory=NpcLimits)
+    hang_limit: float = 30.0
+
+    def __post_init__(self) -> None:
+        checks.whole("lanes", self.lanes, 3, 6)
+        checks.whole("physics_hz", self.physics_hz, 5, 1000)
+        checks.whole("ads_hz", self.ads_hz, 1, 1000)
+        bounds = {
+            "speed_limit": (5.0, checks.TOP_SPEED),
+            "duration": (1 / self.physics_hz, 3600.0),
+            "clearance": (0.0, 50.0),
+            "headway": (0.0, 10.0),
+            "hang_limit": (0.01, 86400.0),
+        }
+        for name, (low, high) in bounds.items():
+            object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
+        if not isinstance(self.limits, NpcLimits):
+            raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+        checks.divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
+        checks.top_speed(self.limits, self.road)
+
+    @cached_property
+    def road(self) -> StraightRoad:
+        """Long enough that nobody reaches its end."""
+        length = 100.0 + 2 * checks.ego_start(self.headway, self.clearance) + checks.TOP_SPEED * self.duration
+        return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario with a fresh ADS.
+
+        Args:
+            scenario: to run; checked against this world.
+            ads_factory: called once, gives the ADS.
+
+        Raises:
+            ScenarioError: when the scenario does not fit this world.
+            AdsFactoryError: when the factory gives nothing that can drive here.
+            Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
+        """
+        from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+        from pytest_pafot.world.ads import Planner, SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.engine import run  # noqa: PLC0415
+        from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
+
+        checks.fits(scenario, self.road, self.limits, self.physics_hz)
+        if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+            raise AdsFactoryError(
+                "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
+                'use world=pafot.World("highway-v0") for planners that simulate inside one'
+            )
+        ads = made(ads_factory)
+        road = Road(self._network, np_random=_generator(scenario.seed))
+
+        def make_ego(start: tuple[float, float, float]) -> EgoDriver:
+            if is_vehicle_class(ads):
+                return SelfDriving(ads, road, start, scenario.ego_speed)
+            x, y, heading = start
+            ego = Car(road, (x, y), heading, scenario.ego_speed)
+            return Planner(ads, road, self.road, ego, self.physics_hz, self.physics_hz // self.ads_hz)
+
+        return run(self._rules, scenario, road, make_ego)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
+        return {"kind": "highway", **asdict(self)}
+
+    @cached_property
+    def _network(self) -> Any:
+        from pytest_pafot.world.vehicles import ParallelLanes, straight_network  # noqa: PLC0415
+
+        lane = self.road.lanes[0]
+        return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
+
+    @cached_property
+    def _rules(self) -> Rules:
+        from pytest_pafot.world.engine import Rules  # noqa: PLC0415
+
+        return Rules(
+            road=self.road,
+            physics_hz=self.physics_hz,
+            ads_hz=self.ads_hz,
+            duration=self.duration,
+            clearance=self.clearance,
+            headway=self.headway,
+            limits=self.limits,
+            hang_limit=self.hang_limit,
+        )
+
+
+def _generator(seed: int) -> Any:
+    import numpy as np  # noqa: PLC0415
+
+    return np.random.default_rng(seed)

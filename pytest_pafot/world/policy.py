@@ -1,0 +1,116 @@
+"""ADSs that speak an environment's own language, and the view of it that planners inside it get."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.road.road import Road
+from highway_env.utils import class_from_path
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.world.ads import BadAction, shown
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kinematics import observer
+
+
+class Policy:
+    """Kinds (b) and (d): a callable from the environment's observation to its action.
+
+    Args:
+        ads: the callable.
+        env: the environment of this run; its road and ego are those of the run.
+        every: physics ticks per decision.
+        view: of kind (d), shown to the planner before each decision.
+    """
+
+    def __init__(self, ads: Any, env: Any, every: int, view: View | None = None) -> None:
+        if not isinstance(env.action_space, (spaces.Discrete, spaces.Box)):
+            raise WorldError(
+                f"config.action: expected a discrete or continuous action for one vehicle, received the space "
+                f"{env.action_space}; multi-agent actions have no single ego"
+            )
+        self.vehicle = env.vehicle
+        self.every = every
+        self._ads = ads
+        self._env = env
+        self._observe = observer(env)
+        self._view = view
+
+    def decide(self, tick: int) -> Any:
+        """Observe, ask, check and apply."""
+        env = self._env
+        env.steps = tick
+        env.time = tick / env.config["simulation_frequency"]
+        if self._view is not None:
+            self._view.show(tick)
+        action = checked_action(self._ads(self._observe()), env.action_space)
+        env.action_type.act(action)
+        return action
+
+    def actuate(self) -> None:
+        """Low-level control of highway-env's controlled vehicles."""
+        self.vehicle.act()
+
+
+def checked_action(action: Any, space: Any) -> Any:
+    """An action as the space has it: an int, or a float array of its shape.
+
+    Raises:
+        BadAction: when it is none, or not finite.
+    """
+    if isinstance(space, spaces.Discrete):
+        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
+        array = np.asarray(action)
+        if array.size != 1 or array.dtype.kind not in "iu" or not space.contains(int(array.reshape(()))):
+            raise BadAction(f"{expected}, received {shown(action)}")
+        return int(array.reshape(()))
+    expected = f"expected finite numbers of shape {space.shape}"
+    try:
+        given = np.asarray(action)
+    except (TypeError, ValueError):
+        raise BadAction(f"{expected}, received {shown(action)}") from None
+    if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
+        raise BadAction(f"{expected}, received {shown(action)}")
+    return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
+
+
+class View:
+    """An environment for a planner to copy and simulate in, in step with the run but blind to the NPCs' genes.
+
+    The ego is a copy of the run's; every other vehicle is one of the environment's own traffic class, at the same
+    state and with the wish to keep its speed, which is all that an observer can know.
+    """
+
+    def __init__(self, env: Any, run_env: Any) -> None:
+        self.env = env
+        self._run_env = run_env
+        self._traffic = class_from_path(env.config["other_vehicles_type"])
+        self.show(0)
+
+    def show(self, tick: int) -> None:
+        """Bring the view up to the run's state."""
+        source, env = self._run_env, self.env
+        road = Road(
+            source.road.network,
+            np_random=np.random.default_rng(tick),
+            neighbour_vehicles_connected_lanes=source.road.neighbour_vehicles_connected_lanes,
+        )
+        ego = copy.copy(source.vehicle)
+        ego.road = road
+        ego.position = np.array(source.vehicle.position)
+        ego.action = dict(source.vehicle.action)
+        ego.check_collisions = True
+        road.vehicles = [ego, *(self._stranger(road, other) for other in source.road.vehicles[1:])]
+        env.road = road
+        env.controlled_vehicles = [ego]
+        env.np_random = road.np_random
+        env.steps, env.time, env.done = source.steps, source.time, False
+        env.define_spaces()
+        env.action_space.seed(tick)  # planners sample from it
+        env.observation_space.seed(tick)
+
+    def _stranger(self, road: Road, other: Vehicle) -> Vehicle:
+        return self._traffic(road, np.array(other.position), float(other.heading), float(other.speed))

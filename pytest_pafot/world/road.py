@@ -1,0 +1,95 @@
+"""Roads as the grid sees them: positions along the road and across its lanes.
+
+A road maps world coordinates to (longitudinal, lateral, heading to the road). The NPC's driver, the grid and
+the start positions know nothing else of a road, so that other shapes can be added behind the same interface.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import FloatArray, Lane
+
+
+@dataclass(frozen=True)
+class StraightRoad:
+    """Parallel straight lanes of equal width along the x axis, lane 0 at the left (smallest y).
+
+    Attributes:
+        lanes: at least one, from the left.
+        lane_width: of every lane [m].
+        speed_limit: of the fastest lane [m/s].
+    """
+
+    lanes: tuple[Lane, ...]
+    lane_width: float = field(init=False)
+    speed_limit: float = field(init=False)
+    _origin: tuple[float, float] = field(init=False, repr=False)
+    _last: int = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        first = self.lanes[0]
+        for name, value in (
+            ("lane_width", first.width),
+            ("speed_limit", max(lane.speed_limit for lane in self.lanes)),
+            ("_origin", (first.x, first.y)),
+            ("_last", len(self.lanes) - 1),
+        ):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:
+        """So many lanes that start at x = 0 with the centre of lane 0 at y = 0."""
+        return cls(
+            tuple(
+                Lane(x=0.0, y=k * lane_width, heading=0.0, length=length, width=lane_width, speed_limit=speed_limit)
+                for k in range(lanes)
+            )
+        )
+
+    def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
+        """World coordinates to (along the road [m], across it from the centre of lane 0 [m], heading to it [rad])."""
+        x0, y0 = self._origin
+        return x - x0, y - y0, heading
+
+    def position(self, longitudinal: float, lane: int) -> tuple[float, float, float]:
+        """World x [m], y [m] and heading [rad] of a point on the centre of a lane."""
+        x0, y0 = self._origin
+        return x0 + longitudinal, y0 + self.centre(lane), 0.0
+
+    def centre(self, lane: int) -> float:
+        """How far across the road the centre of a lane is [m]."""
+        return lane * self.lane_width
+
+    def nearest_lane(self, lateral: float) -> int:
+        """Index of the lane whose centre is nearest; the left one of two at equal distance."""
+        lane = math.ceil(lateral / self.lane_width - 0.5)
+        return 0 if lane < 0 else min(lane, self._last)
+
+    def lanes_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Index of the nearest lane for points in world coordinates, -1 off the paved surface; any shape."""
+        s, d = x - self._origin[0], y - self._origin[1]
+        half = self.lane_width / 2
+        on_road = (-half <= d) & (d <= self.centre(self._last) + half) & (s >= 0) & (s <= self.lanes[0].length)
+        nearest = np.clip(np.ceil(d / self.lane_width - 0.5), 0, self._last)
+        return np.where(on_road, nearest, -1.0)
+
+    def cells(self, ego_lane: int) -> frozenset[Cell]:
+        """The cells whose lane exists when the ego drives in a lane."""
+        return frozenset(cell for cell in Cell if 0 <= ego_lane + cell.column < len(self.lanes))
+
+
+def parallel_along_x(lanes: Sequence[Lane]) -> bool:
+    """Whether lanes form a :class:`StraightRoad`."""
+    first = lanes[0]
+    return all(
+        lane.heading == 0.0
+        and (lane.x, lane.length, lane.width) == (first.x, first.length, first.width)
+        and math.isclose(lane.y, first.y + k * first.width)
+        for k, lane in enumerate(lanes)
+    )

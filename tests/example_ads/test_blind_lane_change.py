@@ -1,0 +1,93 @@
+"""The blind lane changer is careful within its lane and blind to the next one."""
+
+import math
+
+import pytest
+
+from example_ads import blind_lane_change
+from example_ads.blind_lane_change import SECONDS_PER_LANE
+from pytest_pafot.world.observation import Observation, VehicleState
+
+
+def vehicle(*, x=100.0, lane=1, speed=22.0, y=None):
+    y = lane * 4.0 if y is None else y
+    return VehicleState(x=x, y=y, heading=0.0, speed=speed, lane=lane, length=5.0, width=2.0)
+
+
+def view(*others, time=0.0, ego=None, lanes=4):
+    ego = vehicle() if ego is None else ego
+    return Observation(time=time, ego=ego, others=others, lanes=lanes, lane_width=4.0, speed_limit=26.8)
+
+
+def drive(seconds, *, lane=1, lanes=4, hz=15):
+    """The ego's y and speed at every tick on an empty road, by the bicycle model of highway-env."""
+    ads, ego, track = blind_lane_change.make(), vehicle(lane=lane), []
+    for tick in range(round(seconds * hz)):
+        if tick % 3 == 0:
+            acceleration, steering = ads(view(time=tick / hz, ego=ego, lanes=lanes))
+        slip = math.atan(math.tan(steering) / 2)
+        ego = ego._replace(
+            x=ego.x + ego.speed * math.cos(ego.heading + slip) / hz,
+            y=ego.y + ego.speed * math.sin(ego.heading + slip) / hz,
+            heading=ego.heading + ego.speed * math.sin(slip) / (ego.length / 2) / hz,
+            speed=ego.speed + acceleration / hz,
+        )
+        ego = ego._replace(lane=min(max(round(ego.y / 4.0), 0), lanes - 1))
+        track.append((ego.y, ego.speed))
+    return track
+
+
+def test_it_keeps_its_lane_until_eight_seconds_have_passed():
+    ads = blind_lane_change.make()
+    ads(view())
+    assert ads(view(time=SECONDS_PER_LANE - 0.2))[1] == 0.0
+
+
+def test_at_eight_seconds_it_steers_to_the_right_although_a_vehicle_is_there():
+    ads = blind_lane_change.make()
+    ads(view())
+    beside = vehicle(lane=2)
+    assert ads(view(beside, time=SECONDS_PER_LANE))[1] > 0.0
+
+
+def test_what_is_in_the_other_lanes_changes_nothing():
+    lonely, crowded = blind_lane_change.make(), blind_lane_change.make()
+    others = (vehicle(lane=0), vehicle(lane=2), vehicle(x=90.0, lane=2))
+    for time in (0.0, 4.0, 8.0, 8.2):
+        assert lonely(view(time=time)) == crowded(view(*others, time=time))
+
+
+def test_at_the_edge_of_the_road_it_turns_round():
+    lanes = [round(drive(seconds)[-1][0] / 4.0) for seconds in (7.9, 15.9, 23.9, 31.9, 39.9, 47.9)]
+    assert lanes == [1, 2, 3, 2, 1, 0]
+
+
+@pytest.mark.parametrize("lanes", [3, 4, 5, 6])
+def test_it_settles_in_the_middle_of_each_lane_and_never_leaves_the_road(lanes):
+    track = drive(60, lanes=lanes)
+    assert all(-1.0 < y < (lanes - 1) * 4.0 + 1.0 for y, _ in track)
+    before_changes = [track[round(15 * SECONDS_PER_LANE * n) - 1][0] for n in range(1, 8)]
+    assert all(abs(y - 4.0 * round(y / 4.0)) < 0.1 for y in before_changes)
+
+
+def test_alone_it_reaches_the_speed_limit_and_keeps_to_it():
+    speeds = [speed for _, speed in drive(60)]
+    assert speeds[-1] == pytest.approx(26.8, abs=0.1)
+    assert max(speeds) <= 26.81
+
+
+@pytest.mark.parametrize(("gap", "speed"), [(15.0, 10.0), (40.0, 5.0), (60.0, 0.0)])
+def test_it_brakes_for_a_slower_vehicle_ahead_in_its_lane(gap, speed):
+    leader = vehicle(x=105.0 + gap, speed=speed)
+    assert -8.0 <= blind_lane_change.make()(view(leader))[0] < -1.0
+
+
+def test_it_does_not_brake_for_a_vehicle_behind():
+    assert blind_lane_change.make()(view(vehicle(x=90.0, speed=26.0)))[0] > 0.0
+
+
+def test_two_drivers_share_nothing():
+    first = blind_lane_change.make()
+    first(view())
+    first(view(time=SECONDS_PER_LANE))
+    assert blind_lane_change.make()(view())[1] == 0.0

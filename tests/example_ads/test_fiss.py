@@ -1,0 +1,80 @@
+"""The adapter of FISS+ translates axes, car and map; the planner itself is the published one."""
+
+import math
+
+import pytest
+
+from pytest_pafot.world.observation import Observation, VehicleState
+
+pytest.importorskip("fiss_planner", reason='needs pip install "pytest-pafot[fiss]"')
+
+from example_ads import fiss
+
+HZ = 15
+
+
+def vehicle(*, x=100.0, lane=1, speed=22.0):
+    return VehicleState(x=x, y=lane * 4.0, heading=0.0, speed=speed, lane=lane, length=5.0, width=2.0)
+
+
+def moved(car, acceleration=0.0, steering=0.0):
+    """One tick of highway-env's bicycle model."""
+    slip = math.atan(math.tan(steering) / 2)
+    y = car.y + car.speed * math.sin(car.heading + slip) / HZ
+    return car._replace(
+        x=car.x + car.speed * math.cos(car.heading + slip) / HZ,
+        y=y,
+        heading=car.heading + car.speed * math.sin(slip) / (car.length / 2) / HZ,
+        speed=car.speed + acceleration / HZ,
+        lane=round(y / 4.0),
+    )
+
+
+def drive(seconds, *others, ego=None, lanes=4):
+    """The ego and the others, who keep their speed, at every tick; ends at a contact of their boxes."""
+    ads, ego, track = fiss.make(), ego or vehicle(), []
+    for tick in range(round(seconds * HZ)):
+        if tick % 3 == 0:
+            seen = Observation(tick / HZ, ego, others, lanes=lanes, lane_width=4.0, speed_limit=26.8)
+            action = ads(seen)
+        ego, others = moved(ego, *action), tuple(map(moved, others))
+        track.append((ego, others))
+        assert not any(abs(ego.x - o.x) < 5.0 and abs(ego.y - o.y) < 2.0 for o in others), "contact"
+    return track
+
+
+def test_on_an_empty_road_it_reaches_the_speed_limit_in_its_lane():
+    ego, _ = drive(15)[-1]
+    assert ego.speed == pytest.approx(26.8, abs=0.1)
+    assert ego.y == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("lane", "side"), [(0, +1), (3, -1)])
+def test_from_an_outer_lane_it_overtakes_on_the_side_where_the_road_is(lane, side):
+    ego, (slow,) = drive(15, vehicle(x=150.0, lane=lane, speed=12.0), ego=vehicle(lane=lane))[-1]
+    assert ego.x > slow.x
+    assert (ego.y - lane * 4.0) * side == pytest.approx(4.0, abs=0.2)
+
+
+def test_where_both_sides_are_taken_it_follows_instead():
+    wall = [vehicle(x=100.0 + 15.0 * n, lane=lane, speed=15.0) for lane in (0, 2) for n in range(-2, 8)]
+    ego, (slow, *_) = drive(15, vehicle(x=150.0, speed=15.0), *wall, lanes=3)[-1]
+    assert ego.x < slow.x
+    assert ego.y == pytest.approx(4.0, abs=0.5)
+    assert ego.speed == pytest.approx(15.0, abs=1.0)
+
+
+def test_a_vehicle_close_behind_does_not_make_it_brake():
+    track = drive(3, vehicle(x=94.0))
+    assert min(ego.speed for ego, _ in track) >= 21.9
+
+
+def test_the_road_never_ends_although_the_map_is_short():
+    distance = drive(40)[-1][0].x - 100.0
+    assert distance > 1.5 * (fiss.MAP_BEHIND + fiss.MAP_AHEAD)
+    assert distance == pytest.approx(40 * 26.8, rel=0.05)
+
+
+def test_the_same_traffic_gives_the_same_actions():
+    traffic = (vehicle(x=150.0, speed=12.0), vehicle(x=110.0, lane=2, speed=20.0))
+    assert drive(8, *traffic) == drive(8, *traffic)

@@ -1,0 +1,67 @@
+"""The example policies drive in the worlds that they are made for, each with its own flaw and no other."""
+
+import importlib.util
+
+import pytest
+
+from example_ads import blind_lane_change, constant_speed, idm_mobil, ppo
+from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
+
+HIGHWAY = Highway(duration=20.0)
+LEARNED_ON = World("highway-v0", duration=20.0)
+
+DRIVERS = [
+    pytest.param(HIGHWAY, constant_speed.make, id="constant-speed"),
+    pytest.param(HIGHWAY, blind_lane_change.make, id="blind-lane-change"),
+    pytest.param(HIGHWAY, idm_mobil.make, id="idm-mobil"),
+    pytest.param(LEARNED_ON, ppo.make, id="ppo"),
+]
+if importlib.util.find_spec("fiss_planner"):
+    from example_ads import fiss
+
+    DRIVERS.append(pytest.param(HIGHWAY, fiss.make, id="fiss"))
+
+
+def one_npc(*genes):
+    chain = tuple(PositionInstruction(cell, speed) for cell, speed in genes)
+    return Scenario(npcs=(chain,), gene_seconds=10.0)
+
+
+FASTER_ON_THE_LEFT = one_npc((Cell.FRONT_LEFT, 26.0), (Cell.FRONT_LEFT, 26.0))
+BRAKES_AHEAD = one_npc((Cell.FRONT, 10.0), (Cell.FRONT, 10.0))
+STAYS_AT_THE_RIGHT = one_npc((Cell.RIGHT, 25.0), (Cell.RIGHT, 25.0))
+
+
+@pytest.mark.parametrize(("world", "make"), DRIVERS)
+def test_a_faster_vehicle_in_the_next_lane_harms_nobody(world, make):
+    trace = world.rollout(FASTER_ON_THE_LEFT, make)
+    assert trace.outcome is Outcome.SAFE, trace.error
+    assert trace.duration == 20.0
+
+
+@pytest.mark.parametrize(("world", "make"), DRIVERS)
+def test_the_same_scenario_gives_the_same_trace(world, make):
+    first, second = (world.rollout(BRAKES_AHEAD, make) for _ in range(2))
+    assert (first.states == second.states).all()
+
+
+def test_constant_speed_runs_into_whoever_brakes_ahead():
+    collision = HIGHWAY.rollout(BRAKES_AHEAD, constant_speed.make).collision
+    assert (collision.side, collision.cell) == ("front", Cell.FRONT)
+    assert collision.ego_speed == pytest.approx(22.0)
+
+
+@pytest.mark.parametrize(("world", "make"), [d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}])
+def test_all_that_can_drive_slowly_cope_with_whoever_brakes_ahead(world, make):
+    assert world.rollout(BRAKES_AHEAD, make).collision is None
+
+
+def test_the_blind_lane_changer_drives_into_the_vehicle_beside_it():
+    collision = HIGHWAY.rollout(STAYS_AT_THE_RIGHT, blind_lane_change.make).collision
+    assert collision.side == "right"
+    assert collision.time == pytest.approx(blind_lane_change.SECONDS_PER_LANE, abs=3.0)
+
+
+@pytest.mark.parametrize(("world", "make"), [d for d in DRIVERS if d.id != "blind-lane-change"])
+def test_all_others_leave_the_vehicle_beside_them_alone(world, make):
+    assert world.rollout(STAYS_AT_THE_RIGHT, make).collision is None

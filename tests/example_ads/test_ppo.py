@@ -1,0 +1,77 @@
+"""The PPO policy: plain arrays, run by numpy, that drive well in the environment that they were trained for."""
+
+import itertools
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from example_ads import ppo
+
+ACTIONS = 5
+
+
+@pytest.fixture(scope="module")
+def observations():
+    """Kinematics observations, shape [500, 5, 5]: presence, then what highway-env clips to [-1, 1]."""
+    return np.random.default_rng(0).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32)
+
+
+def test_the_weights_are_a_small_file_of_plain_float32_arrays():
+    assert ppo.ACTOR.stat().st_size < 200_000
+    with np.load(ppo.ACTOR, allow_pickle=False) as arrays:
+        assert {array.dtype for array in arrays.values()} == {np.dtype(np.float32)}
+
+
+def test_the_layers_lead_from_25_inputs_to_five_actions():
+    shapes = [weights.shape for weights, _ in ppo.read_actor()]
+    assert shapes[0][0] == 25
+    assert shapes[-1][1] == ACTIONS
+    assert all(before[1] == after[0] for before, after in itertools.pairwise(shapes))
+
+
+def test_it_takes_the_action_with_the_largest_logit():
+    layers = ((np.eye(2, 3, dtype=np.float32), np.array([0, 0, 0.5], dtype=np.float32)),)
+    policy = ppo.PpoPolicy(layers)
+    assert policy(np.array([[0.1, 0.9]])) == 1
+    assert policy(np.array([[0.1, 0.2]])) == 2
+
+
+def test_hidden_units_are_rectified_and_outputs_are_not():
+    identity = (np.eye(1, dtype=np.float32), np.zeros(1, dtype=np.float32))
+    negative = np.array([[-1.0]])
+    assert ppo.PpoPolicy((identity, identity)).logits(negative) == [0.0]
+    assert ppo.PpoPolicy((identity,)).logits(negative) == [-1.0]
+
+
+def test_its_actions_are_plain_integers_that_the_environment_takes(observations):
+    actions = [ppo.make()(observation) for observation in observations[:20]]
+    assert all(type(action) is int and 0 <= action < ACTIONS for action in actions)
+
+
+def test_float64_observations_are_rounded_to_float32_first(observations):
+    policy = ppo.make()
+    assert all(policy(o.astype(np.float64)) == policy(o) for o in observations)
+
+
+def test_driving_needs_neither_torch_nor_stable_baselines3():
+    code = "import sys; from example_ads import ppo; ppo.make(); print({'torch', 'stable_baselines3'} & {*sys.modules})"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_it_drives_through_ordinary_traffic_without_a_crash(seed):
+    import highway_env
+
+    gym.register_envs(highway_env)
+    env = gym.make("highway-fast-v0", config={"lanes_count": 4})
+    policy, (observation, _) = ppo.make(), env.reset(seed=seed)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, _, terminated, truncated, _ = env.step(policy(observation))
+    env.close()
+    assert truncated
+    assert not terminated

@@ -1,0 +1,38 @@
+"""What the training script writes is what stable-baselines3 would decide; the training itself is not run."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from example_ads import ppo
+
+torch = pytest.importorskip("torch", reason='needs pip install "pytest-pafot[train]"')
+sb3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[train]"')
+
+from example_ads.ppo import train  # noqa: E402
+
+
+class FiveVehicles(gym.Env):
+    """The spaces of highway-v0, and nothing that moves."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, shape=(5, 5), dtype=np.float32)
+    action_space = gym.spaces.Discrete(5)
+
+
+@pytest.fixture(scope="module")
+def model():
+    architecture = {"net_arch": {"pi": [128, 128], "vf": [128, 128]}, "activation_fn": torch.nn.ReLU}
+    return sb3.PPO("MlpPolicy", FiveVehicles(), policy_kwargs=architecture, seed=0, device="cpu")
+
+
+def test_the_numpy_policy_and_stable_baselines3_agree_on_500_observations(model):
+    policy = ppo.PpoPolicy(train.actor_of(model))
+    seen = list(np.random.default_rng(1).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32))
+    assert train.agreement(model, policy, seen) == 500
+
+
+def test_layers_come_back_from_the_file_as_they_were(model, tmp_path):
+    layers = train.actor_of(model)
+    train.write_actor(tmp_path / "actor.npz", layers)
+    for before, after in zip(layers, ppo.read_actor(tmp_path / "actor.npz"), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))

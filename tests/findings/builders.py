@@ -1,0 +1,116 @@
+"""Findings for tests: one that is plain, and a strategy for ones that are nasty."""
+
+from hypothesis import strategies as st
+
+from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+
+VERSIONS = {"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"}
+
+NASTY_TEXTS = [
+    "yes", "No", "null", "~", "true", "1.0", "1e3", "0x1F", "012", "1:30", "2026-11-20", ".inf", ".nan", "<<", "=",
+    "a: b", "a #b", "#", "- a", "? a", "[a, b]", "{a: b}", "&a", "*a", "!a", "|", ">", "%a", "@a", "`a`", "'a'", '"a"',
+    "it's", "a\\n", "\\", " a", "a ", "a\tb", "\t", "\n", "a\nb", "a\nb\n", "a\nb\n\n", "\na", " a\nb", "a\n b\n  c\n",
+    "a\n\n\nb", "a\n   \nb\n", "a\r\nb", "a\rb", "a\x85b", "a\u2028b\n", "\ufeffa", "\x00", "\x1b[31m", "\x7f",
+    "na\u00efve", "\U0001f697", "---", "...", "--- a", "a\n---\nb\n", "a\n# b\n", "trailing:", "::", "x" * 3000, "k: |",
+]  # fmt: skip
+
+
+def plain_finding(**changes):
+    chain = [PositionInstruction(Cell(1), 25.0), PositionInstruction(Cell(2), 8.0)]
+    fields = {
+        "id": "front-2-1f3a9c",
+        "test": "tests/test_safety.py::test_never_at_fault_in_a_collision",
+        "world": {"kind": "highway", "lanes": 4, "speed_limit": 26.8},
+        "scenario": Scenario(npcs=(tuple(chain),), seed=7),
+        "expect": Expect(
+            failure="AssertionError",
+            assertion="not run.collision",
+            outcome=Outcome.COLLISION,
+            time=12.4,
+            npc=0,
+            cell=Cell.FRONT,
+            side="front",
+            responsibility="ego",
+            preventable_by=("careful-human", "idm-aeb"),
+        ),
+        "found": Found(seed=1234, generation=17, algorithm="pafot", versions=VERSIONS),
+    }
+    return Finding(**(fields | changes))
+
+
+def texts(min_size=0):
+    nasty = st.sampled_from([text for text in NASTY_TEXTS if len(text) >= min_size])
+    printable = st.text(st.characters(codec="utf-8"), min_size=min_size, max_size=60)
+    return st.one_of(nasty, printable, st.text("ab :#-'\"\n\t{[,]}&*!|>%@", min_size=min_size, max_size=30))
+
+
+def keys():
+    return texts().filter(lambda text: len(text) <= MAX_KEY)
+
+
+def plain_data():
+    floats = st.floats(allow_nan=False)
+    scalars = st.one_of(st.none(), st.booleans(), st.integers(-(10**30), 10**30), floats, texts())
+    return st.recursive(
+        scalars,
+        lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(keys(), inner, max_size=4)),
+        max_leaves=12,
+    )
+
+
+@st.composite
+def scenarios(draw):
+    steps = st.lists(st.tuples(st.integers(-12, 12), st.integers(0, 268)), min_size=1, max_size=8)
+    chains = [
+        [PositionInstruction(Cell((step - 1) % 8 + 1), speed / 10) for step, speed in row]
+        for row in draw(st.lists(steps, min_size=1, max_size=4))
+    ]
+    return Scenario.repaired(
+        chains,
+        seed=draw(st.integers(0, MAX_SEED)),
+        ego_lane=draw(st.integers(0, 9)),
+        ego_speed=draw(st.floats(0, 1e3)),
+        gene_seconds=draw(st.one_of(st.just(10.0), st.floats(1e-7, 1e3))),
+    )
+
+
+@st.composite
+def expectations(draw, npcs):
+    outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
+    is_collision = outcome is Outcome.COLLISION
+    some = st.just if is_collision else lambda value: st.one_of(st.none(), st.just(value))
+    return Expect(
+        failure=draw(texts()),
+        assertion=draw(texts()),
+        message=draw(texts()),
+        outcome=outcome,
+        time=draw(st.floats(0, 1e6)),
+        npc=draw(some(draw(st.integers(0, npcs - 1)))),
+        cell=draw(some(draw(st.sampled_from(Cell)))),
+        side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
+        responsibility=draw(st.sampled_from(["ego", "npc", "none"])),
+        preventable_by=tuple(draw(st.lists(texts(), max_size=3))),
+        traceback=draw(texts()),
+    )
+
+
+@st.composite
+def findings(draw):
+    scenario = draw(scenarios())
+    return Finding(
+        id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
+        test=draw(texts(min_size=1).filter(str.strip)),
+        scenario=scenario,
+        world=draw(st.dictionaries(keys(), plain_data(), max_size=5)),
+        expect=draw(expectations(len(scenario.npcs))),
+        found=Found(
+            seed=draw(st.integers(0, 10**40)),
+            generation=draw(st.integers(0, 10**6)),
+            algorithm=draw(texts()),
+            versions=draw(st.dictionaries(keys(), texts(), max_size=4)),
+        ),
+        xfail=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
+    )

@@ -1,0 +1,228 @@
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.findings import corpus
+from pytest_pafot.findings.corpus import CorpusError, CorpusWriteError
+from pytest_pafot.findings.emit import text_of
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from tests.findings.builders import plain_finding
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "pafot_corpus" / "test_safety" / "test_it" / "front-2-1f3a9c.pafot.yaml"
+
+
+@pytest.fixture(params=["hard links", "no hard links"])
+def links(request, monkeypatch):
+    if request.param == "no hard links":
+
+        def refuse(self, target):
+            raise PermissionError(1, "Operation not permitted")
+
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+
+
+def other_scenario():
+    return Scenario(npcs=[[PositionInstruction(6, 25.0)]])
+
+
+def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path, links):
+    assert corpus.write(path, plain_finding())
+    assert corpus.read(path) == plain_finding()
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_who_comes_second_changes_nothing(path, links):
+    corpus.write(path, plain_finding())
+    assert not corpus.write(path, plain_finding(scenario=other_scenario()))
+    assert corpus.read(path) == plain_finding()
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_of_many_writers_at_once_one_wins_and_none_fails(path):
+    barrier = threading.Barrier(8)
+    won = []
+
+    def writer(seed):
+        barrier.wait()
+        finding = plain_finding(found=replace(plain_finding().found, seed=seed))
+        won.append((corpus.write(path, finding), seed))
+
+    threads = [threading.Thread(target=writer, args=(seed,)) for seed in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(written for written, _ in won) == [False] * 7 + [True]
+    assert corpus.read(path).found.seed == next(seed for written, seed in won if written)
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_file_is_whole_whenever_it_can_be_seen(path):
+    corpus.write(path, plain_finding())
+    finding = plain_finding(test="t" * 5000)
+    stop = threading.Event()
+    seen = set()
+
+    def reader():
+        while not stop.is_set():
+            seen.add(len(corpus.read(path).test))
+
+    thread = threading.Thread(target=reader)
+    thread.start()
+    for turn in range(40):
+        corpus.rewrite(path, finding if turn % 2 else plain_finding())
+    stop.set()
+    thread.join()
+    assert seen <= {5000, len(plain_finding().test)}
+
+
+def test_a_rewrite_keeps_the_name_and_the_user_s_reason(path):
+    corpus.write(path, plain_finding())
+    path.write_text(text_of(plain_finding()).replace('# xfail: "reason"', "xfail: planner issue 12"))
+    smaller = plain_finding(scenario=other_scenario())
+    assert corpus.rewrite(path, smaller) == replace(smaller, xfail="planner issue 12")
+    assert corpus.read(path) == replace(smaller, xfail="planner issue 12")
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_rewrite_takes_a_reason_of_its_own(path):
+    corpus.write(path, plain_finding(xfail="old"))
+    corpus.rewrite(path, plain_finding(xfail="new"))
+    assert corpus.read(path).xfail == "new"
+
+
+def test_a_rewrite_of_a_file_that_has_gone_writes_it_anew(path):
+    corpus.rewrite(path, plain_finding())
+    assert corpus.read(path) == plain_finding()
+
+
+def test_a_file_that_cannot_be_read_is_never_overwritten(path):
+    path.parent.mkdir(parents=True)
+    path.write_text("the user is editing this")
+    with pytest.raises(CorpusWriteError, match="correct or delete it"):
+        corpus.rewrite(path, plain_finding())
+    assert path.read_text() == "the user is editing this"
+
+
+def test_an_unchanged_finding_gives_an_unchanged_file(path):
+    corpus.write(path, plain_finding())
+    before = path.read_bytes()
+    corpus.rewrite(path, corpus.read(path))
+    assert path.read_bytes() == before
+    assert b"\r" not in before
+
+
+def test_a_finding_takes_its_own_id_where_that_is_free(path):
+    assert corpus.free_path(path.parent, plain_finding()) == (path, plain_finding())
+
+
+def test_a_finding_that_is_saved_already_keeps_its_path(path):
+    corpus.write(path, plain_finding())
+    assert corpus.free_path(path.parent, plain_finding())[0] == path
+
+
+def test_a_name_that_holds_another_finding_by_now_is_not_reused(path):
+    corpus.write(path, plain_finding(scenario=other_scenario()))
+    second, finding = corpus.free_path(path.parent, plain_finding())
+    assert (second.name, finding.id) == ("front-2-1f3a9c-2.pafot.yaml", "front-2-1f3a9c-2")
+    corpus.write(second, replace(finding, scenario=replace(other_scenario(), seed=3)))
+    assert corpus.free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
+
+
+def test_a_name_that_holds_a_broken_file_is_not_reused(path):
+    path.parent.mkdir(parents=True)
+    path.write_text("broken")
+    assert corpus.free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
+
+
+def test_saving_tells_the_file_and_the_id(path):
+    assert corpus.save(path.parent, plain_finding()) == (path, plain_finding())
+    assert corpus.save(path.parent, plain_finding()) == (path, plain_finding())
+    other = plain_finding(scenario=other_scenario())
+    second, finding = corpus.save(path.parent, other)
+    assert corpus.read(second) == finding == replace(other, id="front-2-1f3a9c-2")
+
+
+def test_two_different_findings_that_want_one_id_at_once_are_both_kept(path, monkeypatch):
+    other = plain_finding(scenario=other_scenario())
+    write, turns = corpus.write, []
+
+    def overtaken(to, finding):
+        if not turns:
+            turns.append(write(to, other))
+        return write(to, finding)
+
+    monkeypatch.setattr(corpus, "write", overtaken)
+    second, _ = corpus.save(path.parent, plain_finding())
+    assert corpus.read(path) == other
+    assert corpus.read(second).scenario == plain_finding().scenario
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user who is bound by permissions")
+def test_a_read_only_folder_is_one_clear_error(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(CorpusWriteError, match="make the folder writable"):
+        corpus.write(tmp_path / "front-2-1f3a9c.pafot.yaml", plain_finding())
+
+
+@pytest.mark.parametrize("function", [corpus.write, corpus.rewrite])
+def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path, function):
+    (tmp_path / "pafot_corpus").write_text("a file where the folder should be")
+    path = tmp_path / "pafot_corpus" / "test_it" / "front-2-1f3a9c.pafot.yaml"
+    with pytest.raises(CorpusWriteError, match="--pafot-corpus") as caught:
+        function(path, plain_finding())
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("call", ["link", "write", "open"])
+def test_a_disk_that_fails_leaves_nothing_half_written(path, monkeypatch, call):
+    def fail(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    if call == "write":
+        monkeypatch.setattr(os, "fsync", fail)
+    elif call == "open":
+        monkeypatch.setattr(Path, "open", fail)
+    else:
+        monkeypatch.setattr(Path, "hardlink_to", fail)
+        monkeypatch.setattr(Path, "rename", fail)
+    with pytest.raises(CorpusWriteError, match="No space left on device"):
+        corpus.write(path, plain_finding())
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_finding_too_large_to_be_read_back_is_refused(path):
+    with pytest.raises(CorpusWriteError, match="256 KiB"):
+        corpus.write(path, plain_finding(test="t" * 300_000))
+    assert not path.exists()
+
+
+def test_what_a_killed_process_left_is_swept_up_once_it_is_old(path):
+    path.parent.mkdir(parents=True)
+    old, young = path.parent / ".pafot-old.tmp", path.parent / ".pafot-young.tmp"
+    for leftover in (old, young):
+        leftover.write_text("half a fi")
+    os.utime(old, (1.0, 1.0))
+    corpus.write(path, plain_finding())
+    assert sorted(path.parent.iterdir()) == [young, path]
+    assert corpus.list_files(path.parent) == [path]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of files")
+def test_a_file_has_the_permissions_of_any_new_file(path):
+    before = os.umask(0o022)
+    try:
+        corpus.write(path, plain_finding())
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+def test_errors_are_apart_from_each_other():
+    assert not issubclass(CorpusWriteError, CorpusError)

@@ -1,0 +1,168 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, raised_failure
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, normalised, of_failure
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import AdsError, Outcome
+from tests.findings.builders import plain_finding
+from tests.support.traces import trace_of, vehicle
+
+FOUND = Found(seed=1, generation=0, algorithm="pafot", versions={"numpy": "2.4.6"})
+COLLIDES = Failure(kind="AssertionError", message="long\nstory", assertion="assert not run.collision, run.explain()")
+
+
+def run_of(ticks=30, **fields):
+    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=ticks), vehicle(26.0, 4.0, speed=10.0, ticks=ticks)
+    return Run(trace_of(ego, npc, **fields))
+
+
+def broken_ads(traceback="Traceback ...\n"):
+    error = AdsError(kind="ValueError", message="no path\nfor 3 cars", traceback=traceback, tick=6)
+    return run_of(outcome=Outcome.ADS_ERROR, error=error)
+
+
+def test_a_new_finding_is_named_by_its_signature_and_its_scenario():
+    run = run_of(outcome=Outcome.COLLISION)
+    finding = Finding.of(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
+    assert finding.id == f"front-2-{run.scenario.id}"
+    assert finding.scenario == run.scenario
+    assert finding.signature == of_failure(run, COLLIDES)
+    assert finding.xfail is None
+
+
+def test_it_expects_what_the_run_showed():
+    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, preventable_by=("idm-aeb",))
+    assert expect == Expect(
+        failure="AssertionError",
+        assertion="not run.collision",
+        outcome=Outcome.COLLISION,
+        time=2.0,
+        npc=0,
+        cell=Cell.FRONT,
+        side="front",
+        responsibility="ego",
+        preventable_by=("idm-aeb",),
+    )
+
+
+def test_the_message_is_kept_where_no_assertion_says_it():
+    expect = Expect.of(run_of(), Failure(kind="Failed", message="\n  too close: 0.3 m\nmore"))
+    assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
+
+
+def test_the_traceback_of_an_ads_is_kept_and_a_long_one_loses_its_beginning():
+    run = broken_ads("".join(f"line {number}\n" for number in range(5000)))
+    expect = Expect.of(run, ads_failure(run))
+    assert (expect.failure, expect.message, expect.time) == ("ValueError", "no path", 0.4)
+    assert expect.traceback.startswith("...\nline ")
+    assert expect.traceback.endswith("line 4999\n")
+    assert len(expect.traceback) < 8100
+
+
+def test_an_ads_that_did_nothing_wrong_has_no_failure_of_its_own():
+    assert ads_failure(run_of(outcome=Outcome.COLLISION)) is None
+
+
+def test_an_ads_that_decides_too_slowly_fails_where_there_is_a_limit():
+    trace = run_of(max_decision_seconds=0.25).trace
+    assert ads_failure(Run(trace)) is None
+    failure = ads_failure(Run(trace, decision_limit=0.1))
+    assert failure == Failure(kind="SlowDecision", message="a decision took 0.250 s, allowed are 0.1 s")
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])
+def test_an_id_must_fit_into_file_names_and_node_ids(name):
+    with pytest.raises(ValueError, match="id: expected"):
+        plain_finding(id=name)
+
+
+@pytest.mark.parametrize("reason", ["", "  "])
+def test_a_reason_must_say_something(reason):
+    with pytest.raises(ValueError, match="xfail: expected a reason"):
+        plain_finding(xfail=reason)
+
+
+@pytest.mark.parametrize(
+    ("value", "place"),
+    [
+        (float("nan"), "world.a"),
+        (np.int64(3), "world.a"),
+        ((1, 2), "world.a"),
+        ([1, {"b": object()}], r"world.a\[1\].b"),
+        ({1: 2}, "world.a"),
+        ({"k" * 65: 2}, "world.a"),
+    ],
+)
+def test_a_world_must_be_plain_data(value, place):
+    with pytest.raises(ValueError, match=f"^{place}: expected"):
+        plain_finding(world={"a": value})
+
+
+def test_a_world_that_holds_itself_is_refused():
+    world = {}
+    world["self"] = world
+    with pytest.raises(ValueError, match="levels of nesting"):
+        plain_finding(world=world)
+
+
+def check(run):
+    assert run.min_ttc > 1.0, "too close"
+
+
+def caught(function, run=None):
+    with pytest.raises(Exception) as info:  # noqa: PT011
+        function(run)
+    return raised_failure(info.value, __file__)
+
+
+class Stub:
+    min_ttc = 0.3
+
+
+def test_a_failing_assertion_is_known_by_its_source():
+    failure = caught(check, Stub)
+    assert failure.kind == "AssertionError"
+    assert "too close" in failure.message
+    assert normalised(failure.assertion) == "run.min_ttc > N"
+
+
+def test_an_assertion_over_several_lines_is_known_as_a_whole():
+    def long_one(run):
+        assert (
+            run.min_ttc  # seconds
+            > 1.0
+        )
+
+    assert normalised(caught(long_one, Stub).assertion) == "run.min_ttc > N"
+
+
+def test_what_a_library_raises_is_known_by_the_line_of_the_test():
+    def library(_run):
+        np.testing.assert_allclose([1.0], [2.0])
+
+    def value_error(_run):
+        int("x")
+
+    assert normalised(caught(library).assertion) == "np.testing.assert_allclose([N], [N])"
+    assert normalised(caught(value_error).assertion) == "int('x')"
+
+
+def test_an_assertion_in_a_helper_is_known_by_its_source_or_else_by_the_call():
+    namespace = {}
+    exec(compile("def helper(run):\n    assert run.ok\n", "helper_without_source.py", "exec"), namespace)
+    through_helper = caught(lambda run: [namespace["helper"](run)], type("R", (), {"ok": False}))
+    assert "helper" in through_helper.assertion
+    assert normalised(caught(lambda run: [check(run)], Stub).assertion) == "run.min_ttc > N"
+
+
+def test_an_exception_without_a_traceback_has_its_message():
+    assert raised_failure(ValueError("no path"), __file__) == Failure(kind="ValueError", message="no path")
+
+
+def test_findings_are_equal_by_their_fields():
+    assert plain_finding() == plain_finding()
+    assert plain_finding() != replace(plain_finding(), xfail="known")

@@ -1,0 +1,119 @@
+from dataclasses import replace
+
+import pytest
+
+from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import AdsError, Outcome
+from tests.support.traces import collision_at, trace_of, vehicle
+
+VERSIONS = {"pytest-pafot": "0.1.0", "numpy": "2.4.6"}
+FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
+
+
+def run_of(**fields):
+    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(26.0, 4.0, speed=10.0, ticks=30)
+    return Run(trace_of(ego, npc, **fields))
+
+
+def crash(tick=30, **where):
+    return run_of(outcome=Outcome.COLLISION, collision=collision_at(tick, **where))
+
+
+def saved(run=None, failure=FAILS):
+    found = Found(seed=1, generation=0, algorithm="pafot", versions=VERSIONS)
+    return Finding.of(run or crash(), failure, test="t.py::test_it", world={}, found=found)
+
+
+FRONT = of_failure(crash(), FAILS)
+REAR = of_failure(crash(cell=Cell.REAR, side="rear"), FAILS)
+
+
+def test_a_signature_is_known_while_a_scenario_of_it_still_fails():
+    files = [Replayed(id="a", signature=FRONT, observed=None), Replayed(id="b", signature=FRONT, observed=FRONT)]
+    assert covered_by(FRONT, files) == "b"
+
+
+def test_a_signature_whose_files_all_pass_is_new_again():
+    files = [Replayed(id=name, signature=FRONT, observed=None) for name in "ab"]
+    assert covered_by(FRONT, files) is None
+
+
+@pytest.mark.parametrize("observed", [FRONT, REAR, None])
+def test_an_accepted_failure_covers_its_signature_whatever_its_file_does_now(observed):
+    assert covered_by(FRONT, [Replayed(id="a", signature=FRONT, observed=observed, xfailed=True)]) == "a"
+
+
+def test_another_signature_is_not_covered():
+    assert covered_by(REAR, [Replayed(id="a", signature=FRONT, observed=FRONT, xfailed=True)]) is None
+    assert covered_by(FRONT, []) is None
+
+
+def test_a_file_that_fails_in_another_way_covers_what_it_shows_now():
+    files = [Replayed(id="a", signature=FRONT, observed=REAR)]
+    assert covered_by(REAR, files) == "a"
+    assert covered_by(FRONT, files) is None
+
+
+def test_a_replay_says_what_it_saw():
+    finding = replace(saved(), xfail="issue 12")
+    assert Replayed.of(finding, crash(), FAILS) == Replayed(
+        id=finding.id, signature=FRONT, observed=FRONT, xfailed=True
+    )
+    assert Replayed.of(saved(), run_of(), None) == Replayed(id=saved().id, signature=FRONT, observed=None)
+
+
+def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
+    return replay_label(finding or saved(), run, failure, versions)
+
+
+@pytest.mark.parametrize("tick", [27, 30, 33])
+def test_the_same_event_within_a_fifth_of_a_second_is_still_failing(tick):
+    assert label(crash(tick)) == "still failing"
+
+
+def test_the_same_event_is_still_failing_under_other_versions_and_other_words():
+    assert label(crash(), versions={"numpy": "9.0"}) == "still failing"
+    assert label(crash(), Failure(kind="AssertionError", assertion="assert run.collision is None")) == "still failing"
+
+
+@pytest.mark.parametrize(
+    "run", [crash(26), crash(34), crash(npc=1), crash(cell=Cell.LEFT), crash(side="left"), run_of()]
+)
+def test_another_event_is_a_drift(run):
+    assert label(run) == "drifted"
+
+
+def test_another_exception_is_a_drift():
+    assert label(crash(), Failure(kind="TypeError", message="no")) == "drifted"
+
+
+def test_a_pass_under_the_same_versions_is_fixed():
+    assert label(run_of(), None) == "fixed"
+    assert label(run_of(), None, versions=VERSIONS | {"another": "1"}) == "fixed"
+
+
+@pytest.mark.parametrize("versions", [{}, VERSIONS | {"numpy": "9.0"}])
+def test_a_pass_under_other_versions_is_a_drift(versions):
+    assert label(run_of(), None, versions=versions) == "drifted"
+
+
+def test_a_pass_because_something_else_ended_the_run_is_a_drift():
+    assert label(crash(10, cell=Cell.REAR, side="rear"), None) == "drifted"
+    assert label(run_of(outcome=Outcome.INVALID), None) == "drifted"
+    error = AdsError(kind="ValueError", message="", traceback="", tick=6)
+    assert label(run_of(outcome=Outcome.ADS_ERROR, error=error), None) == "drifted"
+
+
+def test_a_pass_of_the_same_event_is_fixed_since_the_property_was_changed():
+    assert label(crash(), None) == "fixed"
+
+
+def test_a_property_that_is_no_collision_is_compared_at_its_worst_moment():
+    finding = saved(run_of(), Failure(kind="AssertionError", assertion="assert run.min_ttc > 1"))
+    assert label(run_of(), finding=finding) == "still failing"
+    assert label(run_of(), None, finding=finding) == "fixed"
+    assert label(crash(), finding=finding) == "drifted"

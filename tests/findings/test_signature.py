@@ -1,0 +1,147 @@
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, Signature, normalised, of_failure
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import AdsError, Outcome
+from tests.support.traces import collision_at, trace_of, vehicle
+
+COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision, run.explain()")
+
+
+def approaching(**fields):
+    return trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(40.0, 4.0, speed=10.0, ticks=30), **fields)
+
+
+def crash(**where):
+    return Run(approaching(outcome=Outcome.COLLISION, collision=collision_at(30, **where)))
+
+
+def test_a_collision_is_told_by_side_cell_and_responsibility():
+    assert of_failure(crash(cell=Cell.LEFT, side="left"), COLLIDES) == Signature(
+        failure="AssertionError",
+        assertion="not run.collision",
+        outcome=Outcome.COLLISION,
+        side="left",
+        cell=Cell.LEFT,
+        responsibility="npc",
+    )
+
+
+def test_any_other_failure_is_told_by_the_cell_at_the_worst_time_to_contact():
+    failure = Failure(kind="AssertionError", assertion="assert run.min_ttc > 1.0")
+    signature = of_failure(Run(approaching()), failure)
+    assert (signature.assertion, signature.outcome) == ("run.min_ttc > N", Outcome.SAFE)
+    assert (signature.side, signature.cell, signature.responsibility) == (None, Cell.FRONT, "none")
+
+
+def test_the_time_and_the_speeds_do_not_matter():
+    assert of_failure(crash(ego_speed=12.0), COLLIDES) == of_failure(crash(npc_speed=3.0), COLLIDES)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Signature)])
+def test_every_field_matters(name):
+    signature = of_failure(crash(), COLLIDES)
+    assert replace(signature, **{name: "other"}) != signature
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "assert run.min_ttc > 1.0",
+        "assert run.min_ttc > 2",
+        "assert run.min_ttc > -1e-3",
+        "assert (run.min_ttc>1.5), f'too close: {run.min_ttc}'",
+        "    assert (\n        run.min_ttc  # of the boxes\n        > 1.0\n    )",
+        "run.min_ttc > 1.0",
+    ],
+)
+def test_an_assertion_is_independent_of_layout_message_and_numbers(source):
+    assert normalised(source) == "run.min_ttc > N"
+
+
+def test_an_assertion_keeps_what_tells_it_from_another():
+    sources = ["not run.collision", "not run.off_road", "run.v2 > 1", "run.v3 > 1", "run.x == True", "run.x == 'a1'"]
+    assert len({normalised(source) for source in sources}) == len(sources)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("gap 0.31 m at <Run 0x7f01>", "gap 12 m at <Run 0xAB99>"),
+        ("no file /tmp/a1/b.csv", "no file /home/me/x/c.csv"),
+        ("no file C:\\a\\b.csv", "no file D:\\other\\c.csv"),
+        ("test_a.py:12 failed", "tests_b.py:9 failed"),
+        ("speed nan", "speed -inf"),
+        ("slow\nfirst detail", "slow\nother detail"),
+        ("  slow", "\n\nslow"),
+    ],
+)
+def test_a_message_is_independent_of_numbers_addresses_and_files(one, other):
+    assert normalised("", one) == normalised("", other) != ""
+
+
+def test_a_message_keeps_its_words():
+    assert normalised("", "lane 3 is closed") == "lane N is closed"
+    assert normalised("", "float64 has no v2") == "float64 has no v2"
+
+
+def test_the_message_stands_in_where_there_is_no_source():
+    assert normalised("", "assert 0.3 > 1.0\n + where") == "assert N > N"
+
+
+def test_source_that_cannot_be_parsed_is_normalised_as_text():
+    assert normalised("assert run.min_ttc > 1.0 and (") == "assert run.min_ttc > N and ("
+
+
+@given(st.text(max_size=400), st.text(max_size=400))
+def test_any_text_gives_one_printable_line_of_limited_length(assertion, message):
+    text = normalised(assertion, message)
+    assert len(text) <= 200
+    assert text == text.strip()
+    assert "\n" not in text
+
+
+@given(st.floats(0, 1e6), st.floats(0, 1e6))
+def test_numbers_never_make_a_difference(a, b):
+    assert normalised(f"run.gap > {a}") == normalised(f"run.gap > {b}")
+    assert normalised("", f"gap was {a}") == normalised("", f"gap was {b}")
+
+
+def slug(assertion="", kind="AssertionError", run=None):
+    return of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
+
+
+def test_a_slug_names_side_and_cell_of_a_collision():
+    assert of_failure(crash(), COLLIDES).slug == "front-2"
+    assert of_failure(crash(cell=Cell.REAR_LEFT, side="left"), COLLIDES).slug == "left-7"
+
+
+def test_a_slug_names_the_subject_of_another_assertion_and_the_worst_cell():
+    assert slug("assert run.min_ttc > 1.0") == "min-ttc-2"
+    assert slug("assert not run.off_road") == "off-road-2"
+    assert slug("", kind="SlowDecision") == "slowdecision-2"
+
+
+def test_a_slug_names_a_fault_of_the_ads():
+    error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
+    for outcome in (Outcome.ADS_ERROR, Outcome.HANG):
+        run = Run(approaching(outcome=outcome, error=error))
+        assert slug(kind="ValueError", run=run) == f"{outcome.replace('_', '-')}-2"
+
+
+def test_a_slug_has_no_cell_where_nothing_approached():
+    run = Run(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9)))
+    assert slug("assert run.hardest_brake < 3", run=run) == "hardest-brake"
+
+
+@given(st.text(max_size=80), st.text(max_size=80))
+def test_a_slug_is_short_and_safe_in_file_names(assertion, kind):
+    text = slug(assertion, kind)
+    assert 0 < len(text) <= 40
+    assert set(text) <= set("abcdefghijklmnopqrstuvwxyz0123456789-")
+    assert text == text.strip("-")

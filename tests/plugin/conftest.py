@@ -1,0 +1,92 @@
+"""A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
+
+from pathlib import Path
+
+import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
+import pytest
+
+import pytest_pafot.plugin.replaying
+import pytest_pafot.plugin.searcher
+import pytest_pafot.strategies  # noqa: F401
+import pytest_pafot.world.engine  # noqa: F401
+
+CONFTEST = """
+import pytest
+
+@pytest.fixture
+def ads():
+    return lambda: lambda observation: (0.0, 0.0)
+"""
+
+SHORT = "genes=2, gene_seconds=5"
+"""Marker arguments of ten-second scenarios."""
+
+
+class Project:
+    """A folder with tests, and what a session in it shows."""
+
+    def __init__(self, pytester):
+        self.pytester = pytester
+        self.path = pytester.path
+        pytester.makeconftest(CONFTEST)
+
+    def write(self, source, name="test_it"):
+        """A test file; `SHORT` in it stands for the arguments of short scenarios."""
+        text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
+        return self.pytester.makepyfile(**{name: text})
+
+    def run(self, *args, generations=1, seed=1, subprocess=False):
+        """A session; plugins that change its output are off unless asked for."""
+        quiet = [] if any("sugar" in str(arg) or "randomly" in str(arg) for arg in args) else ["no:sugar", "no:randomly"]
+        options = [part for name in quiet for part in ("-p", name)]
+        if generations is not None:
+            options.append(f"--pafot-generations={generations}")
+        if seed is not None:
+            options.append(f"--pafot-seed={seed}")
+        run = self.pytester.runpytest_subprocess if subprocess else self.pytester.runpytest_inprocess
+        return run(*options, *map(str, args))
+
+    @property
+    def files(self):
+        """All corpus files, relative to the project."""
+        found = sorted(self.path.rglob("*.pafot.yaml"))
+        return [path.relative_to(self.path).as_posix() for path in found]
+
+    @property
+    def contents(self):
+        """Of all corpus files."""
+        return {name: (self.path / name).read_text() for name in self.files}
+
+    @property
+    def only_file(self):
+        """The one corpus file."""
+        (name,) = self.files
+        return self.path / name
+
+    @property
+    def only_id(self):
+        """Its id."""
+        return self.only_file.name.removesuffix(".pafot.yaml")
+
+
+@pytest.fixture
+def project(pytester, monkeypatch):
+    for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", "PAFOT_SEED", "PAFOT_GENERATIONS", "PAFOT_PROFILE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
+    monkeypatch.setenv("COLUMNS", "200")
+    return Project(pytester)
+
+
+FAILING = """
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    assert run.duration < 1
+"""
+
+
+@pytest.fixture
+def failing(project):
+    """A project whose only test fails for every run, so that a search finds one failure at once."""
+    project.write(FAILING)
+    return project

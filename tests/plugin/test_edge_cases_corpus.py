@@ -1,0 +1,241 @@
+"""Edge cases 7, 9, 10, 15 and 17: files that are garbled, orphaned, read-only or taken."""
+
+import os
+import re
+
+import pytest
+
+GARBLED = {
+    "an unknown version": (r"^pafot: 1", "pafot: 99", "pafot"),
+    "an unknown key": (r"^scenario:", "colour: red\nscenario:", "colour"),
+    "a cell that is no ring neighbour": (r"cell: \d(, speed: [\d.]+\}.*\n.*cell: )\d", r"cell: 1\g<1>5", "cell"),
+    "cell 0": (r"cell: \d, speed", "cell: 0, speed", "cell"),
+    "cell 9": (r"cell: \d, speed", "cell: 9, speed", "cell"),
+    "a speed that is no number": (r"speed: [\d.]+\}", "speed: .nan}", "speed"),
+    "an empty chain": (r"  npcs:\n(    .*\n)+", "  npcs:\n    - []\n", "npcs"),
+    "an alias": (r"^test: .*", "test: &a x\nworld2: *a", ""),
+    "no YAML": (r"^pafot: 1", "pafot: [1", ""),
+    "nothing": (r"(?s).*", "", ""),
+    "too much": (r"(?s)\Z", "#" * 300_000, ""),
+}
+
+
+@pytest.mark.parametrize("fault", GARBLED)
+def test_a_garbled_file_is_one_failing_item_with_its_place(failing, fault):
+    failing.run()
+    pattern, replacement, field = GARBLED[fault]
+    text = failing.only_file.read_text()
+    garbled = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
+    assert garbled != text
+    failing.only_file.write_text(garbled)
+    failing.write("def test_other():\n    pass\n", name="test_other")
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    result.stdout.fnmatch_lines([f"*{failing.only_file.name}*{field}*expected *, received *"])
+
+
+def test_crlf_line_ends_are_accepted(failing):
+    failing.run()
+    failing.only_file.write_bytes(failing.only_file.read_bytes().replace(b"\n", b"\r\n"))
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replay: still failing"])
+
+
+def test_a_garbled_file_does_not_stop_the_search_of_its_item(failing):
+    failing.run()
+    failing.only_file.write_text("[")
+    result = failing.run()
+    assert result.parseoutcomes()["failed"] == 3
+    assert len(failing.files) == 2
+
+
+def test_a_deleted_file_is_found_again_under_its_name(failing):
+    failing.run()
+    first = failing.contents
+    failing.only_file.unlink()
+    failing.run().assert_outcomes(failed=2)
+    assert failing.contents == first
+
+
+def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(failing):
+    failing.run()
+    failing.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
+    result = failing.run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"])
+    assert failing.files
+
+
+def test_a_renamed_module_leaves_an_orphan(failing):
+    failing.run()
+    failing.write("def test_other():\n    pass\n", name="test_other")
+    (failing.path / "test_it.py").unlink()
+    failing.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
+
+
+def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
+    source = "class TestClass:\n    @pafot.search(SHORT, stop_after=1)\n    def test_fails(self, run):\n        assert not run\n"
+    project.write(source)
+    project.run()
+    project.write(source.replace("TestClass", "TestOther").replace("assert not run", "pass"))
+    assert "orphaned: 1" in project.run().stdout.str()
+    project.write(source.replace("test_fails", "test_renamed").replace("assert not run", "pass"))
+    assert "orphaned: 1" in project.run().stdout.str()
+
+
+def test_a_removed_parameter_leaves_an_orphan(project):
+    source = "@pytest.mark.parametrize('limit', [1, 2])\n@pafot.search(SHORT, stop_after=1)\ndef test_it(run, limit):\n    assert not limit\n"
+    project.write(source)
+    project.run()
+    project.write(source.replace("[1, 2]", "[2]"))
+    project.run(generations=0).stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"])
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [
+        ["-k", "other"],
+        ["test_it.py::test_other"],
+        ["test_it.py::TestOther"],
+        ["test_it.py::TestOther::test_method"],
+        ["-m", "not pafot"],
+        ["test_other.py"],
+        ["--deselect", "test_it.py::test_fails"],
+    ],
+    ids=" ".join,
+)
+def test_a_selection_makes_no_orphans(project, selection):
+    project.write(
+        """
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    assert not run
+
+def test_other():
+    pass
+
+class TestClass:
+    @pafot.search(SHORT, stop_after=1)
+    def test_fails(self, run):
+        assert not run
+
+class TestOther:
+    def test_method(self):
+        pass
+"""
+    )
+    project.write("def test_other():\n    pass\n", name="test_other")
+    project.run()
+    assert len(project.files) == 2
+    assert "orphaned:" not in project.run(*selection, generations=0).stdout.str()
+
+
+def test_a_skipped_test_is_no_orphan(failing):
+    failing.run()
+    source = (failing.path / "test_it.py").read_text()
+    (failing.path / "test_it.py").write_text(source.replace("def test_fails", "@pytest.mark.skip\ndef test_fails"))
+    assert "orphaned:" not in failing.run(generations=0).stdout.str()
+    (failing.path / "test_it.py").write_text(f"import pytest\npytest.skip('all', allow_module_level=True)\n{source}")
+    assert "orphaned:" not in failing.run(generations=0).stdout.str()
+
+
+def test_a_module_that_cannot_be_imported_makes_no_orphans(failing):
+    failing.run()
+    failing.write("import nothing_of_this_name\n")
+    assert "orphaned:" not in failing.run("--pafot-prune").stdout.str()
+    assert failing.files
+
+
+def test_prune_removes_orphans_and_nothing_else(project):
+    source = "@pafot.search(SHORT, stop_after=1)\ndef test_a(run):\n    assert not run\n"
+    project.write(source + source.replace("test_a", "test_b"))
+    project.run()
+    project.write(source)
+    result = project.run("--pafot-prune", generations=0)
+    result.stdout.fnmatch_lines(["removed: 1 saved scenario of no test in pafot_corpus/test_it/test_b"])
+    assert [name.split("/")[2] for name in project.files] == ["test_a"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders have no write permission on Windows")
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_checkout_loses_no_find(failing):
+    failing.path.chmod(0o555)
+    try:
+        result = failing.run("-p", "no:cacheprovider")
+    finally:
+        failing.path.chmod(0o755)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["not saved  *", "the file would be:", "  pafot: 1*"])
+
+
+def test_a_corpus_that_cannot_be_written_loses_no_find(failing):
+    (failing.path / "pafot_corpus").write_text("a file where the folder should be")
+    result = failing.run()
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["  not saved: *expected to write a finding*", "the file would be:", "  pafot: 1*"])
+
+
+def test_a_name_that_another_finding_has_taken_is_not_overwritten(failing):
+    failing.run()
+    text = failing.only_file.read_text().replace("AssertionError", "ValueError")
+    failing.only_file.write_text(text)
+    (failing.path / "test_it.py").write_text((failing.path / "test_it.py").read_text().replace("assert run.duration < 1", "assert run.duration < 1 or run.scenario.seed"))
+    failing.run()
+    assert text in failing.contents.values()
+
+
+def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(project):
+    project.write(
+        """
+import os
+
+@pafot.search(SHORT)
+def test_dies(run):
+    if os.environ.get("DIE"):
+        os._exit(9)
+"""
+    )
+    project.pytester._monkeypatch.setenv("DIE", "1")
+    assert project.run(subprocess=True).ret == 9
+    assert project.files == []
+    project.pytester._monkeypatch.delenv("DIE")
+    result = project.run()
+    result.assert_outcomes(failed=2)
+    assert project.only_id.startswith("crash-")
+    result.stdout.fnmatch_lines(["*died while it ran this scenario*"])
+    # Reported once: from now on the file speaks for itself.
+    result = project.run()
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*1 fixed"])
+
+
+def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
+    project.write("import os\n\n@pafot.search(SHORT)\ndef test_dies(run):\n    os.environ.get('DIE') and os._exit(9)\n")
+    project.pytester._monkeypatch.setenv("DIE", "1")
+    project.run(subprocess=True)
+    project.pytester._monkeypatch.delenv("DIE")
+    project.run(generations=0).assert_outcomes(failed=2)
+
+
+def test_a_scenario_that_kills_every_process_ends_one_session_and_not_all(project):
+    project.write("import os\n\n@pafot.search(SHORT)\ndef test_dies(run):\n    os._exit(9)\n")
+    project.run(subprocess=True)
+    project.run(generations=0).assert_outcomes(failed=2)
+    assert project.run(generations=0, subprocess=True).ret == 9
+    result = project.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines([f"not run: 2 processes have died in this scenario*pytest {project.files[0]}"])
+    assert project.run(project.files[0], subprocess=True).ret == 9
+
+
+def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
+    failing.run()
+    source = (failing.path / "test_it.py").read_text()
+    (failing.path / "test_it.py").write_text(source.replace("    assert", "    import os; os._exit(9)\n    assert"))
+    assert failing.run(generations=0, subprocess=True).ret == 9
+    (failing.path / "test_it.py").write_text(source)
+    for _ in range(2):
+        result = failing.run(generations=0)
+        result.assert_outcomes(failed=1, skipped=1)
+        result.stdout.fnmatch_lines(["replay: still failing"])

@@ -1,0 +1,287 @@
+"""Edge cases 1 to 5: what kind of function is marked, and what it raises."""
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.plugin.marks import Rejected
+
+
+def test_an_async_test_is_refused_and_not_passed_without_being_awaited(project):
+    project.write("@pafot.search\nasync def test_async(run):\n    assert False\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*expected a plain function, received an async one*write `def`*"])
+
+
+def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project):
+    project.write("@pafot.search(SHORT)\ndef test_returns(run):\n    return run.min_ttc > 1\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*expected the test function to assert*write `assert ...`*"])
+    assert project.files == []
+
+
+def test_a_method_of_unittest_testcase_is_refused(project):
+    project.write(
+        """
+import unittest
+
+class TestCase(unittest.TestCase):
+    @pafot.search
+    def test_method(self):
+        pass
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*received a method of the unittest.TestCase TestCase*"])
+
+
+def test_a_missing_parameter_is_one_clear_error_and_others_run(project):
+    project.write("@pafot.search\ndef test_nothing():\n    pass\n\ndef test_other():\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1, passed=1)
+    result.stdout.fnmatch_lines(["test_nothing: expected a parameter 'run'*name it, as in `def test_nothing(run)`"])
+
+
+def test_a_misspelt_arg_is_one_clear_error_and_not_a_missing_fixture(project):
+    project.write('@pafot.search(arg="rnu")\ndef test_misspelt(run):\n    pass\n')
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)"])
+
+
+def test_arg_renames_the_parameter_also_where_it_is_keyword_only(project):
+    project.write('@pafot.search(SHORT, arg="drive")\ndef test_renamed(*, drive):\n    assert drive.duration > 0\n')
+    project.run().assert_outcomes(passed=1)
+
+
+def test_a_parameter_that_is_parametrised_already_is_one_clear_error(project):
+    project.write('@pytest.mark.parametrize("run", [1, 2])\n@pafot.search\ndef test_double(run):\n    pass\n')
+    result = project.run()
+    result.assert_outcomes(errors=2)
+    result.stdout.fnmatch_lines(["*expected the parameter 'run' to be free for the simulated run*"])
+
+
+def test_the_decorator_works_bare_called_and_on_classes(project):
+    project.write(
+        """
+@pafot.search()
+def test_called(run):
+    assert run.duration > 0
+
+@pafot.search(generations=1)
+class TestClass:
+    def test_method(self, run):
+        assert run.duration > 0
+
+    @pafot.search(SHORT)
+    def test_own_arguments(self, run):
+        assert run.scenario.genes == 2
+"""
+    )
+    project.run().assert_outcomes(passed=3)
+
+
+def test_a_method_has_its_own_files(project):
+    project.write("class TestClass:\n    @pafot.search(SHORT, stop_after=1)\n    def test_fails(self, run):\n        assert not run\n")
+    project.run().assert_outcomes(failed=2)
+    assert "TestClass.test_fails" in project.files[0]
+    result = project.run("-v", generations=0)
+    result.stdout.fnmatch_lines([f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"])
+
+
+@pytest.mark.parametrize("order", ["@given(number=st.integers())\n@pafot.search", "@pafot.search\n@given(number=st.integers())"])
+def test_given_and_search_on_one_function_are_refused(project, order):
+    project.write(f"from hypothesis import given, strategies as st\n\n{order}\ndef test_both(run, number):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*expected @pafot.search or @given, received both*pafot_simulate*"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("colour='red'", "*(colour=...): expected one of *received 'colour'*"),
+        ("5", "*expected keyword arguments only, received (5,)*"),
+        ("prune=True", "*this concerns the whole session; give --pafot-prune on the command line*"),
+        ("blame='npc'", "*(blame=...): expected any or ego, received 'npc'*"),
+        ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
+        ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
+        ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
+        ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
+        ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
+        ("algorithm='magic'", "*(algorithm=...): expected pafot or random, received 'magic'*"),
+    ],
+)
+def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project, arguments, message):
+    project.write(
+        f"""
+@pytest.fixture
+def ads():
+    raise RuntimeError("set up")
+
+@pafot.search({arguments})
+def test_wrong(run):
+    pass
+
+def test_other():
+    pass
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(errors=1, passed=1)
+    result.stdout.fnmatch_lines([message])
+    assert "set up" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
+        ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
+        ("ego_lane='left'", "*ego_lane*"),
+        ("ego_lane=7", "*ego_lane*"),
+        ("fitness='best'", "*(fitness=...): *'best'*"),
+        ("fitness=lambda trace: 'high'", "*fitness: expected *"),
+    ],
+)
+def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(project, arguments, message):
+    project.write(f"@pafot.search({arguments})\ndef test_wrong(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([message])
+
+
+def test_a_missing_ads_fixture_says_what_to_write(project):
+    project.pytester.makeconftest("")
+    project.write("@pafot.search\ndef test_drive(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*the fixture 'ads' that gives the ADS factory was not found*", "*    def ads():"])
+
+
+def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):
+    project.write("@pytest.fixture\ndef ads():\n    return 'planner'\n\n@pafot.search\ndef test_drive(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*expected the fixture 'ads' to give a factory*received 'planner'*"])
+
+
+def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):
+    project.write("def broken():\n    return 1 / 0\n\n@pafot.search(ads=broken)\ndef test_drive(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["E*ZeroDivisionError*"])
+    assert project.files == []
+
+
+def test_a_raw_mark_says_which_decorator_to_use(project):
+    project.write("@pytest.mark.pafot_search\ndef test_raw(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*mark it with @pafot.search(...)*"])
+
+
+def test_skip_inside_a_scenario_does_not_hide_finds(project):
+    project.write(
+        """
+seen = []
+
+@pafot.search(SHORT)
+def test_skips_later(run):
+    seen.append(run)
+    if len(seen) > 2:
+        pytest.skip("no more")
+    assert run.scenario.id == ""
+"""
+    )
+    result = project.run()
+    assert result.parseoutcomes()["failed"] == 1 + len(project.files)
+    assert project.files
+    result.stdout.fnmatch_lines(["*2 skipped*"])
+
+
+def test_a_test_that_skips_every_scenario_is_skipped_with_its_reason(project):
+    project.write("@pafot.search(SHORT)\ndef test_skips(run):\n    pytest.skip('not today')\n")
+    result = project.run("-rs")
+    result.assert_outcomes(skipped=1)
+    result.stdout.fnmatch_lines(["SKIPPED*not today"])
+
+
+def test_rejected_scenarios_are_counted_and_found_nothing(project):
+    project.write("@pafot.search(SHORT)\ndef test_rejects(run):\n    if run.scenario.seed % 2:\n        pafot.reject()\n")
+    result = project.run(generations=3)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["*rejected*"])
+
+
+def test_reject_outside_of_a_search_says_where_it_belongs():
+    with pytest.raises(Rejected, match=r"discards a scenario of a @pafot.search test"):
+        pafot.reject()
+
+
+def test_pytest_fail_inside_a_scenario_is_a_find(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    pytest.fail('too close')\n")
+    project.run().assert_outcomes(failed=2)
+    assert "failure: Failed" in project.only_file.read_text()
+
+
+def test_a_timeout_is_no_find_and_keeps_the_finds_before_it(project):
+    project.write(
+        """
+import time
+seen = []
+
+@pytest.mark.timeout(1, method="signal")
+@pafot.search(SHORT)
+def test_hangs(run):
+    seen.append(run)
+    if len(seen) > 1:
+        time.sleep(30)
+    assert run.scenario.id == ""
+"""
+    )
+    result = project.run(generations=5)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
+
+
+def test_an_interrupt_keeps_and_reports_the_finds_before_it(project):
+    project.write(
+        """
+seen = []
+
+@pafot.search(SHORT)
+def test_interrupted(run):
+    seen.append(run)
+    if len(seen) > 1:
+        raise KeyboardInterrupt
+    assert run.scenario.id == ""
+"""
+    )
+    result = project.run("--junitxml=junit.xml", subprocess=True)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert f'name="test_interrupted[saved-{project.only_id}]"' in (project.path / "junit.xml").read_text()
+    result.stdout.fnmatch_lines([f"pafot: found test_it.py::test_interrupted[[]saved-{project.only_id}[]]", "*interrupted"])
+
+
+def test_an_interrupt_in_the_simulation_keeps_the_finds_too(project):
+    project.write(
+        """
+made = []
+
+def ads():
+    made.append(1)
+    if len(made) > 3:
+        raise KeyboardInterrupt
+    return lambda observation: (0.0, 0.0)
+
+@pafot.search(SHORT, ads=ads)
+def test_interrupted(run):
+    assert run.scenario.id == ""
+"""
+    )
+    result = project.run(subprocess=True)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert project.files

@@ -1,0 +1,170 @@
+"""Edge cases 13 and 14: other plugins, and pytest's own ways to stop early or to run nothing."""
+
+import pytest
+
+TWO = """
+@pafot.search(SHORT, stop_after=1)
+def test_first(run):
+    assert run.scenario.id == ""
+
+@pafot.search(SHORT, stop_after=1)
+def test_second(run):
+    assert run.scenario.id == ""
+"""
+
+MANY = """
+@pafot.search(SHORT)
+def test_many(run):
+    assert run.scenario.id == ""
+"""
+
+COUNTED = """
+@pafot.search(SHORT)
+def test_counted(run):
+    with open("runs.txt", "a") as file:
+        file.write("run\\n")
+    assert run.scenario.id == ""
+"""
+
+
+def runs(project):
+    path = project.path / "runs.txt"
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+@pytest.mark.parametrize("plugin", ["no:terminal", "no:cacheprovider", "no:capture", "no:junitxml", "no:logging", "no:xdist"])
+def test_without_one_of_pytests_plugins_finds_are_still_saved_and_failed(failing, plugin):
+    result = failing.run("-p", plugin)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    assert len(failing.files) == 1
+
+
+@pytest.mark.parametrize("plugin", ["sugar", "randomly", "rerunfailures", "timeout", "html", "cov"])
+def test_with_another_plugin_finds_are_reported_once(failing, plugin):
+    options = {
+        "sugar": ["-p", "no:randomly", "--force-sugar"],
+        "randomly": ["-p", "no:sugar"],
+        "rerunfailures": ["--reruns=1"],
+        "timeout": ["--timeout=60"],
+        "html": ["--html=report.html", "--self-contained-html"],
+        "cov": ["--cov=test_it", "--cov-report="],
+    }
+    pytest.importorskip(f"pytest_{plugin}")
+    result = failing.run(*options[plugin], "--junitxml=junit.xml", "-rA", subprocess=plugin in ("cov", "html"))
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    name = f"test_fails[saved-{failing.only_id}]"
+    assert (failing.path / "junit.xml").read_text().count(f'name="{name}"') == 1
+    if plugin == "html":
+        assert (failing.path / "report.html").read_text().count(f"::{name}") >= 1
+
+
+@pytest.mark.parametrize("family", ["xunit1", "xunit2"])
+def test_junit_has_a_case_for_the_search_and_each_find(project, family):
+    project.write(MANY)
+    project.run("--junitxml=junit.xml", "-o", f"junit_family={family}")
+    text = (project.path / "junit.xml").read_text()
+    assert text.count("<testcase ") == 1 + len(project.files)
+    assert text.count("<failure ") == 1 + len(project.files)
+
+
+@pytest.mark.parametrize("option", ["-x", "--maxfail=1"])
+def test_a_search_stops_at_the_first_find_when_the_session_stops_at_the_first_failure(project, option):
+    project.write(TWO.replace(", stop_after=1", ""))
+    result = project.run(option, generations=5)
+    assert len(project.files) == 1
+    result.assert_outcomes(failed=2)
+    assert "test_second" not in result.stdout.str()
+
+
+def test_maxfail_of_more_than_one_lets_a_search_go_on(project):
+    project.write(MANY)
+    project.run("--maxfail=9")
+    assert len(project.files) > 1
+
+
+def test_pdb_stands_in_the_test_function_at_the_first_find(project):
+    project.write(MANY)
+    project.pytester.makeconftest(
+        """
+import pytest
+
+@pytest.fixture
+def ads():
+    return lambda: lambda observation: (0.0, 0.0)
+
+def pytest_exception_interact(node, call, report):
+    frame = call.excinfo.traceback[-1]
+    print("STANDS IN", node.name, frame.name, flush=True)
+"""
+    )
+    result = project.run("--pdb", "--pdbcls=nothing:Pdb", "-s", subprocess=True)
+    result.stdout.fnmatch_lines(["*STANDS IN test_many[[]search[]] test_many"])
+    assert len(project.files) == 1
+
+
+def test_collect_only_lists_the_items_and_simulates_nothing(project):
+    project.write(COUNTED)
+    project.run("-x")
+    before = runs(project)
+    result = project.run("--collect-only", "-q")
+    result.stdout.fnmatch_lines(["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"])
+    assert runs(project) == before
+
+
+def test_setup_plan_simulates_nothing(project):
+    project.write(COUNTED)
+    result = project.run("--setup-plan")
+    assert result.ret == pytest.ExitCode.OK
+    assert runs(project) == 0
+
+
+def test_last_failed_runs_the_finds_and_not_the_search_that_found_them(failing):
+    failing.run()
+    result = failing.run("--lf", "-v")
+    result.assert_outcomes(failed=1, deselected=1)
+    result.stdout.fnmatch_lines([f"*saved-{failing.only_id}[]] FAILED*"])
+
+
+def test_last_failed_runs_a_search_whose_finds_are_no_items(failing):
+    failing.run("--pafot-save=none")
+    failing.run("--lf", "--pafot-save=none").assert_outcomes(failed=2)
+
+
+def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
+    failing.run()
+    failing.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run\n")
+    failing.run("--lf").assert_outcomes(passed=1, deselected=1)
+    failing.run("--lf").assert_outcomes(passed=1, deselected=1)
+    failing.run("--lf").assert_outcomes(passed=2)
+
+
+def test_stepwise_goes_on_at_the_find(project):
+    project.write(TWO)
+    project.run("--sw")
+    assert len(project.files) == 1
+    result = project.run("--sw", "-v")
+    result.stdout.fnmatch_lines([f"*saved-{project.only_id}[]] FAILED*"])
+
+
+def test_an_xfail_mark_of_the_function_covers_its_search_and_its_finds(project):
+    project.write("@pytest.mark.xfail(reason='known')\n" + MANY.strip() + "\n")
+    result = project.run()
+    assert result.ret == pytest.ExitCode.OK
+    result.assert_outcomes(xfailed=1 + len(project.files))
+
+
+def test_the_marks_select_and_deselect_under_strict_markers(failing):
+    failing.write("def test_other():\n    pass\n", name="test_other")
+    failing.run("--strict-markers", "-m", "pafot").assert_outcomes(failed=2, deselected=1)
+    failing.run("--strict-markers", "-m", "pafot_saved").assert_outcomes(failed=1, deselected=2)
+    failing.run("--strict-markers", "-m", "not pafot").assert_outcomes(passed=1, deselected=2)
+
+
+def test_durations_and_captured_output_know_nothing_of_messages(failing):
+    result = failing.run("--durations=0", "-vv", "-rA")
+    assert " pafot  " not in result.stdout.str().replace("=", " ").partition("slowest durations")[2].partition("short test")[0]
+
+
+def test_a_log_gets_a_line_of_progress_every_ten_seconds_and_not_more(project):
+    project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
+    assert "generations, " not in project.run(generations=3).stdout.str().partition("pafot ====")[0]

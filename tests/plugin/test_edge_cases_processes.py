@@ -1,0 +1,107 @@
+"""Edge cases 6 and 11, and what must not depend on processes: workers, kills, hash seeds."""
+
+import pytest
+
+pytest.importorskip("xdist")
+
+TWO = """
+@pafot.search(SHORT)
+def test_first(run):
+    assert run.scenario.id == ""
+
+@pafot.search(SHORT)
+def test_second(run):
+    assert run.scenario.id == ""
+"""
+
+
+def forget(project):
+    for name in project.files:
+        (project.path / name).unlink()
+
+
+def test_workers_find_save_and_report_the_same_as_one_process(project):
+    project.write(TWO)
+    project.run(generations=2)
+    serial = project.contents
+    forget(project)
+    result = project.run("-n2", "-v", "--junitxml=junit.xml", generations=2)
+    assert project.contents == serial
+    result.assert_outcomes(failed=2 + len(serial))
+    text = (project.path / "junit.xml").read_text()
+    for name in serial:
+        test, file = name.split("/")[2:]
+        assert text.count(f'name="{test}[saved-{file.removesuffix(".pafot.yaml")}]"') == 1
+
+
+def test_workers_replay_and_label(project):
+    project.write(TWO)
+    project.run("-x")
+    result = project.run("-n2", generations=0)
+    result.assert_outcomes(failed=1, skipped=2)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_workers_use_one_fresh_base_seed(project):
+    project.write(TWO.replace('run.scenario.id == ""', "run"))
+    output = project.run("-n2", seed=None).stdout.str()
+    seeds = {part.split(",")[0] for part in output.split("--pafot-seed=")[1:]}
+    assert len(seeds) == 1
+
+
+def test_workers_report_orphans_once_and_prune_them(project):
+    project.write(TWO)
+    project.run("-x")
+    project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
+    result = project.run("-n2", "--pafot-prune", generations=0)
+    assert result.stdout.str().count("of no test in pafot_corpus/test_it/test_first") == 1
+    assert project.files == []
+
+
+def test_a_worker_that_dies_loses_no_find_and_its_replacement_collects_the_same(project):
+    project.write(
+        """
+import os
+seen = []
+
+@pafot.search(SHORT)
+def test_dies(run):
+    seen.append(run)
+    if len(seen) > 1 and os.environ.get("PYTEST_XDIST_WORKER"):
+        os._exit(9)
+    assert run.scenario.id == ""
+
+@pytest.mark.parametrize("number", range(6))
+def test_ordinary(number):
+    pass
+"""
+    )
+    result = project.run("-n1", "-v")
+    assert result.parseoutcomes()["passed"] == 6
+    found = next(name for name in project.files if "crash" not in name)
+    id_ = found.rpartition("/")[2].removesuffix(".pafot.yaml")
+    result.stdout.fnmatch_lines([f"FAILED test_it.py::test_dies[[]saved-{id_}[]]*"])
+    assert "Different tests were collected" not in result.stdout.str()
+    result.stdout.fnmatch_lines(["*ended before its time*"])
+
+
+def test_the_hash_seed_changes_nothing(project, monkeypatch):
+    project.write(TWO)
+    contents = []
+    for hash_seed in ("0", "1"):
+        monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
+        project.run(subprocess=True)
+        contents.append(project.contents)
+        forget(project)
+    assert contents[0] == contents[1]
+    assert contents[0]
+
+
+def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
+    project.write(TWO)
+    result = project.run("--dist=each", "--tx=2*popen")
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    names = [name.rpartition("/")[2] for name in project.files]
+    forget(project)
+    project.run()
+    assert names == [name.rpartition("/")[2] for name in project.files]

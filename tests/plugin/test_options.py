@@ -1,0 +1,117 @@
+"""Options: one table, four sources, one precedence."""
+
+import pytest
+
+from pytest_pafot.plugin.marks import SearchArguments
+from pytest_pafot.plugin.options import OPTIONS, OptionError, is_ci, resolve
+from pytest_pafot.plugin.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
+
+
+def settings(project, *args, ini="", marker=None, environ=None):
+    """The settings of a config that is made from these sources."""
+    if ini:
+        project.pytester.makeini(f"[pytest]\n{ini}")
+    config = project.pytester.parseconfigure("-p", "no:randomly", *args)
+    return resolve(config, marker or {}, fresh_seed=77, environ=environ or {})
+
+
+def test_locally_a_search_is_small_and_its_seed_fresh(project):
+    local = settings(project)
+    assert (local.profile, local.generations, local.population, local.seed) == ("local", 10, 4, 77)
+
+
+def test_under_ci_a_search_is_large_and_its_seed_fixed(project):
+    ci = settings(project, environ={"CI": "true"})
+    assert (ci.profile, ci.generations, ci.seed) == ("ci", 100, 0)
+
+
+@pytest.mark.parametrize(("value", "expected"), [("true", True), ("1", True), ("", False), ("0", False), ("false", False)])
+def test_ci_is_set_by_anything_but_an_empty_or_negative_word(value, expected):
+    assert is_ci({"CI": value}) is expected
+
+
+def test_the_command_line_wins_over_the_marker(project):
+    assert settings(project, "--pafot-generations=1", marker={"generations": 2}).generations == 1
+
+
+def test_the_marker_wins_over_the_environment(project):
+    assert settings(project, marker={"generations": 2}, environ={"PAFOT_GENERATIONS": "3"}).generations == 2
+
+
+def test_the_environment_wins_over_a_named_profile(project):
+    assert settings(project, "--pafot-profile=ci", environ={"PAFOT_GENERATIONS": "3"}).generations == 3
+
+
+def test_a_named_profile_wins_over_the_ini_file(project):
+    assert settings(project, "--pafot-profile=ci", ini="pafot_generations = 5").generations == 100
+
+
+def test_the_ini_file_wins_over_the_automatic_profile(project):
+    assert settings(project, ini="pafot_generations = 5", environ={"CI": "1"}).generations == 5
+
+
+@pytest.mark.parametrize("source", ["marker", "environ", "ini"])
+def test_a_profile_may_be_named_anywhere(project, source):
+    named = {"marker": {"profile": "ci"}, "environ": {"PAFOT_PROFILE": "ci"}, "ini": "pafot_profile = ci"}
+    assert settings(project, **{source: named[source]}).generations == 100
+
+
+@pytest.mark.parametrize("option", [option for option in OPTIONS if option.everywhere], ids=lambda option: option.name)
+def test_every_option_is_an_ini_key_a_variable_and_a_marker_argument(project, option):
+    text = {"integer": "7", "seconds": "7", "text": option.choices[-1] if option.choices else "x", "switch": "true"}
+    expected = option.read(text[option.kind])
+    for source in (
+        {"ini": f"{option.key} = {text[option.kind]}"},
+        {"environ": {option.variable: text[option.kind]}},
+        {"marker": {option.name: expected}},
+    ):
+        assert getattr(settings(project, **source), option.name) == expected
+
+
+def test_native_toml_takes_native_types(project):
+    project.pytester.makefile(".toml", pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n")
+    found = settings(project)
+    assert (found.generations, found.max_time, found.strict_drift) == (3, 60.0, True)
+
+
+@pytest.mark.parametrize(
+    ("source", "place"),
+    [
+        ({"marker": {"generations": -1}}, r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1"),
+        ({"marker": {"population": 1}}, "at least 2, received 1"),
+        ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
+        ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
+        ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),
+        ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
+        ({"ini": "pafot_generations = many"}, "ini key pafot_generations: .*many"),
+    ],
+)
+def test_a_wrong_value_names_its_place_what_was_expected_and_received(project, source, place):
+    with pytest.raises(OptionError, match=place):
+        settings(project, **source)
+
+
+def test_a_wrong_value_on_the_command_line_is_a_usage_error(project):
+    project.write("def test_ordinary():\n    pass\n")
+    result = project.run("--pafot-population=one", generations=None)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--pafot-population: expected a whole number, at least 2, received 'one'*"])
+
+
+def test_a_wrong_value_elsewhere_fails_the_marked_items_alone(project):
+    project.pytester.makeini("[pytest]\npafot_algorithm = magic\n")
+    project.write("@pafot.search\ndef test_marked(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1, passed=1)
+    result.stdout.fnmatch_lines(["ini key pafot_algorithm: expected pafot or random, received 'magic'"])
+
+
+def test_the_decorators_arguments_are_those_of_the_table_and_the_rest_of_the_design():
+    own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS}
+    assert set(SearchArguments.__annotations__) == own | {option.name for option in OPTIONS if option.everywhere}
+
+
+def test_every_option_is_in_the_help(project):
+    result = project.run("--help", generations=None, seed=None)
+    for option in OPTIONS:
+        assert option.flag in result.stdout.str()

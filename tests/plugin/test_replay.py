@@ -1,0 +1,142 @@
+"""Replays: labels, drift, xfail, and when a failure is new again."""
+
+import pytest
+
+KNOWN = """
+@pafot.search(SHORT, npcs=1)
+def test_fails(run):
+    if run.event_cell != 6:
+        pafot.reject()
+    LINE
+"""
+"""All failures of this have one signature."""
+
+FAILS = KNOWN.replace("LINE", "assert run.outcome == 'x'")
+PASSES = KNOWN.replace("LINE", "assert run.outcome")
+
+
+@pytest.fixture
+def saved(project):
+    """A project with one saved scenario, whose search finds nothing but that."""
+    project.write(FAILS)
+    project.run()
+    project.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    return project
+
+
+def edited(project, old, new):
+    text = project.only_file.read_text()
+    assert old in text
+    project.only_file.write_text(text.replace(old, new))
+
+
+def test_a_saved_scenario_that_passes_is_called_fixed_and_kept(saved):
+    before = saved.contents
+    saved.write(PASSES)
+    result = saved.run("-v", generations=0)
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*saved-* PASSED (fixed)*", "replayed 1 saved scenario: 1 fixed"])
+    assert saved.contents == before
+
+
+def test_a_saved_scenario_that_fails_as_before_is_still_failing(saved):
+    saved.run(generations=0).stdout.fnmatch_lines(["replay: still failing", "replayed 1 saved scenario: 1 still failing"])
+
+
+def test_a_search_counts_a_known_failure_and_passes(saved):
+    before = saved.contents
+    result = saved.run()
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+    assert saved.contents == before
+
+
+def test_a_rediscovered_scenario_is_known(saved):
+    found_again = saved.run(generations=3).stdout.str()
+    assert "new finding" not in found_again
+    assert len(saved.files) == 1
+
+
+def test_an_xfailed_file_lets_the_session_pass_and_its_failure_is_known(saved):
+    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    result = saved.run()
+    assert result.ret == 0
+    result.assert_outcomes(passed=1, xfailed=1)
+    result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
+
+
+def test_an_xfailed_file_that_passes_fails_and_asks_for_the_removal_of_the_line(saved):
+    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    saved.write(PASSES)
+    result = saved.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["[[]XPASS(strict)] planner issue 12", f"fixed: remove the line `xfail:` from {saved.files[0]}"])
+
+
+def test_a_failure_whose_files_all_pass_is_new_again_and_gets_its_own_file(saved):
+    first = saved.only_id
+    # The same assertion fails in the same way, but no longer for the scenario that is saved.
+    saved.write(FAILS.replace("!= 6:", f"!= 6 or run.scenario.id == '{first[-6:]}':"))
+    result = saved.run(generations=5)
+    result.stdout.fnmatch_lines(["1 new finding in *"])
+    assert len(saved.files) == 2
+    assert any(first in name for name in saved.files)
+
+
+def test_a_passing_replay_under_other_versions_is_drifted_and_fails_only_when_asked(saved):
+    edited(saved, "highway-env: ", "highway-env: 0.")
+    saved.write(PASSES)
+    result = saved.run("-v", generations=0)
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env 0.* then, * now"])
+    saved.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
+
+
+def test_a_replay_that_fails_at_another_time_is_drifted_and_fails(saved):
+    text = saved.only_file.read_text()
+    head, _, tail = text.partition("time: ")
+    saved.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
+    result = saved.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replay: drifted, * at 99.5 s in the file, *"])
+
+
+def test_a_replay_uses_the_world_of_the_file(saved):
+    edited(saved, "lanes: 4", "lanes: 3")
+    saved.write(PASSES.replace("assert run.outcome", "assert len(run.trace.lanes) == 3"))
+    saved.run(generations=0).assert_outcomes(passed=1, skipped=1)
+
+
+def test_a_world_that_cannot_be_built_is_one_failing_item(saved):
+    edited(saved, "lanes: 4", "lanes: 40")
+    result = saved.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines([f"*{saved.only_file.name}: lanes: expected *received 40*"])
+
+
+def test_a_rejected_replay_is_skipped_and_not_green(saved):
+    saved.write(PASSES.replace("!= 6", "== 6"))
+    saved.run(generations=0).assert_outcomes(skipped=2)
+
+
+def test_a_flaky_replay_is_never_called_fixed(project):
+    project.write(
+        """
+calls = []
+
+def flaky():
+    calls.append(1)
+    brake = -3.0 if len(calls) % 2 else 0.0
+    return lambda observation: (brake, 0.0)
+
+@pafot.search(SHORT, ads=flaky, stop_after=1)
+def test_brakes(run):
+    assert run.hardest_brake < 1
+"""
+    )
+    result = project.run()
+    result.stdout.fnmatch_lines(["*flaky: running it again gave another run*"])
+    project.write((project.path / "test_it.py").read_text().replace("if len(calls) % 2", "if len(calls) % 2 == 0"))
+    result = project.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])

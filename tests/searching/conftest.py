@@ -1,0 +1,135 @@
+"""What the tests of the search share: evaluations by hand, a cheap world, and exact bounds of a rate."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from pytest_pafot.grid import Cell, repair_gene, ring_distance, toss
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.trace import Outcome
+
+
+def _evaluation(scenario=None, **fields):
+    scenario = scenario or Scenario(npcs=((PositionInstruction(4, 10.0),),))
+    known = {
+        "scenario": scenario,
+        "executed": scenario,
+        "fitness": 0.0,
+        "failing": False,
+        "outcome": Outcome.SAFE,
+        "duration": 60.0,
+        "genes_started": sum(map(len, scenario.npcs)),
+        "genes_reached": sum(map(len, scenario.npcs)),
+        "interaction": True,
+    }
+    return Evaluation(**(known | fields))
+
+
+@pytest.fixture(scope="session")
+def make_evaluation():
+    """A safe, valid evaluation of fitness 0 but for the fields given."""
+    return _evaluation
+
+
+@pytest.fixture(scope="session")
+def make_population():
+    """Evaluations of random scenarios whose seeds are 0, 1, 2, ...; the last is the fittest."""
+
+    def population(size=4, npcs=2, genes=6):
+        rng = np.random.default_rng(0)
+        space = SearchSpace(npcs=npcs, genes=genes)
+        scenarios = [sample(space, rng) for _ in range(size)]
+        return tuple(
+            _evaluation(Scenario(npcs=scenario.npcs, seed=seed), fitness=float(seed))
+            for seed, scenario in enumerate(scenarios)
+        )
+
+    return population
+
+
+def _binomial_tail(successes, trials, rate):
+    """The smaller one of P(X <= successes) and P(X >= successes)."""
+
+    def log_mass(k):
+        ways = math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1)
+        return ways + k * math.log(rate) + (trials - k) * math.log1p(-rate)
+
+    below = math.fsum(math.exp(log_mass(k)) for k in range(successes + 1))
+    above = math.fsum(math.exp(log_mass(k)) for k in range(successes, trials + 1))
+    return min(below, above)
+
+
+@pytest.fixture(scope="session")
+def assert_rate():
+    """Refuse a count that a binomial distribution of the rate gives with a probability below 1e-4."""
+
+    def check(successes, trials, rate):
+        assert _binomial_tail(successes, trials, rate) > 0.5e-4, f"{successes} of {trials} is not a rate of {rate}"
+
+    return check
+
+
+@dataclass
+class CheapWorld:
+    """Runs of a few microseconds that obey the contract of a real one.
+
+    The left lane is missing, so that repair inside the run happens. The run ends with a collision in the first
+    gene in which some NPC drives faster than ``crash_speed`` in cell 2. Everything in the evaluation depends on
+    the driven genes alone.
+    """
+
+    crash_speed: float = 22.0
+    genes: int = 6
+
+    def __post_init__(self):
+        self.simulated = []
+
+    def __call__(self, scenarios):
+        return [self.run(scenario) for scenario in scenarios]
+
+    def run(self, scenario):
+        self.simulated.append(scenario)
+        driven, crashed = self._drive(scenario)
+        depth = len(driven[0])
+        executed = Scenario.repaired(
+            [own + chain[depth:] for own, chain in zip(driven, scenario.npcs, strict=True)], seed=scenario.seed
+        )
+        risk = sum(1 / (1 + ring_distance(gene.cell, Cell.FRONT)) + gene.speed / 100 for own in driven for gene in own)
+        return _evaluation(
+            scenario,
+            executed=executed,
+            fitness=risk / depth,
+            failing=crashed,
+            outcome=Outcome.COLLISION if crashed else Outcome.SAFE,
+            duration=depth * 10.0,
+            genes_started=depth * len(driven),
+            genes_reached=depth,
+        )
+
+    def _drive(self, scenario):
+        existing = [cell for cell in Cell if cell.column >= 0]
+        driven = tuple(() for _ in scenario.npcs)
+        for gene in range(min(self.genes, scenario.genes)):
+            cells = repair_gene(
+                [own[-1].cell for own in driven] if gene else None,
+                [chain[gene].cell for chain in scenario.npcs],
+                existing,
+                lambda npc, gene=gene: toss(scenario.seed, npc, gene),
+            )
+            driven = tuple(
+                (*own, PositionInstruction(cell, chain[gene].speed))
+                for own, cell, chain in zip(driven, cells, scenario.npcs, strict=True)
+            )
+            if any(own[-1].cell is Cell.FRONT and own[-1].speed > self.crash_speed for own in driven):
+                return driven, True
+        return driven, False
+
+
+@pytest.fixture(scope="session")
+def cheap_world():
+    """The class, so that each example makes its own."""
+    return CheapWorld

@@ -1,0 +1,121 @@
+"""The order of evaluations, and what is read from a trace."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.evaluation import Evaluation, barely_moved, interacted, outran
+from pytest_pafot.trace import Collision, Lane, Outcome, Trace
+
+NAN = math.nan
+
+
+def test_what_fails_outranks_what_is_fitter(make_evaluation):
+    failing = make_evaluation(failing=True, fitness=-5.0)
+    assert failing.rank > make_evaluation(fitness=math.inf).rank
+
+
+def test_among_equals_the_fitter_ranks_higher(make_evaluation):
+    for failing in (False, True):
+        assert make_evaluation(failing=failing, fitness=0.2).rank > make_evaluation(failing=failing, fitness=0.1).rank
+
+
+@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": NAN}])
+def test_invalid_discarded_and_unmeasured_runs_rank_below_all_others_even_when_they_fail(make_evaluation, fields):
+    worst = make_evaluation(**({"failing": True, "fitness": 9.0} | fields))
+    assert not worst.eligible
+    assert worst.rank < make_evaluation(fitness=-1e300).rank
+
+
+@given(st.lists(st.tuples(st.booleans(), st.floats(), st.booleans()), min_size=2))
+def test_the_order_is_total_whatever_the_fitness(make_evaluation, fields):
+    ranks = [make_evaluation(failing=f, fitness=x, discarded=d).rank for f, x, d in fields]
+    assert all((a < b) + (a == b) + (a > b) == 1 for a in ranks for b in ranks)
+
+
+def test_evaluations_without_a_fitness_compare_equal_and_numpy_numbers_become_floats(make_evaluation):
+    assert make_evaluation(fitness=np.float64("nan")) == make_evaluation(fitness=float("nan"))
+    assert type(make_evaluation(fitness=np.float64(1.5)).fitness) is float
+
+
+def test_the_depth_is_the_number_of_genes_of_each_npc_that_the_run_came_to(make_evaluation):
+    stay = PositionInstruction(4, 1.0)
+    uneven = Scenario(npcs=((stay,) * 2, (PositionInstruction(8, 1.0),) * 5))
+    for depth, started in enumerate((2, 4, 5, 6, 7), start=1):
+        assert make_evaluation(uneven, genes_started=started).depth == depth
+
+
+def test_all_genes_count_when_none_was_started(make_evaluation):
+    three = Scenario(npcs=((PositionInstruction(4, 1.0),) * 3,))
+    assert make_evaluation(three, genes_started=0).depth == 3
+
+
+def trace(ego_speed=20.0, npc_speed=20.0, *, ahead=60.0, same_lane=True, seconds=10, **fields):
+    """Ego and one NPC at constant speeds; the NPC starts so far ahead [m] of the ego."""
+    times = np.arange(15 * seconds + 1) / 15
+    states = np.zeros((len(times), 2, 7))
+    states[:, 0, 0] = 1000 + ego_speed * times
+    states[:, 1, 0] = 1000 + ahead + npc_speed * times
+    states[:, 0, 3], states[:, 1, 3] = ego_speed, npc_speed
+    states[:, 0, 6], states[:, 1, 6] = 1, 1 if same_lane else 2
+    states[:, 1, 1] = 0 if same_lane else 4
+    lanes = tuple(
+        Lane(x=0.0, y=4.0 * lane, heading=0.0, length=9000.0, width=4.0, speed_limit=26.8) for lane in range(4)
+    )
+    scenario = Scenario(npcs=((PositionInstruction(2, 20.0), PositionInstruction(2, 5.0)),))
+    known = {"arrivals": ((3, None),), "outcome": Outcome.SAFE}
+    return Trace(
+        scenario=scenario,
+        executed=scenario,
+        states=states,
+        sizes=np.array([[5.0, 2.0], [5.0, 2.0]]),
+        lanes=lanes,
+        physics_hz=15,
+        ads_hz=5,
+        **(known | fields),
+    )
+
+
+def test_an_evaluation_is_read_from_a_trace():
+    evaluation = Evaluation.of(trace(), fitness=0.5, failing=True)
+    assert (evaluation.genes_started, evaluation.genes_reached, evaluation.duration) == (2, 1, 10.0)
+    assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.SAFE, True, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("run", "expected"),
+    [
+        ({"ahead": 60.0}, False),
+        ({"ahead": 30.0}, True),
+        ({"ahead": 30.0, "same_lane": False}, False),
+        ({"ahead": -30.0, "npc_speed": 20.0}, True),
+        ({"ahead": -60.0, "npc_speed": 20.0}, False),
+        ({"ahead": 6.5, "ego_speed": 0.0, "npc_speed": 0.0}, True),
+        ({"ahead": 8.5, "ego_speed": 0.0, "npc_speed": 0.0}, False),
+    ],
+)
+def test_an_npc_interacts_in_the_egos_lane_within_1_5_seconds_or_2_metres(run, expected):
+    assert interacted(trace(**run)) is expected
+
+
+def test_a_start_at_2_seconds_of_headway_is_no_interaction():
+    assert not interacted(trace(ahead=2.0 * 20.0 + 5.0))
+
+
+def test_a_collision_is_an_interaction():
+    crash = Collision(tick=9, time=0.6, npc=0, side="left", cell=8, ego_speed=1.0, npc_speed=1.0, closing_speed=0.1)
+    assert interacted(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))
+
+
+@pytest.mark.parametrize(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
+def test_an_ego_outruns_when_all_npcs_are_100_m_behind_for_half_of_the_run(npc_speed, expected):
+    assert outran(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12)) is expected
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
+def test_an_ego_barely_moves_below_2_metres_a_second(speed, expected):
+    assert barely_moved(trace(speed)) is expected

@@ -1,0 +1,316 @@
+"""Fitness: higher is worse for the ego, bounded by default, and never misled by NaN, invalid runs or ramming NPCs."""
+
+import math
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot import criticality
+from pytest_pafot.searching.fitness import FitnessError, Weights, before_impact, paper, resolve, steered, weighted
+from pytest_pafot.trace import SPEED, Outcome
+from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
+
+seeds = st.integers(0, 2**32 - 1)
+without_collision = st.sampled_from([Outcome.SAFE, Outcome.OFF_ROAD, Outcome.ADS_ERROR, Outcome.HANG])
+
+
+def following(*, outcome=Outcome.SAFE, **fields):
+    """The ego at 20 m/s, 20 m behind an NPC at 10 m/s: TTC 2 s, SD 30 m, one tick."""
+    return trace_of(vehicle(0, speed=20), vehicle(25, speed=10), outcome=outcome, **fields)
+
+
+def harmless(**fields):
+    return trace_of(vehicle(0, speed=20, ticks=90), vehicle(500, speed=30, ticks=90), **fields)
+
+
+def near_miss():
+    """The ego comes within 1 m of its leader at 12 m/s more, and then the NPC is gone."""
+    ego = vehicle(0, speed=22, ticks=90)
+    leader = vehicle([500] * 30 + [ego[30, 0] + 6] + [500] * 60, speed=10)
+    return trace_of(ego, leader)
+
+
+def crash(*, outcome=Outcome.COLLISION, **fields):
+    """The ego drives into a standing NPC after 6 s."""
+    return trace_of(vehicle(0, speed=20, ticks=90), vehicle(124, ticks=90), outcome=outcome, **fields)
+
+
+def rammed(**fields):
+    """An NPC at 30 m/s rams the ego at 20 m/s from behind after 6 s; until then nothing happened."""
+    return trace_of(
+        vehicle(0, speed=20, ticks=90), vehicle(-64, speed=30, ticks=90), outcome=Outcome.COLLISION, **fields
+    )
+
+
+def random_trace(seed, outcome):
+    rng = np.random.default_rng(seed)
+    states = random_states(rng, int(rng.integers(1, 30)), 3, spread=rng.choice([5.0, 50.0]))
+    return trace_of(*states.transpose(1, 0, 2), outcome=outcome)
+
+
+class TestWeighted:
+    def test_is_the_mean_of_the_four_risks(self):
+        ttc, gap, shortfall, time = 1 / (1 + 2 / 1.5), 1 / 21, 1 / 3, 0
+        assert weighted(following()) == pytest.approx((ttc + gap + shortfall + time) / 4)
+
+    def test_a_collision_adds_one_and_the_share_of_time_that_was_left(self):
+        # Overlap: TTC risk 1, gap risk 1, shortfall 1; 6 s of the planned 60 s.
+        assert weighted(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
+
+    @pytest.mark.parametrize(
+        ("weights", "risk"),
+        [
+            (Weights(ttc=2, gap=0, shortfall=0, time=0), 3 / 7),
+            (Weights(ttc=2, gap=0, shortfall=0, time=0, tau=6), 3 / 4),
+            (Weights(ttc=0, gap=3, shortfall=0, time=0), 1 / 21),
+            (Weights(ttc=0, gap=0, shortfall=1, time=0), 1 / 3),
+            (Weights(ttc=0, gap=0, shortfall=0, time=1), 0),
+            (Weights(ttc=0, gap=3, shortfall=1, time=0), (3 / 21 + 1 / 3) / 4),
+        ],
+    )
+    def test_weights_choose_among_the_risks_by_their_ratio(self, weights, risk):
+        assert weighted(following(), weights) == pytest.approx(risk)
+
+    @given(seeds, without_collision)
+    def test_lies_between_zero_and_one_without_a_collision(self, seed, outcome):
+        assert 0 <= weighted(random_trace(seed, outcome)) <= 1
+
+    @given(seeds, without_collision, st.tuples(*[st.floats(0.01, 10)] * 4))
+    def test_any_collision_outranks_any_run_without(self, seed, outcome, values):
+        weights = Weights(**dict(zip(("ttc", "gap", "shortfall", "time"), values, strict=True)))
+        assert weighted(random_trace(seed, outcome), weights) < weighted(rammed(), weights)
+
+    def test_an_earlier_collision_is_worse(self):
+        late = trace_of(vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION)
+        assert weighted(late) < weighted(crash())
+
+    def test_a_short_run_without_a_collision_gains_nothing_by_it(self):
+        only_time = Weights(ttc=0, gap=0, shortfall=0)
+        assert weighted(harmless(outcome=Outcome.ADS_ERROR), only_time) == 0
+
+    def test_time_is_measured_against_the_scenario_s_own_plan(self):
+        only_time = Weights(ttc=0, gap=0, shortfall=0)
+        assert weighted(crash(scenario=scenario_of(genes=2, gene_seconds=4.0)), only_time) == pytest.approx(1.25)
+
+    def test_a_collision_after_the_plan_has_ended_has_no_risk_of_time_and_no_bonus(self):
+        only_time = Weights(ttc=0, gap=0, shortfall=0)
+        assert weighted(crash(scenario=scenario_of(genes=1, gene_seconds=4.0)), only_time) == 1
+
+    def test_closer_is_worse(self):
+        runs = [trace_of(vehicle(0, speed=20), vehicle(x, speed=18)) for x in (80, 40, 20, 10, 6)]
+        values = [weighted(run) for run in runs]
+        assert values == sorted(values)
+        assert len(set(values)) == 5
+
+
+class TestWeights:
+    @pytest.mark.parametrize("value", [-1, math.nan, math.inf, "1"])
+    def test_refuse_what_is_no_weight(self, value):
+        with pytest.raises(FitnessError, match=r"Weights.gap: expected a finite number, at least 0, received"):
+            Weights(gap=value)
+
+    def test_refuse_four_zeros(self):
+        with pytest.raises(FitnessError, match="at least one weight above 0"):
+            Weights(ttc=0, gap=0, shortfall=0, time=0)
+
+    def test_refuse_a_tau_of_zero(self):
+        with pytest.raises(FitnessError, match=r"Weights.tau: expected seconds, more than 0, received 0"):
+            Weights(tau=0)
+
+
+class TestPaper:
+    def test_is_minus_the_sum_of_the_four_measures(self):
+        # METTC: the lines cross 30 m ahead of the ego at 10 m/s. MD sqrt(30^2 + 20^2), SD 0, ET: all the 60 s.
+        trace = trace_of(vehicle(0, speed=10), vehicle(30, -20, heading=math.pi / 2, speed=10))
+        assert paper(trace) == pytest.approx(-(3 + math.hypot(30, 20) + 0 + 60))
+
+    def test_caps_an_infinite_mettc_at_the_planned_duration(self):
+        assert paper(following()) == pytest.approx(-(60 + 25 + 30 + 60))
+
+    def test_takes_the_time_of_a_collision(self):
+        # SD: the follower is 20 m/s faster; MD: 4 m at the last tick.
+        assert paper(crash()) == pytest.approx(-(60 + 4 + 60 + 6))
+
+    def test_closer_is_worse(self):
+        assert paper(following()) > paper(trace_of(vehicle(0, speed=20), vehicle(30, speed=10)))
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+class TestEveryNamedFitness:
+    def test_puts_an_invalid_run_last(self, name):
+        assert resolve(name)(crash(outcome=Outcome.INVALID)) == -math.inf
+
+    @pytest.mark.parametrize("column", [0, 1, 2, 3, 4])
+    def test_puts_nan_last(self, name, column):
+        ego = vehicle([0, 1], heading=0.1, speed=20)
+        ego[1, column] = np.nan
+        trace = trace_of(ego, vehicle([20, 21], speed=10, lane=0))
+        assert resolve(name)(trace) == -math.inf
+
+    @given(seed=seeds)
+    def test_is_a_number_for_every_run(self, name, seed):
+        assert math.isfinite(resolve(name)(random_trace(seed, Outcome.SAFE)))
+
+    def test_can_be_sent_to_a_worker(self, name):
+        fitness = pickle.loads(pickle.dumps(resolve(name)))
+        assert fitness(following()) == resolve(name)(following())
+
+
+class TestResolve:
+    def test_default_is_the_weighted_one(self):
+        assert resolve()(following()) == resolve("default")(following()) == weighted(following())
+
+    def test_paper_is_selectable(self):
+        assert resolve("paper")(following()) == paper(following())
+
+    def test_weights_stand_for_the_default_with_other_weights(self):
+        weights = Weights(ttc=0)
+        assert resolve(weights)(following()) == weighted(following(), weights)
+
+    @pytest.mark.parametrize("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
+    def test_a_function_may_return_any_real_number(self, value):
+        assert resolve(lambda trace: value)(following()) == float(value)
+
+    def test_a_partial_and_a_measure_are_functions(self):
+        assert resolve(partial(weighted, weights=Weights(ttc=0)))(following()) == weighted(following(), Weights(ttc=0))
+        assert resolve(criticality.hardest_brake)(following()) == 0
+
+    def test_a_function_never_sees_an_invalid_run(self):
+        assert resolve(lambda trace: pytest.fail("called"))(crash(outcome=Outcome.INVALID)) == -math.inf
+
+    def test_nan_of_a_function_is_last(self):
+        assert resolve(lambda trace: math.nan)(following()) == -math.inf
+
+    @pytest.mark.parametrize("value", [None, "1", [1], np.array([1.0, 2.0]), 1j])
+    def test_a_function_that_returns_no_number_is_explained(self, value):
+        def odd(trace):
+            return value
+
+        with pytest.raises(FitnessError, match=r"expected odd to return a number, received .*; return a float"):
+            resolve(odd)(following())
+
+    def test_a_function_that_raises_is_explained_and_its_error_kept(self):
+        def broken(trace):
+            return 1 / 0
+
+        with pytest.raises(FitnessError, match=r"broken .* raised ZeroDivisionError: division by zero") as caught:
+            resolve(broken)(following())
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+    def test_a_misspelt_name_is_answered_with_the_nearest(self):
+        with pytest.raises(FitnessError, match=r"expected 'default', 'paper' or a function .* did you mean 'paper'"):
+            resolve("papr")
+
+    @pytest.mark.parametrize("value", [3, None, ["default"]])
+    def test_anything_else_is_refused(self, value):
+        with pytest.raises(FitnessError, match="expected 'default', 'paper', Weights"):
+            resolve(value)
+
+    def test_a_function_of_two_arguments_is_refused_before_anything_runs(self):
+        def two(trace, limit):
+            return 0.0
+
+        with pytest.raises(FitnessError, match=r"called with one Trace, received two\(trace, limit\).*defaults"):
+            resolve(two)
+
+
+def front_is_to_blame(trace):
+    """For the test's own collisions: the ego is responsible when it hit something with its front."""
+    return trace.collision is not None and trace.collision.side == "front"
+
+
+REAR_END = collision_at(90, side="rear", ego_speed=20, npc_speed=30)
+FITNESSES = ["default", "paper", lambda trace: -trace.duration, lambda trace: 0.0, lambda trace: 1e300]
+
+
+@pytest.mark.parametrize("fitness", FITNESSES, ids=["default", "paper", "quick", "constant", "huge"])
+class TestSteered:
+    def rank(self, fitness):
+        return resolve(fitness, responsible=front_is_to_blame)
+
+    def test_a_collision_of_the_ego_s_outranks_every_other_run(self, fitness):
+        rank = self.rank(fitness)
+        others = [rammed(collision=REAR_END), harmless(), near_miss(), following()]
+        assert rank(crash()) >= 2
+        assert max(map(rank, others)) <= 1
+
+    def test_being_rammed_is_worth_what_came_three_seconds_before(self, fitness):
+        rank, run = self.rank(fitness), rammed(collision=REAR_END)
+        assert rank(run) == rank(trace_of(run.ego[:46], run.npcs[:46, 0]))
+
+    @given(seed=seeds)
+    def test_keeps_the_order_among_runs_without_collision(self, fitness, seed):
+        runs = [random_trace(seed + i, Outcome.SAFE) for i in range(3)]
+        plain, rank = resolve(fitness), self.rank(fitness)
+        assert sorted(runs, key=lambda run: (plain(run), id(run))) == sorted(runs, key=lambda run: (rank(run), id(run)))
+
+    def test_invalid_runs_stay_last(self, fitness):
+        assert self.rank(fitness)(crash(outcome=Outcome.INVALID)) == -math.inf
+
+    def test_the_rule_is_asked_about_collisions_only(self, fitness):
+        asked = []
+        rank = resolve(fitness, responsible=lambda trace: asked.append(trace.outcome) or True)
+        for run in (harmless(), near_miss(), crash()):
+            rank(run)
+        assert asked == [Outcome.COLLISION]
+
+
+class TestSteeredDefault:
+    rank = staticmethod(resolve(responsible=front_is_to_blame))
+
+    def test_being_rammed_does_not_beat_a_good_near_miss(self):
+        assert self.rank(rammed(collision=REAR_END)) < self.rank(near_miss())
+
+    def test_a_near_miss_before_being_rammed_keeps_its_worth(self):
+        miss = near_miss()
+        rammer = vehicle(-64, speed=30, ticks=90)
+        both = trace_of(miss.ego, miss.npcs[:, 0], rammer, outcome=Outcome.COLLISION, collision=REAR_END)
+        alone = trace_of(vehicle(0, speed=22, ticks=90), rammer, outcome=Outcome.COLLISION, collision=REAR_END)
+        assert self.rank(alone) < self.rank(miss) <= self.rank(both)
+
+    def test_a_fitness_that_is_minus_infinity_stays_so(self):
+        assert steered(lambda trace: -math.inf, front_is_to_blame)(crash()) == -math.inf
+
+    def test_a_fitness_that_is_infinite_keeps_its_shelf(self):
+        assert steered(lambda trace: math.inf, front_is_to_blame)(crash()) == 4
+        assert steered(lambda trace: math.inf, front_is_to_blame)(harmless()) == 1
+
+
+class TestBeforeImpact:
+    def test_is_the_run_until_three_seconds_before_the_collision(self):
+        run = crash(
+            actions=tuple(range(30)), arrivals=((10, 60), (None, 44)), scenario=scenario_of(2, gene_seconds=2.0)
+        )
+        cut = before_impact(run)
+        assert (cut.outcome, cut.collision, cut.duration) == (Outcome.SAFE, None, 3.0)
+        np.testing.assert_array_equal(cut.states, run.states[:46])
+        assert cut.actions == tuple(range(15))
+        assert cut.arrivals == ((10, None), (None, 44))
+
+    def test_genes_that_had_not_started_leave_no_arrivals(self):
+        cut = before_impact(crash(arrivals=((10, 70),), scenario=scenario_of(gene_seconds=4.0)))
+        assert cut.arrivals == ((10,),)
+
+    def test_keeps_at_least_the_start(self):
+        run = trace_of(vehicle(0, speed=20, ticks=15), vehicle(24, ticks=15), outcome=Outcome.COLLISION)
+        assert before_impact(run).ticks == 0
+
+    @pytest.mark.parametrize(("tick", "outcome"), [(20, Outcome.OFF_ROAD), (80, Outcome.SAFE)])
+    def test_remembers_leaving_the_road_if_that_came_before(self, tick, outcome):
+        cut = before_impact(crash(off_road_tick=tick))
+        assert cut.outcome == outcome
+        assert cut.off_road_tick == (tick if outcome == Outcome.OFF_ROAD else None)
+
+    def test_leaves_a_run_without_collision_alone(self):
+        run = harmless()
+        assert before_impact(run) is run
+
+    def test_leaves_the_original_untouched(self):
+        run = crash()
+        before_impact(run)
+        assert run.ticks == 90
+        assert run.states[-1, 0, SPEED] == 20

@@ -1,0 +1,117 @@
+"""A search that tested nothing says so."""
+
+import pytest
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching.health import Coverage
+from pytest_pafot.trace import Outcome
+
+WELL = {"genes_started": 12, "genes_reached": 9}
+
+
+def health_of(make_evaluation, *groups):
+    """Groups are (how many, fields)."""
+    health = Health()
+    for number, fields in groups:
+        for _ in range(number):
+            health = health.counted(make_evaluation(**(WELL | fields)))
+    return health
+
+
+def test_a_search_that_went_well_warns_of_nothing(make_evaluation):
+    health = health_of(make_evaluation, (9, {}), (1, {"outcome": Outcome.INVALID}))
+    assert health.warnings() == []
+    assert not health.vacuous
+    assert health.reached_share == 0.75
+
+
+def test_a_search_without_a_run_is_vacuous():
+    assert Health().vacuous
+    assert Health().warnings() == [
+        "no scenario was simulated, so nothing was tested; give the search generations and time"
+    ]
+
+
+@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}])
+def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
+    health = health_of(make_evaluation, (4, fields))
+    assert health.vacuous
+    assert any(warning.startswith("none of 4 simulated scenarios gave a valid run") for warning in health.warnings())
+
+
+def test_a_quarter_of_invalid_runs_is_well_and_more_warns_with_the_figure(make_evaluation):
+    invalid = {"outcome": Outcome.INVALID}
+    assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []
+    assert health_of(make_evaluation, (2, {}), (1, invalid)).warnings() == [
+        "33 % (1) of 3 simulated scenarios ended in a crash between NPCs and tested nothing, which should be at most "
+        "25 %; use fewer NPCs or more lanes"
+    ]
+
+
+def test_genes_that_are_hardly_reached_warn(make_evaluation):
+    (warning,) = health_of(make_evaluation, (4, {"genes_reached": 3})).warnings()
+    assert warning.startswith("NPCs reached the cell of only 25 % (12) of 48 Position-Instructions")
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"interaction": False}, "67 % (2) of 3 valid runs never brought an NPC near the ego"),
+        ({"outran": True}, "67 % (2) of 3 valid runs left all NPCs more than 100 m behind"),
+        ({"barely_moved": True}, "67 % (2) of 3 valid runs had an ego with a mean speed below 2 m/s"),
+        (
+            {"outcome": Outcome.COLLISION, "duration": 0.2},
+            "67 % (2) of 3 valid runs collided within the first second",
+        ),
+    ],
+)
+def test_runs_that_test_nothing_warn_when_they_are_most(make_evaluation, fields, expected):
+    assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []
+    (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()
+    assert warning.startswith(expected)
+    assert "; " in warning  # and what to do
+
+
+def test_invalid_runs_do_not_count_as_runs_without_interaction(make_evaluation):
+    health = health_of(make_evaluation, (1, {"outcome": Outcome.INVALID, "interaction": False, "outran": True}))
+    assert (health.no_interaction, health.outran, health.valid) == (0, 0, 0)
+
+
+def test_reused_evaluations_are_not_runs(make_evaluation):
+    health = Health().counted(make_evaluation()).counted(make_evaluation(), reused=True)
+    assert (health.evaluated, health.simulated, health.unique, health.reused) == (2, 1, 1, 1)
+
+
+def test_it_can_be_counted_from_the_events_of_a_campaign(cheap_world):
+    world = cheap_world()
+    events = list(run_campaign(RandomSearch(), world, generations=5, seed=1))
+    health = Health.of(events)
+    assert (health.evaluated, health.simulated) == (events[-1].evaluated, len(world.simulated))
+    assert 0 < health.failing <= health.valid == health.simulated
+
+
+def test_coverage_counts_the_genes_that_runs_came_to():
+    chains = (
+        (PositionInstruction(8, 0.0), PositionInstruction(1, 5.0), PositionInstruction(2, 26.8)),
+        (PositionInstruction(4, 4.9), PositionInstruction(4, 4.9)),
+    )
+    coverage = Coverage().counted(Scenario(npcs=chains), 2)
+    assert coverage.cells == {8, 1, 4}
+    assert coverage.steps == {(8, 1), (4, 4)}
+    assert coverage.speed_bins == {0, 1}
+    assert coverage.describe(26.8) == "3/8 cells, 2/24 ring steps, 2/6 speed bins"
+    assert coverage.counted(Scenario(npcs=chains), 1) is coverage
+
+
+def test_an_evaluation_without_a_started_gene_covers_nothing(make_evaluation):
+    assert Health().counted(make_evaluation(genes_started=0, genes_reached=0)).coverage == Coverage()
+
+
+def test_a_long_random_search_covers_all_there_is(cheap_world):
+    events = run_campaign(RandomSearch(), cheap_world(crash_speed=99.0), generations=40, seed=1)
+    # The cheap world has no left lane, so that no run comes to its three cells.
+    coverage = Health.of(events).coverage
+    assert coverage.cells == {2, 3, 4, 5, 6}
+    assert len(coverage.steps) == 13
+    assert coverage.describe(26.8).endswith("6/6 speed bins")

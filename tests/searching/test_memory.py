@@ -1,0 +1,104 @@
+"""A scenario is known exactly when an earlier run shows what it does."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.memory import Memory
+from pytest_pafot.searching.operators import mutate
+from pytest_pafot.searching.space import SearchSpace, sample
+
+PI = PositionInstruction
+
+
+def chain(*genes):
+    return tuple(PI(cell, speed) for cell, speed in genes)
+
+
+def remembered(*evaluations):
+    memory = Memory()
+    for evaluation in evaluations:
+        memory.add(evaluation)
+    return memory
+
+
+@given(st.integers(0, 2**32), st.integers(1, 3), st.integers(1, 4), st.floats(5, 25))
+def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, genes, crash_speed):
+    world = cheap_world(crash_speed=crash_speed, genes=3)
+    rng = np.random.default_rng(seed)
+    space = SearchSpace(npcs=npcs, genes=genes)
+    memory = Memory()
+    scenario = sample(space, rng)
+    for _ in range(30):
+        recalled = memory.recall(scenario)
+        run = world.run(scenario)
+        assert recalled is None or recalled == run
+        if recalled is None:
+            memory.add(run)
+        scenario = mutate(run.executed if rng.random() < 0.7 else scenario, space, rng)
+
+
+@given(st.integers(0, 2**32))
+def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_world, seed):
+    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(seed)))
+    memory = remembered(run)
+    assert memory.recall(run.scenario) == run
+    other = replace(run.executed, seed=run.scenario.seed + 1)
+    assert memory.recall(other) == replace(run, scenario=other, executed=other)
+
+
+def test_a_difference_in_a_gene_that_was_not_started_is_none(make_evaluation):
+    crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
+    evaluation = make_evaluation(crashed, genes_started=2, fitness=7.0)
+    later = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (5, 9.0)),))
+    assert remembered(evaluation).recall(later) == replace(evaluation, scenario=later, executed=later)
+
+
+def test_a_difference_in_a_gene_that_was_started_is_one(make_evaluation):
+    crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
+    memory = remembered(make_evaluation(crashed, genes_started=2))
+    assert memory.recall(Scenario(npcs=(chain((4, 1.0), (4, 2.1), (4, 3.0)),))) is None
+    assert memory.recall(Scenario(npcs=(chain((4, 1.0), (3, 2.0), (4, 3.0)),))) is None
+
+
+def test_an_evaluation_without_a_started_gene_is_known_for_its_own_scenario_only(make_evaluation):
+    scenario = Scenario(npcs=(chain((4, 1.0), (4, 2.0)),))
+    memory = remembered(make_evaluation(scenario, genes_started=0, discarded=True))
+    assert memory.recall(scenario) is not None
+    assert memory.recall(Scenario(npcs=(chain((4, 1.0), (4, 2.1)),))) is None
+
+
+def test_a_chain_that_ends_is_not_one_that_goes_on(make_evaluation):
+    short = Scenario(npcs=(chain((4, 1.0)), chain((8, 1.0), (8, 2.0), (8, 3.0))))
+    memory = remembered(make_evaluation(short, genes_started=3))
+    longer = Scenario(npcs=(chain((4, 1.0), (4, 1.0)), chain((8, 1.0), (8, 2.0), (8, 3.0))))
+    assert memory.recall(longer) is None
+
+
+def test_another_start_is_another_scenario(make_evaluation):
+    scenario = Scenario(npcs=(chain((4, 1.0)),))
+    memory = remembered(make_evaluation(scenario))
+    for other in ({"ego_lane": 2}, {"ego_speed": 21.0}, {"gene_seconds": 5.0}):
+        assert memory.recall(replace(scenario, **other)) is None
+
+
+def test_a_scenario_that_was_repaired_in_its_run_is_known_with_its_own_seed_only(make_evaluation):
+    asked = Scenario(npcs=(chain((8, 1.0), (1, 2.0)),), seed=3)
+    driven = Scenario(npcs=(chain((4, 1.0), (3, 2.0)),), seed=3)
+    memory = remembered(make_evaluation(asked, executed=driven))
+    assert memory.recall(asked).executed == driven
+    assert memory.recall(replace(asked, seed=4)) is None
+
+
+def test_the_genes_after_a_repaired_run_are_the_scenarios_own_and_fit(make_evaluation):
+    asked = Scenario(npcs=(chain((8, 1.0), (8, 2.0)),), seed=3)
+    driven = Scenario(npcs=(chain((4, 1.0), (4, 2.0)),), seed=3)
+    memory = remembered(make_evaluation(asked, executed=driven, genes_started=1))
+    recalled = memory.recall(Scenario(npcs=(chain((8, 1.0), (1, 9.0)),), seed=3))
+    first, second = recalled.executed.npcs[0]
+    assert first == PI(4, 1.0)
+    assert second.speed == 9.0
+    assert second.cell in (3, 5)

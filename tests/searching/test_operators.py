@@ -1,0 +1,166 @@
+"""The operators do what sections 3.4 and 3.5 of the paper say."""
+
+import math
+from itertools import product
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
+from pytest_pafot.searching.operators import tournament as binary_tournament
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.trace import Outcome
+
+seeds = st.integers(0, 2**32)
+spaces = st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 6))
+
+
+def speeds(scenario):
+    return [[gene.speed for gene in chain] for chain in scenario.npcs]
+
+
+def swapped(a, b, in_a, in_b):
+    return [*a[:in_a], b[in_b], *a[in_a + 1 :]], [*b[:in_b], a[in_a], *b[in_b + 1 :]]
+
+
+@given(spaces, spaces, seeds)
+def test_crossover_swaps_one_whole_npc_of_each_scenario(space_a, space_b, seed):
+    rng = np.random.default_rng(seed)
+    a, b = sample(space_a, rng), sample(space_b, rng)
+    children = tuple(map(speeds, crossover(a, b, rng)))
+    choices = product(range(space_a.npcs), range(space_b.npcs))
+    assert any(swapped(speeds(a), speeds(b), *choice) == children for choice in choices)
+
+
+@given(seeds)
+def test_crossover_keeps_the_cells_of_chains_that_fit_together(seed):
+    rng = np.random.default_rng(seed)
+    a, b = sample(SearchSpace(npcs=1), rng), sample(SearchSpace(npcs=1), rng)
+    assert [child.npcs for child in crossover(a, b, rng)] == [b.npcs, a.npcs]
+
+
+def test_crossover_takes_each_npc_with_equal_chances(assert_rate):
+    rng = np.random.default_rng(1)
+    a, b = sample(SearchSpace(npcs=3), rng), sample(SearchSpace(npcs=2), rng)
+    found = [tuple(map(speeds, crossover(a, b, rng))) for _ in range(1200)]
+    for choice in product(range(3), range(2)):
+        assert_rate(found.count(swapped(speeds(a), speeds(b), *choice)), 1200, 1 / 6)
+
+
+@given(spaces, seeds)
+def test_mutation_changes_exactly_one_instruction(space, seed):
+    rng = np.random.default_rng(seed)
+    scenario = sample(space, rng)
+    chains, mutant = scenario.npcs, mutate(scenario, space, rng).npcs
+    assert [len(chain) for chain in mutant] == [len(chain) for chain in chains]
+    pairs = [pair for before, after in zip(chains, mutant, strict=True) for pair in zip(before, after, strict=True)]
+    assert sum(before != after for before, after in pairs) == 1
+
+
+def test_mutation_takes_each_instruction_with_equal_chances(assert_rate):
+    rng = np.random.default_rng(2)
+    space = SearchSpace(npcs=2, genes=3)
+    scenario = sample(space, rng)
+    places = [(npc, gene) for npc in range(2) for gene in range(3)]
+    counts = dict.fromkeys(places, 0)
+    for _ in range(1200):
+        mutant = mutate(scenario, space, rng).npcs
+        counts[next((n, g) for n, g in places if mutant[n][g] != scenario.npcs[n][g])] += 1
+    for count in counts.values():
+        assert_rate(count, 1200, 1 / 6)
+
+
+def test_mutation_reaches_every_cell_that_fits_between_its_neighbours():
+    rng = np.random.default_rng(3)
+    scenario = Scenario(npcs=(tuple(PositionInstruction(cell, 9.0) for cell in (1, 1, 2)),))
+    space = SearchSpace(npcs=1, genes=3)
+    middles = {mutate(scenario, space, rng).npcs[0][1].cell for _ in range(200)}
+    firsts = {mutate(scenario, space, rng).npcs[0][0].cell for _ in range(200)}
+    assert (middles, firsts) == ({1, 2}, {8, 1, 2})
+
+
+@given(st.integers(1, 8), st.integers(1, 6), seeds)
+def test_generations_of_variation_stay_valid_and_in_the_space(npcs, genes, seed):
+    rng = np.random.default_rng(seed)
+    space = SearchSpace(npcs=npcs, genes=genes, speed_limit=13.3)
+    a, b = sample(space, rng), sample(space, rng)
+    for _ in range(5):
+        a, b = (mutate(child, space, rng) for child in crossover(a, b, rng))
+    for child in (a, b):  # a Scenario checks the ring and the distinct cells when it is made
+        assert Scenario.repaired(child.npcs, seed=child.seed) == child
+        assert [len(chain) for chain in child.npcs] == [genes] * npcs
+        assert all(gene.speed <= 13.3 for chain in child.npcs for gene in chain)
+
+
+@given(seeds)
+def test_variation_keeps_the_start_of_the_parent(seed):
+    rng = np.random.default_rng(seed)
+    space = SearchSpace(ego_lane=2, ego_speed=19.0, gene_seconds=5.0)
+    other = SearchSpace(ego_lane=0, ego_speed=11.0, gene_seconds=3.0)
+    a, b = crossover(mutate(sample(space, rng), space, rng), sample(other, rng), rng)
+    assert [(s.ego_lane, s.ego_speed, s.gene_seconds) for s in (a, b)] == [(2, 19.0, 5.0), (0, 11.0, 3.0)]
+
+
+def test_the_fittest_of_four_wins_seven_of_sixteen_tournaments_and_the_worst_one(make_population, assert_rate):
+    rng = np.random.default_rng(6)
+    population = make_population(4)
+    winners = [population.index(binary_tournament(population, rng)) for _ in range(3000)]
+    for place, rate in enumerate((1 / 16, 3 / 16, 5 / 16, 7 / 16)):
+        assert_rate(winners.count(place), 3000, rate)
+
+
+@given(st.integers(2, 6), seeds)
+def test_parents_are_two_different_members(make_population, size, seed):
+    population = make_population(size)
+    first, second = parents(population, np.random.default_rng(seed))
+    assert first is not second
+    assert first in population
+    assert second in population
+
+
+def test_equal_members_are_still_two(make_evaluation):
+    population = (make_evaluation(), make_evaluation())
+    first, second = parents(population, np.random.default_rng(0))
+    assert first is not second
+
+
+kinds = st.tuples(st.booleans(), st.floats(), st.sampled_from([Outcome.SAFE, Outcome.COLLISION, Outcome.INVALID]))
+
+
+@given(st.lists(kinds, min_size=1, max_size=12), st.floats(0, 1))
+def test_elites_are_the_best_share_rounded_up_and_the_very_same_objects(make_evaluation, fields, share):
+    population = [make_evaluation(failing=f, fitness=x, outcome=o) for f, x, o in fields]
+    chosen = elites(population, share)
+    eligible = [member for member in population if member.eligible]
+    assert len(chosen) == min(len(eligible), math.ceil(round(share * len(population), 9)))
+    assert all(any(elite is member for member in eligible) for elite in chosen)
+    rest = [member.rank for member in population if not any(member is elite for elite in chosen)]
+    assert all(elite.rank >= rank for elite in chosen for rank in rest)
+
+
+def test_a_quarter_of_the_population_is_rounded_up(make_population):
+    assert [len(elites(make_population(size), 0.25)) for size in (1, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
+
+
+def test_a_share_that_floats_cannot_hold_is_not_rounded_up_by_its_error(make_population):
+    assert len(elites(make_population(100), 0.07)) == 7
+
+
+@given(st.lists(kinds, max_size=8))
+def test_the_best_is_never_invalid_and_never_without_a_fitness(make_evaluation, fields):
+    population = [make_evaluation(failing=f, fitness=x, outcome=o) for f, x, o in fields]
+    best = best_of(population)
+    if best is None:
+        assert not any(member.eligible for member in population)
+    else:
+        assert best.eligible
+        assert not any(improves(member, best) for member in population)
+
+
+def test_an_equal_one_is_no_improvement(make_evaluation):
+    assert improves(make_evaluation(fitness=1.0), None)
+    assert not improves(make_evaluation(fitness=1.0), make_evaluation(fitness=1.0))
+    assert not improves(make_evaluation(fitness=math.nan), None)
+    assert not improves(None, None)

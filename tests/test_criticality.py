@@ -1,0 +1,476 @@
+"""Every measure against an oracle written another way, by hand in SI units, and under symmetries."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot import criticality
+from pytest_pafot.criticality import RssRules
+from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
+from tests.support.polygons import corners, distance_after, polygon_distance
+from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
+
+ARRAYS = [
+    criticality.ettc,
+    criticality.ttc,
+    criticality.centre_distance,
+    criticality.gap,
+    criticality.safety_distance,
+    criticality.safety_shortfall,
+    criticality.required_deceleration,
+    criticality.longitudinal_gap,
+    criticality.lateral_gap,
+    criticality.rss_longitudinal,
+    criticality.rss_lateral,
+]
+SYMMETRIC = [
+    criticality.ttc,
+    criticality.centre_distance,
+    criticality.gap,
+    criticality.safety_distance,
+    criticality.safety_shortfall,
+    criticality.required_deceleration,
+    criticality.longitudinal_gap,
+    criticality.lateral_gap,
+]
+
+seeds = st.integers(0, 2**32 - 1)
+angles = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2, 0.3, -2.5, 1e-4]) | st.floats(-math.pi, math.pi)
+coordinates = st.floats(-20, 20)
+speeds = st.sampled_from([0.0, 10.0]) | st.floats(-5, 30)
+
+
+@st.composite
+def movers(draw):
+    """One vehicle at one tick, parallel and standing ones included."""
+    return vehicle(draw(coordinates), draw(coordinates), heading=draw(angles), speed=draw(speeds), lane=1)
+
+
+def of_one_npc(measure, ego, npc, **fields):
+    """The value of a measure for one ego and one NPC at one tick."""
+    return measure(trace_of(ego, npc, **fields))[0, 0]
+
+
+def random_trace(seed, *, rows=12, vehicles=3, lanes=None):
+    rng = np.random.default_rng(seed)
+    return with_states(random_states(rng, rows, vehicles), rng.uniform([4, 1.6], [12, 2.6], (vehicles, 2)), lanes)
+
+
+def with_states(states, sizes, lanes=None):
+    return trace_of(*states.transpose(1, 0, 2), sizes=sizes, lanes=lanes)
+
+
+def assert_same(actual, expected):
+    """Equal up to rounding; infinite and astronomically large times are the same."""
+    np.testing.assert_allclose(np.tanh(actual / 100), np.tanh(expected / 100), rtol=1e-6, atol=1e-9)
+
+
+class TestGap:
+    @given(movers(), movers())
+    def test_is_the_distance_of_the_two_polygons(self, ego, npc):
+        expected = polygon_distance(corners(ego[0]), corners(npc[0]))
+        assert of_one_npc(criticality.gap, ego, npc) == pytest.approx(expected, abs=1e-6)
+
+    def test_counts_from_bumper_to_bumper(self):
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(25)) == pytest.approx(20)
+
+    def test_counts_from_door_to_door_alongside(self):
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(0, 4)) == pytest.approx(2)
+
+    def test_counts_from_corner_to_corner_diagonally(self):
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(8, 6)) == pytest.approx(math.hypot(3, 4))
+
+    def test_is_zero_for_crossed_boxes_without_a_corner_inside_each_other(self):
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(0, heading=math.pi / 2)) == 0
+
+    def test_minimum_is_over_all_ticks_and_npcs(self):
+        trace = trace_of(vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40]))
+        assert criticality.min_gap(trace) == pytest.approx(7)
+
+    def test_uses_each_vehicle_s_own_size(self):
+        sizes = [(5, 2), (12, 2.5)]
+        assert of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes) == pytest.approx(20 - 2.5 - 6)
+
+
+class TestCentreDistance:
+    def test_is_euclidean(self):
+        assert of_one_npc(criticality.centre_distance, vehicle(1, 2, heading=0.4), vehicle(4, 6)) == pytest.approx(5)
+
+    def test_minimum_is_over_all_ticks_and_npcs(self):
+        trace = trace_of(vehicle([0, 0]), vehicle([30, 20]), vehicle([-11, -40]))
+        assert criticality.min_centre_distance(trace) == pytest.approx(11)
+
+
+class TestTtc:
+    @given(movers(), movers())
+    def test_is_the_first_contact_when_time_is_stepped(self, ego, npc):
+        ttc = of_one_npc(criticality.ttc, ego, npc)
+        before = np.linspace(0, min(ttc, 20.0), 60, endpoint=False)
+        assert all(distance_after(ego, npc, seconds) > 0 for seconds in before[before < ttc - 1e-6])
+        if ttc < 1000:
+            assert distance_after(ego, npc, ttc) == pytest.approx(0, abs=1e-6)
+
+    def test_of_following_is_gap_over_closing_speed(self):
+        assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(2)
+
+    def test_of_being_followed_is_the_same(self):
+        assert of_one_npc(criticality.ttc, vehicle(25, speed=10), vehicle(0, speed=20)) == pytest.approx(2)
+
+    def test_is_infinite_at_equal_speed(self):
+        assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=20)) == math.inf
+
+    def test_is_infinite_when_the_leader_pulls_away(self):
+        assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=30)) == math.inf
+
+    def test_is_infinite_when_overtaking_in_the_next_lane(self):
+        assert of_one_npc(criticality.ttc, vehicle(0, speed=30), vehicle(25, 4, speed=10)) == math.inf
+
+    def test_is_zero_at_overlap_even_when_parting(self):
+        assert of_one_npc(criticality.ttc, vehicle(0, speed=10), vehicle(4, speed=30)) == 0
+
+    def test_is_infinite_when_the_npc_crosses_behind_the_ego(self):
+        ego, npc = vehicle(0, speed=20), vehicle(0, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ttc, ego, npc) == math.inf
+
+    def test_sees_a_crossing_npc_that_the_ego_meets(self):
+        # The NPC's front reaches the ego's flank, y = -1, after (20 - 2.5 - 1) / 10 s; the ego is there by then.
+        ego, npc = vehicle(-33, speed=20), vehicle(0, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ttc, ego, npc) == pytest.approx(1.65)
+
+    def test_of_a_car_that_reverses_into_the_ego(self):
+        assert of_one_npc(criticality.ttc, vehicle(0), vehicle(15, speed=-5)) == pytest.approx(2)
+
+    def test_minimum_is_over_all_ticks_and_npcs(self):
+        trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80], speed=10))
+        assert criticality.min_ttc(trace) == pytest.approx(1)
+
+
+class TestEttc:
+    @given(movers(), movers())
+    def test_is_the_solution_of_the_two_lines(self, ego, npc):
+        directions = [
+            math.copysign(1, state[SPEED] + 0.0) * np.array([math.cos(state[HEADING]), math.sin(state[HEADING])])
+            for state in (ego[0], npc[0])
+        ]
+        matrix = np.column_stack([directions[0], -directions[1]])
+        expected = math.inf
+        if abs(np.linalg.det(matrix)) > 1e-9 and ego[0, SPEED] != 0:
+            ways = np.linalg.solve(matrix, npc[0, :2] - ego[0, :2])
+            if abs(ways).min() < 1e-9:
+                return  # the crossing point is under a vehicle's centre: ahead or behind is a matter of rounding
+            expected = ways[0] / abs(ego[0, SPEED]) if (ways > 0).all() else math.inf
+        assert_same(of_one_npc(criticality.ettc, ego, npc), expected)
+
+    @pytest.mark.parametrize(("heading", "other"), [(0.3, 1.2), (0.2, -0.7), (-0.4, 0.9), (1.4, 0.1), (2.5, 1.0)])
+    def test_is_the_paper_s_formula_where_that_is_defined(self, heading, other):
+        crossing = np.array([7.0, -2.0])
+        x1, y1 = crossing - 30 * np.array([math.cos(heading), math.sin(heading)])
+        x2, y2 = crossing - 12 * np.array([math.cos(other), math.sin(other)])
+        tan1, tan2 = math.tan(heading), math.tan(other)
+        x = (y2 - y1 + x1 * tan1 - x2 * tan2) / (tan1 - tan2)
+        y = (x2 - x1 + y1 / tan1 - y2 / tan2) / (1 / tan1 - 1 / tan2)
+        expected = math.sqrt((y - y1) ** 2 + (x - x1) ** 2) / abs(15.0)
+        ego, npc = vehicle(x1, y1, heading=heading, speed=15), vehicle(x2, y2, heading=other, speed=5)
+        assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(expected)
+
+    def test_is_defined_for_headings_along_both_axes(self):
+        ego, npc = vehicle(0, speed=10), vehicle(30, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(3)
+        assert of_one_npc(criticality.ettc, npc, ego) == pytest.approx(2)
+
+    @pytest.mark.parametrize("y", [0.0, 4.0])
+    def test_of_parallel_lines_is_infinite(self, y):
+        assert of_one_npc(criticality.ettc, vehicle(0, speed=20), vehicle(25, y, speed=10)) == math.inf
+
+    def test_of_a_crossing_point_behind_the_ego_is_infinite(self):
+        ego, npc = vehicle(0, speed=10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
+
+    def test_of_a_crossing_point_behind_the_npc_is_infinite(self):
+        ego, npc = vehicle(0, speed=10), vehicle(30, 20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
+
+    def test_of_a_standing_ego_is_infinite(self):
+        ego, npc = vehicle(0, speed=0), vehicle(30, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
+
+    def test_of_a_reversing_ego_looks_behind_it(self):
+        ego, npc = vehicle(0, speed=-10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
+        assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(3)
+
+    def test_mettc_is_the_minimum_over_all_ticks_and_npcs(self):
+        crossing = vehicle([30, 25], -20, heading=math.pi / 2, speed=10)
+        trace = trace_of(vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10), crossing)
+        assert criticality.mettc(trace) == pytest.approx(2.5)
+
+
+class TestSafetyDistance:
+    def test_is_what_the_ego_gains_on_its_leader_in_three_seconds(self):
+        ego, leader = vehicle(0, speed=20, acceleration=1), vehicle(50, speed=15, acceleration=-2)
+        assert of_one_npc(criticality.safety_distance, ego, leader) == pytest.approx(5 * 3 + 3 * 9 / 2)
+
+    def test_is_what_a_follower_gains_on_the_ego(self):
+        ego, follower = vehicle(0, speed=20, acceleration=-2), vehicle(-50, speed=26)
+        assert of_one_npc(criticality.safety_distance, ego, follower) == pytest.approx(6 * 3 + 2 * 9 / 2)
+
+    def test_is_negative_when_the_leader_pulls_away(self):
+        assert of_one_npc(criticality.safety_distance, vehicle(0, speed=20), vehicle(50, speed=25)) == pytest.approx(
+            -15
+        )
+
+    def test_who_follows_is_decided_along_the_road_and_not_along_the_ego_s_heading(self):
+        ego, npc = vehicle(0, 0, heading=0.3, speed=20), vehicle(1, -4, speed=20)
+        assert criticality.ego_follows(trace_of(ego, npc))[0, 0]
+
+    def test_the_road_of_a_bend_is_that_of_the_ego_s_lane(self):
+        lanes = (*straight_lanes(1), *straight_lanes(1, heading=math.pi))
+        npc = vehicle(10, speed=20)
+        assert criticality.ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
+        assert not criticality.ego_follows(trace_of(vehicle(0, lane=1), npc, lanes=lanes))[0, 0]
+
+    def test_minimum_is_the_signed_one(self):
+        trace = trace_of(vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25]))
+        assert criticality.min_safety_distance(trace) == pytest.approx(-15)
+
+
+class TestSafetyShortfall:
+    def test_is_the_missing_share_of_the_safety_distance(self):
+        # SD = 30 m, gap = 20 m.
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(
+            1 / 3
+        )
+
+    def test_is_zero_when_the_distance_is_kept(self):
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(36, speed=10)) == 0
+
+    def test_is_zero_when_none_is_needed(self):
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(6, speed=25)) == 0
+
+    def test_is_zero_in_another_lane(self):
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(7, 4, speed=10)) == 0
+
+    def test_is_zero_when_both_are_off_the_road(self):
+        ego, npc = vehicle(0, speed=20, lane=-1), vehicle(7, speed=10, lane=-1)
+        assert of_one_npc(criticality.safety_shortfall, ego, npc) == 0
+
+    def test_is_one_at_contact(self):
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(4, speed=10)) == 1
+
+    def test_maximum_is_over_all_ticks_and_npcs(self):
+        trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90]))
+        assert criticality.max_safety_shortfall(trace) == pytest.approx(1 / 3)
+
+    @given(seeds)
+    def test_lies_between_zero_and_one(self, seed):
+        shortfall = criticality.safety_shortfall(random_trace(seed))
+        assert (shortfall >= 0).all()
+        assert (shortfall <= 1).all()
+
+
+class TestRequiredDeceleration:
+    def test_just_avoids_the_contact_when_it_is_driven(self):
+        ego, leader = vehicle(0, speed=20), vehicle(25, speed=10)
+        needed = of_one_npc(criticality.required_deceleration, ego, leader)
+        times = np.linspace(0, 10 / needed, 1001)
+        gaps = 20 + 10 * times - (20 * times - needed * times**2 / 2)
+        assert gaps.min() == pytest.approx(0, abs=1e-9)
+
+    def test_is_the_follower_s_whoever_that_is(self):
+        assert of_one_npc(
+            criticality.required_deceleration, vehicle(25, speed=10), vehicle(0, speed=20)
+        ) == pytest.approx(2.5)
+
+    @pytest.mark.parametrize("npc", [vehicle(25, speed=20), vehicle(25, speed=30), vehicle(25, 4, speed=10)])
+    def test_is_zero_when_nothing_closes_in_the_same_lane(self, npc):
+        assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), npc) == 0
+
+    def test_is_infinite_at_contact_while_closing(self):
+        assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), vehicle(4, speed=10)) == math.inf
+
+
+class TestHardestBrake:
+    def test_is_the_largest_deceleration_of_the_ego_alone(self):
+        ego = vehicle([0, 1, 2], speed=20, acceleration=[0, -3.5, 2])
+        npc = vehicle([50, 51, 52], speed=20, acceleration=[0, -8, 0])
+        assert criticality.hardest_brake(trace_of(ego, npc)) == 3.5
+
+    def test_is_zero_for_an_ego_that_never_brakes(self):
+        assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0
+
+
+def stopping_way(speed, response, acceleration, braking, *, step=1e-3):
+    """Way of a vehicle that accelerates for its response time and then brakes to a standstill, by small steps."""
+    way, time = 0.0, 0.0
+    while time < response - step / 2 or speed > 0:
+        change = acceleration if time < response - step / 2 else -braking
+        way += speed * step + change * step**2 / 2
+        speed += change * step
+        time += step
+    return way
+
+
+class TestRss:
+    rules = RssRules(ego_response=0.5, npc_response=1.5, acceleration=3, least_braking=4, hardest_braking=9)
+
+    def test_longitudinal_distance_by_hand(self):
+        # 20 * 1 + 3.5 / 2 + 23.5^2 / 8 - 15^2 / 16
+        ego, leader = vehicle(0, speed=20), vehicle(80, speed=15)
+        assert of_one_npc(criticality.rss_longitudinal, ego, leader) == pytest.approx(76.71875)
+
+    @pytest.mark.parametrize(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
+    def test_longitudinal_distance_is_what_the_worst_case_uses_up(self, follower, leader):
+        expected = stopping_way(follower, 0.5, 3, 4) - stopping_way(leader, 0, 0, 9)
+        trace = trace_of(vehicle(0, speed=follower), vehicle(99, speed=leader))
+        assert criticality.rss_longitudinal(trace, self.rules)[0, 0] == pytest.approx(max(expected, 0), abs=0.05)
+
+    def test_a_following_npc_has_its_own_response_time(self):
+        trace = trace_of(vehicle(99, speed=15), vehicle(0, speed=20))
+        expected = stopping_way(20, 1.5, 3, 4) - stopping_way(15, 0, 0, 9)
+        assert criticality.rss_longitudinal(trace, self.rules)[0, 0] == pytest.approx(expected, abs=0.05)
+
+    def test_longitudinal_distance_is_never_negative(self):
+        assert of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=5), vehicle(50, speed=30)) == 0
+
+    def test_an_oncoming_leader_asks_for_more_than_a_standing_one(self):
+        standing, oncoming = (
+            of_one_npc(criticality.rss_longitudinal, vehicle(0, speed=20), vehicle(80, heading=math.pi, speed=speed))
+            for speed in (0, 10)
+        )
+        assert oncoming == pytest.approx(standing + 100 / 16)
+
+    def test_lateral_distance_by_hand_for_two_that_keep_their_lanes(self):
+        # Ego: 0.2 / 2 + 0.2^2 / 1.6; NPC: 0.2 * 4 / 2 + 0.4^2 / 1.6; and the margin of 0.1.
+        ego, npc = vehicle(0, speed=20), vehicle(0, 4, speed=20)
+        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.125 + 0.5 + 0.1)
+
+    @pytest.mark.parametrize("side", [-1, 1])
+    def test_lateral_distance_is_what_the_worst_case_uses_up(self, side):
+        heading = -side * 0.05  # towards the ego
+        ego, npc = vehicle(0, speed=20), vehicle(0, side * 4, heading=heading, speed=20)
+        expected = 0.1 + stopping_way(0, 1, 0.2, 0.8) + stopping_way(20 * math.sin(0.05), 2, 0.2, 0.8)
+        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(expected, abs=0.01)
+
+    def test_lateral_distance_is_the_margin_when_the_npc_leaves(self):
+        ego, npc = vehicle(0, speed=20), vehicle(0, 4, heading=0.1, speed=20)
+        assert of_one_npc(criticality.rss_lateral, ego, npc) == pytest.approx(0.1)
+
+    def test_gaps_are_measured_along_and_across_the_road(self):
+        ego, npc = vehicle(0), vehicle(20, 6, heading=math.pi / 2)
+        assert of_one_npc(criticality.longitudinal_gap, ego, npc) == pytest.approx(20 - 2.5 - 1)
+        assert of_one_npc(criticality.lateral_gap, ego, npc) == pytest.approx(6 - 1 - 2.5)
+
+    def test_gaps_are_zero_where_the_projections_overlap(self):
+        assert of_one_npc(criticality.longitudinal_gap, vehicle(0), vehicle(3, 4)) == 0
+        assert of_one_npc(criticality.lateral_gap, vehicle(0), vehicle(30, 1)) == 0
+
+    @pytest.mark.parametrize("field", ["least_braking", "hardest_braking", "lateral_braking"])
+    def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
+        with pytest.raises(ValueError, match=f"{field}: expected a finite number, more than 0, received 0"):
+            RssRules(**{field: 0})
+
+    def test_rules_refuse_negative_times(self):
+        with pytest.raises(ValueError, match="ego_response: expected a finite number, at least 0, received -1"):
+            RssRules(ego_response=-1)
+
+
+class TestPostEncroachmentTime:
+    def test_of_a_crossing_is_from_leaving_to_arriving(self):
+        # The NPC's rear leaves the ego's track, y = 1, at 0.7 s: (1 + 2.5 + 3.5) / 10. The ego's front arrives at
+        # the NPC's track, x = 29, at (29 - 2.5) / 10 = 2.65 s. Ticks: 0.01 s.
+        ticks = np.arange(500) / 100
+        ego = vehicle(10 * ticks, speed=10)
+        npc = vehicle(30, -3.5 + 10 * ticks, heading=math.pi / 2, speed=10)
+        pet = criticality.post_encroachment_time(trace_of(ego, npc, physics_hz=100, ads_hz=10))
+        assert pet == pytest.approx([1.95], abs=0.0101)
+        assert criticality.post_encroachment_time(trace_of(npc, ego, physics_hz=100, ads_hz=10)) == pytest.approx(pet)
+
+    def test_of_following_is_the_net_time_gap(self):
+        trace = trace_of(vehicle(0, speed=20, ticks=60), vehicle(25, speed=20, ticks=60))
+        assert criticality.post_encroachment_time(trace) == pytest.approx([1.0], abs=1 / 15)
+
+    def test_is_zero_at_overlap(self):
+        assert criticality.post_encroachment_time(trace_of(vehicle(0), vehicle(4))) == 0
+
+    def test_is_infinite_for_neighbours_that_share_no_place(self):
+        trace = trace_of(vehicle(0, speed=20, ticks=60), vehicle(0, 4, speed=20, ticks=60))
+        assert criticality.post_encroachment_time(trace) == math.inf
+
+    def test_is_infinite_beyond_the_horizon(self):
+        trace = trace_of(vehicle(0, speed=10, ticks=150), vehicle(55, speed=10, ticks=150))
+        assert criticality.post_encroachment_time(trace, horizon=4) == math.inf
+        assert criticality.post_encroachment_time(trace, horizon=6) == pytest.approx(5, abs=1 / 15)
+
+    @given(seeds)
+    def test_is_the_smallest_lag_of_any_two_overlapping_states(self, seed):
+        trace = random_trace(seed, rows=6, vehicles=2)
+        lengths, widths = trace.sizes.T
+        lags = [
+            abs(i - j) / 15
+            for i, ego in enumerate(trace.ego)
+            for j, npc in enumerate(trace.npcs[:, 0])
+            if polygon_distance(corners(ego, lengths[0], widths[0]), corners(npc, lengths[1], widths[1])) == 0
+        ]
+        assert criticality.post_encroachment_time(trace)[0] == pytest.approx(min(lags, default=math.inf))
+
+
+class TestDurations:
+    def test_execution_time_is_that_of_the_run(self):
+        assert criticality.execution_time(trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))) == pytest.approx(3)
+
+    def test_planned_duration_is_that_of_the_genes(self):
+        assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
+
+
+@pytest.mark.parametrize("measure", ARRAYS, ids=lambda measure: measure.__name__)
+class TestEveryArray:
+    @given(seed=seeds, angle=angles, x=coordinates, y=coordinates)
+    def test_does_not_depend_on_where_the_road_lies(self, measure, seed, angle, x, y):
+        trace = random_trace(seed)
+        cos, sin = math.cos(angle), math.sin(angle)
+        states = trace.states.copy()
+        states[..., X] = x + cos * trace.states[..., X] - sin * trace.states[..., Y]
+        states[..., Y] = y + sin * trace.states[..., X] + cos * trace.states[..., Y]
+        states[..., HEADING] += angle
+        turned = with_states(states, trace.sizes, straight_lanes(heading=angle))
+        assert_same(measure(turned), measure(trace))
+
+    @given(seed=seeds)
+    def test_is_the_same_in_a_mirror(self, measure, seed):
+        trace = random_trace(seed)
+        states = trace.states.copy()
+        states[..., [Y, HEADING]] *= -1
+        assert_same(measure(with_states(states, trace.sizes)), measure(trace))
+
+    @given(seed=seeds)
+    def test_of_one_npc_does_not_depend_on_the_others(self, measure, seed):
+        trace = random_trace(seed)
+        alone = with_states(trace.states[:, [0, 2]], trace.sizes[[0, 2]])
+        np.testing.assert_array_equal(measure(alone)[:, 0], measure(trace)[:, 1])
+
+    def test_has_one_value_per_tick_and_npc(self, measure):
+        assert measure(random_trace(0, rows=12, vehicles=4)).shape == (12, 3)
+
+    def test_never_hides_a_nan(self, measure):
+        states = random_trace(0, rows=1).states.copy()
+        states[..., LANE] = 1
+        states[:, 0, [X, HEADING, SPEED, ACCELERATION]] = np.nan
+        assert np.isnan(measure(with_states(states, np.full((3, 2), (5, 2))))).all()
+
+
+@pytest.mark.parametrize("measure", SYMMETRIC, ids=lambda measure: measure.__name__)
+@given(seed=seeds)
+def test_swapping_ego_and_npc_changes_nothing(measure, seed):
+    trace = random_trace(seed, vehicles=2)
+    assert_same(measure(with_states(trace.states[:, ::-1], trace.sizes[::-1])), measure(trace))
+
+
+def test_one_encounter_answers_as_the_functions_do():
+    trace = random_trace(3)
+    encounters = criticality.Encounters(trace)
+    for name in ("ettc", "ttc", "gap", "centre_distance", "safety_distance", "safety_shortfall"):
+        np.testing.assert_array_equal(getattr(encounters, name).T, getattr(criticality, name)(trace))
+    for name in ("mettc", "min_ttc", "min_gap", "min_centre_distance", "min_safety_distance", "max_safety_shortfall"):
+        assert getattr(encounters, name) == getattr(criticality, name)(trace)

@@ -1,0 +1,101 @@
+"""The strategies draw valid values by construction, reach all of them, and shrink to the simplest."""
+
+import itertools
+import subprocess
+import sys
+
+import pytest
+from hypothesis import find, given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot import strategies
+from pytest_pafot.grid import Cell, is_adjacent
+from pytest_pafot.scenario import PositionInstruction, Scenario
+
+
+@given(strategies.position_instructions(cells=[2, 6], min_speed=3.05, max_speed=7.0))
+def test_instructions_keep_to_their_cells_and_speeds(instruction):
+    assert instruction.cell in (Cell.FRONT, Cell.REAR)
+    assert 3.0 <= instruction.speed <= 7.0
+
+
+@given(strategies.chromosomes(min_genes=2, max_genes=9))
+def test_chains_take_only_steps_along_the_ring(chain):
+    assert 2 <= len(chain) <= 9
+    assert all(is_adjacent(a.cell, b.cell) for a, b in itertools.pairwise(chain))
+
+
+@given(strategies.chromosomes(cells=[1, 2, 3], max_genes=8))
+def test_chains_visit_only_the_cells_given(chain):
+    assert {gene.cell for gene in chain} <= {1, 2, 3}
+
+
+@given(strategies.scenarios(min_npcs=1, max_npcs=8, lanes=5))
+@settings(max_examples=150)
+def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
+    assert Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane) == scenario
+
+
+@given(strategies.scenarios(lanes=3, max_npcs=5))
+def test_every_npc_starts_in_a_lane_that_exists(scenario):
+    assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.npcs)
+
+
+@given(st.data())
+def test_types_alone_give_strategies(data):
+    assert isinstance(data.draw(st.from_type(Scenario)), Scenario)
+    assert isinstance(data.draw(st.from_type(PositionInstruction)), PositionInstruction)
+
+
+def test_the_simplest_scenario_is_one_npc_that_stays_at_standstill():
+    simplest = find(strategies.scenarios(), lambda _: True)
+    assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1)
+
+
+def test_a_failing_chain_shrinks_to_staying_and_to_round_speeds():
+    found = find(
+        strategies.chromosomes(min_genes=3), lambda chain: chain[1].speed > 7.35, settings=settings(max_examples=500)
+    )
+    assert [int(gene.cell) for gene in found] == [1, 1, 1]
+    assert [gene.speed for gene in found] == [0.0, 8.0, 0.0]
+
+
+def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
+    def follows(step):
+        def both_move(scenario):
+            return all((chain[1].cell - chain[0].cell) % 8 == step % 8 for chain in scenario.npcs) and is_adjacent(
+                scenario.npcs[0][0].cell, scenario.npcs[1][0].cell
+            )
+
+        return both_move
+
+    pairs = strategies.scenarios(min_npcs=2, min_genes=2, max_genes=2)
+    many = settings(max_examples=5000)
+    assert find(pairs, follows(1), settings=many)
+    assert find(pairs, follows(-1), settings=many)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"cells": []}, "at least one cell"),
+        ({"min_speed": 5.0, "max_speed": 4.0}, "min_speed <= max_speed"),
+        ({"min_genes": 0}, "min_genes"),
+        ({"max_npcs": 9}, "<= 8"),
+        ({"lanes": 2, "max_npcs": 8}, "one NPC per cell"),
+        ({"ego_lane": 7}, "from 0 to 3"),
+    ],
+)
+def test_impossible_bounds_say_what_was_expected(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        strategies.scenarios(**arguments)
+
+
+def test_hypothesis_finds_the_strategies_by_its_entry_point():
+    code = (
+        "from hypothesis import strategies as st; import sys;"
+        "from pytest_pafot.scenario import Scenario;"
+        "st.from_type(Scenario).validate();"
+        "assert 'highway_env' not in sys.modules and 'numpy' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
