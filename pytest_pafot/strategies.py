@@ -15,11 +15,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-from hypothesis import strategies as st
-from hypothesis.strategies import SearchStrategy
-
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, Chromosome, PositionInstruction, Scenario
+
+
+def _register() -> None:
+    """Hypothesis calls this entry point when it is imported, so that types alone give strategies.
+
+    It stands before the import of hypothesis, which may be the one that calls it.
+    """
+    from hypothesis import strategies  # noqa: PLC0415
+
+    strategies.register_type_strategy(PositionInstruction, lambda _: position_instructions())
+    strategies.register_type_strategy(Scenario, lambda _: scenarios())
+
+
+from hypothesis import strategies as st  # noqa: E402
+from hypothesis.strategies import SearchStrategy  # noqa: E402
 
 __all__ = ["chromosomes", "position_instructions", "scenarios"]
 
@@ -174,9 +186,3 @@ def _bounds(name: str, low: int, high: int, most: int | None) -> SearchStrategy[
 def _lanes(lanes: int, ego_lane: int | None) -> list[int]:
     """Candidate lanes of the ego, the one next to the leftmost first because examples shrink to it."""
     return sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane)) if ego_lane is None else [ego_lane]
-
-
-def _register() -> None:
-    """Hypothesis calls this entry point when it is imported, so that types alone give strategies."""
-    st.register_type_strategy(PositionInstruction, lambda _: position_instructions())
-    st.register_type_strategy(Scenario, lambda _: scenarios())

@@ -79,6 +79,9 @@ class Collision:
     npc_speed: float
     closing_speed: float
 
+    def __repr__(self) -> str:
+        return f"<Collision after {self.time:.1f} s: NPC {self.npc} in cell {int(self.cell)}, {self.side} of the ego>"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdsError:
@@ -89,12 +92,14 @@ class AdsError:
         message: one line.
         traceback: of the user's code; empty for a bad action.
         tick: physics tick of the decision.
+        interrupted: whether it hung and was interrupted, rather than raised.
     """
 
     kind: str
     message: str
     traceback: str
     tick: int
+    interrupted: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

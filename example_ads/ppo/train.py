@@ -1,10 +1,11 @@
 """Train the PPO policy of this folder and write its actor as plain numpy arrays.
 
     pip install "pytest-pafot[train]"
-    python -m example_ads.ppo.train --steps 30720
+    python -m example_ads.ppo.train
 
-takes about ten minutes on one core, then prints how often the result crashes in unmodified ``highway-v0`` and how often
-its numpy form picks the action that stable-baselines3 picks. ``--report-only`` prints the first for the shipped actor.
+takes about six minutes on one core, then prints how often the result crashes in unmodified ``highway-v0``, and on how
+many observations its numpy form picks the action that stable-baselines3 picks. ``--report-only`` prints the first for
+the weights that are shipped: 1 crash in 30 episodes, at 20 m/s.
 """
 
 from __future__ import annotations
@@ -23,16 +24,15 @@ from example_ads.ppo import ACTOR, Layers, PpoPolicy, read_actor
 
 TRAINING_CONFIG = {
     "lanes_count": 4,
-    "vehicles_count": 18,
-    "vehicles_density": 1.1,
-    "duration": 40,
+    "vehicles_count": 11,
+    "vehicles_density": 1.4,
+    "duration": 25,
     "high_speed_reward": 0.5,
     "right_lane_reward": 0.0,
 }
 """Changes to ``highway-fast-v0``, which steps its physics 5 times a second and tests only the ego for collisions.
 
-The four lanes and 40 s are those of ``highway-v0``. Speed counts for more: with the environment's own reward the
-policy learns to crawl behind everyone at 20 m/s.
+Four lanes as in ``highway-v0``, but shorter and denser, so that more of what is simulated is worth learning from.
 """
 
 SCALES = np.array([1, 8, 4, 16, 16], dtype=np.float32)
@@ -45,6 +45,23 @@ first layer can absorb them without rounding.
 Decide = Callable[[npt.NDArray[np.float32]], int]
 
 
+class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
+    """Lets half of the others slow down to between 8 and 20 m/s.
+
+    All of highway-env's traffic drives at 21 m/s or more, and the slowest meta-action at 20: among such, slowing down
+    is always an answer, and a policy learns nothing else.
+    """
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Start an episode."""
+        observation = self.env.reset(seed=seed, options=options)
+        env: Any = self.unwrapped
+        for vehicle in env.road.vehicles[1:]:
+            if env.np_random.random() < 0.5:
+                vehicle.target_speed = env.np_random.uniform(8, 20)
+        return observation
+
+
 def train(steps: int, seed: int) -> Any:
     """A stable-baselines3 PPO model after so many environment steps."""
     import torch  # noqa: PLC0415 - the extra `train`
@@ -52,6 +69,7 @@ def train(steps: int, seed: int) -> Any:
 
     torch.set_num_threads(1)
     plain = gym.make("highway-fast-v0", config=TRAINING_CONFIG)
+    plain = UnevenTraffic(plain)
     env = gym.wrappers.TransformObservation(plain, lambda observation: observation * SCALES, plain.observation_space)
     model = PPO(
         "MlpPolicy",
@@ -59,9 +77,9 @@ def train(steps: int, seed: int) -> Any:
         n_steps=512,
         batch_size=64,
         n_epochs=10,
-        learning_rate=lambda remaining: 7e-4 * remaining,
+        learning_rate=lambda remaining: 6e-4 * remaining,
         gamma=0.9,
-        ent_coef=0.005,
+        ent_coef=0.003,
         policy_kwargs={
             "net_arch": {"pi": [128, 128], "vf": [128, 128]},
             "activation_fn": torch.nn.ReLU,
@@ -117,7 +135,7 @@ def agreement(model: Any, policy: PpoPolicy, observations: list[npt.NDArray[np.f
 def main() -> None:
     """Train, write, and report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--steps", type=int, default=30_720, help="environment steps (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=36_864, help="environment steps (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the training (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=ACTOR, help="file to write (default: %(default)s)")
     parser.add_argument("--episodes", type=int, default=30, help="of the report (default: %(default)s)")

@@ -12,7 +12,7 @@ from typing import Any
 
 from pytest_pafot.findings.responsibility import Responsibility
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, Signature, of_failure
+from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, of_failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Side
@@ -170,7 +170,7 @@ def ads_failure(run: Run) -> Failure | None:
     if run.too_slow:
         limit = f"{run.decision_limit:g} s"
         return Failure(
-            kind="SlowDecision", message=f"a decision took {run.max_decision_time:.3f} s, allowed are {limit}"
+            kind=SLOW_DECISION, message=f"a decision took {run.max_decision_time:.3f} s, allowed are {limit}"
         )
     return None
 

@@ -19,6 +19,9 @@ NUMBER = "N"
 _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?(?:inf|nan)\b")
 _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(?::\d+)?")
+SLOW_DECISION = "SlowDecision"
+"""The failure of a run in which a decision took longer than the limit that the test sets."""
+
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
 
@@ -71,6 +74,8 @@ class Signature:
     def _subject(self) -> str:
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return self.outcome.replace("_", "-")
+        if self.failure == SLOW_DECISION:
+            return _kebab("slow-decision")
         words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
         subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
         return _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or self.outcome.replace("_", "-")

@@ -33,8 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", line)
     session.start(config)
     is_worker = session.is_worker(config)
-    if not is_worker:
-        accept_files(config)
+    accept_files(config)
     features = {
         "fixtures": fixtures,
         "collection": Collection(config),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -11,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.findings.inflight import InFlight
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.flights import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge
+from pytest_pafot.plugin.places import corpus_root
 from pytest_pafot.plugin.request import Request, RequestError, build_world
 
 if TYPE_CHECKING:
@@ -90,7 +93,7 @@ class Bench:
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""
         __tracebackhide__ = True
-        return judge(run, self.test, blame=self.request.blame, test_file=self.item.obj.__code__.co_filename)
+        return judge(run, self.test, blame=self.request.blame, test_file=_source_file(self.item))
 
     def tried(self, scenario: Scenario, world: Any, owner: str) -> tuple[Run, Verdict]:
         """One run and its verdict, with the scenario on disk meanwhile."""
@@ -104,10 +107,13 @@ class Bench:
     def in_flight(self, world: Any, owner: str = "") -> Iterator[InFlight]:
         """The record of what runs now; gone at the end, however that comes, unless the process dies."""
         folder = flight_folder(self.item, self.request)
-        with InFlight(folder, owner or owner_of(self.item), world=world.to_dict()) as flight:
-            yield flight
-        if folder.name != "pafot" and folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+        try:
+            with InFlight(folder, owner or owner_of(self.item), world=_plain(world)) as flight:
+                yield flight
+        finally:
+            if folder == corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
+                with suppress(OSError):  # It holds findings, or was never made.
+                    folder.rmdir()
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""
@@ -129,6 +135,22 @@ def installed_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             versions[package] = "unknown"
     return versions
+
+
+def _plain(world: Any) -> dict[str, Any] | None:
+    """A world as data, or None where it is made of more than a file can hold."""
+    data: dict[str, Any] = world.to_dict()
+    try:
+        check_plain("world", data)
+    except ValueError:
+        return None
+    return data
+
+
+def _source_file(item: pytest.Function) -> str:
+    """As in the code of the test function, whatever wraps it."""
+    code = getattr(inspect.unwrap(item.obj), "__code__", None)
+    return str(item.path) if code is None else str(code.co_filename)
 
 
 def _equal(a: Run, b: Run) -> bool:

@@ -1,22 +1,19 @@
-"""What must be right before an item runs, checked before its fixtures, and said in one clear message."""
+"""What must be right before an item runs, checked before its fixtures."""
 
 from __future__ import annotations
 
-import inspect
-import sys
 from collections.abc import Generator
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_pafot.plugin.collection import is_search, saved_of
-from pytest_pafot.plugin.flights import left_behind
-from pytest_pafot.plugin.marks import DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
-from pytest_pafot.plugin.oracle import is_asynchronous
-from pytest_pafot.plugin.request import Request, RequestError, read_request
-from pytest_pafot.plugin.session import SEARCH_PART, SHARED
+from pytest_pafot.plugin.collection import is_search
+from pytest_pafot.plugin.marks import arguments_of
 
-REQUEST = pytest.StashKey[Request]()
+if TYPE_CHECKING:
+    from pytest_pafot.plugin.request import Request
+
+REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
 
 class Checks:
@@ -29,10 +26,17 @@ class Checks:
         arguments = arguments_of(item)
         if arguments is None:
             return
+        from pytest_pafot.plugin.flights import left_behind  # noqa: PLC0415
+        from pytest_pafot.plugin.refusals import checked  # noqa: PLC0415
+        from pytest_pafot.plugin.request import RequestError  # noqa: PLC0415
+
+        problem = ""
         try:
             request = checked(item, arguments)
         except RequestError as error:
-            pytest.fail(str(error), pytrace=False)
+            problem = str(error)
+        if problem:  # Outside of the handler, so that the same is not shown twice.
+            pytest.fail(problem, pytrace=False)
         item.stash[REQUEST] = request
         if is_search(item) and request.settings.generations == 0 and not left_behind(item, request):
             pytest.skip("replay only: --pafot-generations=0")
@@ -48,81 +52,7 @@ class Checks:
             return report
         error = call.excinfo.value
         if isinstance(error, pytest.FixtureLookupError) and error.argname == request.ads:
+            from pytest_pafot.plugin.refusals import missing_ads  # noqa: PLC0415
+
             report.longrepr = missing_ads(item, str(request.ads))
         return report
-
-
-def checked(item: pytest.Item, arguments: dict[str, Any]) -> Request:
-    """The item's request.
-
-    Raises:
-        RequestError: when the item cannot be searched or replayed as it is written.
-    """
-    _check_function(item)
-    request = read_request(item.config, arguments, item.config.stash[SHARED].fresh_seed)
-    _check_parameter(item, request.arg)
-    _check_fixtures(item, request)
-    return request
-
-
-def missing_ads(item: pytest.Item, name: str) -> str:
-    """What to do about a fixture that does not exist."""
-    return (
-        f"{item.name}: the fixture {name!r} that gives the ADS factory was not found.\n"
-        "Define it in the test file or in conftest.py:\n\n"
-        "    @pytest.fixture\n"
-        f"    def {name}():\n"
-        "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
-        'or name another fixture with @pafot.search(ads="..."), or give a factory with @pafot.search(ads=MyPlanner).'
-    )
-
-
-def _check_function(item: pytest.Item) -> None:
-    cls = getattr(item, "cls", None)
-    unittest = sys.modules.get("unittest")
-    if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
-        raise RequestError(
-            f"{item.name}: expected a plain test function or class, received a method of the unittest.TestCase "
-            f"{cls.__name__}, which takes no fixtures; move the test out of it"
-        )
-    if not isinstance(item, pytest.Function):
-        raise RequestError(f"{item.name}: expected a test function, received {item!r}")
-    if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
-        raise RequestError(
-            f"{item.name}: expected @pafot.search or @given, received both, which would each run the function many "
-            "times; use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
-        )
-    if is_asynchronous(item.obj):
-        raise RequestError(
-            f"{item.name}: expected a plain function, received an async one, whose assertions would never run; "
-            "write `def` in place of `async def`"
-        )
-
-
-def _check_parameter(item: pytest.Item, arg: str) -> None:
-    names = list(inspect.signature(item.obj).parameters)  # type: ignore[attr-defined]
-    if arg not in names:
-        hint = (
-            f"name it, as in `def {item.name.partition('[')[0]}({arg})`"
-            if arg == DEFAULT_ARG
-            else "correct @pafot.search(arg=...)"
-        )
-        raise RequestError(
-            f"{item.name}: expected a parameter {arg!r} that receives the simulated run, "
-            f"received the parameters ({', '.join(names)}); {hint}"
-        )
-    if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
-        raise RequestError(
-            f"{item.name}: expected the parameter {arg!r} to be free for the simulated run, but the test is "
-            "parametrised by it already; rename one of the two, with @pafot.search(arg=...)"
-        )
-
-
-def _check_fixtures(item: pytest.Item, request: Request) -> None:
-    names = item.fixturenames  # type: ignore[attr-defined]
-    for name in (request.ads, WORLD_FIXTURE):
-        if isinstance(name, str) and name not in names:
-            raise RequestError(
-                f"{item.name}: expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
-                f"which asks for it, and not with @pytest.mark.{SEARCH_MARK}"
-            )

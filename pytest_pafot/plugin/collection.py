@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Generator, Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pytest_pafot.plugin import orphans, places
+from pytest_pafot.plugin import places
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
-from pytest_pafot.plugin.options import OptionError, resolve
-from pytest_pafot.plugin.places import Saved
-from pytest_pafot.plugin.session import EXPLICIT, SAVED_PART, SEARCH_PART, SHARED, Explicit
+from pytest_pafot.plugin.options import corpus_name
+from pytest_pafot.plugin.places import Candidates, Saved
+from pytest_pafot.plugin.session import EXPLICIT, SAVED_PART, SEARCH_PART, SHARED, Explicit, Seen, base_line
 
 ORPHANS = pytest.StashKey[list[Path]]()
 
 SEARCH = "search"
-"""The argument of a searching item, until each simulated run takes its place."""
+"""The argument of an item, until a simulated run takes its place."""
 
 
 def accept_files(config: pytest.Config) -> None:
@@ -27,15 +26,15 @@ def accept_files(config: pytest.Config) -> None:
     if not given:
         return
     explicit = config.stash[EXPLICIT] = Explicit()
-    others = [Path(_without_ids(arg)).resolve() for arg in config.args if arg not in given]
+    others = [(config.invocation_params.dir / _without_ids(arg)).resolve() for arg in config.args if arg not in given]
     added: list[str] = []
     for arg in given:
-        file = Path(arg).resolve()
+        file = (config.invocation_params.dir / arg).resolve()
         module = _module_of(file, config)
         explicit.files.add(file)
         if not any(other in (module, *module.parents) for other in others):
             explicit.modules.add(module)
-            added.append(os.path.relpath(module, config.invocation_params.dir))
+            added.append(str(module))
     config.args[:] = [*(arg for arg in config.args if arg not in given), *dict.fromkeys(added)]
 
 
@@ -44,7 +43,7 @@ class Collection:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
-        self._seen = orphans.Seen()
+        self._seen = Seen()
 
     @pytest.hookimpl(trylast=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
@@ -55,7 +54,7 @@ class Collection:
         arg = arguments.get("arg", DEFAULT_ARG)
         if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
             return  # The one item that this leaves says what is wrong when it is set up.
-        saved = [_param(value) for value in self._saved(metafunc, arguments)]
+        saved = [_param(candidates) for candidates in places.by_id(self._saved(metafunc, arguments))]
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
 
     @pytest.hookimpl(wrapper=True)
@@ -75,7 +74,7 @@ class Collection:
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, None, None]:
         """Find orphans before any selection, drop known searches after all."""
-        config.stash[ORPHANS] = orphans.find(self._seen, items, self._default_corpus(), config.rootpath)
+        config.stash[ORPHANS] = self._orphans(items)
         _keep_explicit(config, items)
         yield
         _drop_known_searches(config, items)
@@ -86,7 +85,8 @@ class Collection:
         saved = sum(saved_of(item) is not None for item in items)
         if not searches and not saved:
             return None
-        return f"pafot: {_count(searches, 'search', 'searches')}, {_count(saved, 'saved scenario', 'saved scenarios')}"
+        counts = f"{_count(searches, 'search', 'searches')}, {_count(saved, 'saved scenario', 'saved scenarios')}"
+        return f"pafot: {counts}; {base_line(self._config)}"
 
     def _belongs(self, item: pytest.Item) -> bool:
         """Whether an item is to be kept: files belong to one parametrisation, and others drop out here."""
@@ -97,33 +97,39 @@ class Collection:
         if folder is not None:
             self._seen.folders.add(folder)
             self._seen.roots[folder.parents[1]] = item.path.parent
-        saved = saved_of(item)
-        if saved is None:
+        mark = item.get_closest_marker(SAVED_MARK)
+        if mark is None:
             return True
         frozen = self._config.stash[SHARED].frozen
-        return saved.path.parent == folder and (frozen is None or item.nodeid in frozen)
+        saved = mark.args[0].files.get(folder)
+        if saved is None or (frozen is not None and item.nodeid not in frozen):
+            return False
+        _mark(item, saved)
+        return True
+
+    def _orphans(self, items: list[pytest.Item]) -> list[Path]:
+        corpus, rootpath = corpus_name(self._config, {}), self._config.rootpath
+        roots = dict(self._seen.roots)
+        if corpus is not None:
+            files = {item.path.parent: item.path for item in items}
+            roots |= {places.corpus_root(file, corpus, rootpath): directory for directory, file in files.items()}
+        if not any(root.is_dir() for root in roots):
+            return []
+        from pytest_pafot.plugin import orphans  # noqa: PLC0415
+
+        return orphans.find(self._seen, roots, {item.path for item in items}, rootpath)
 
     def _folder(self, item: pytest.Item, arguments: dict[str, Any]) -> Path | None:
-        try:
-            corpus = resolve(self._config, arguments, 0).corpus
-        except OptionError:
-            return None
-        return places.folder_of_item(item, corpus, self._config.rootpath)
+        corpus = corpus_name(self._config, arguments)
+        return None if corpus is None else places.folder_of_item(item, corpus, self._config.rootpath)
 
     def _saved(self, metafunc: pytest.Metafunc, arguments: dict[str, Any]) -> list[Saved]:
         """Every file that may belong to an item of the function, in the order of folders and ids."""
-        try:
-            corpus = resolve(self._config, arguments, 0).corpus
-        except OptionError:
+        corpus = corpus_name(self._config, arguments)
+        if corpus is None:
             return []
         module_folder = places.folder_of_module(metafunc.definition.path, corpus, self._config.rootpath)
         return places.read_saved(module_folder, metafunc.definition)
-
-    def _default_corpus(self) -> str:
-        try:
-            return resolve(self._config, {}, 0).corpus
-        except OptionError:
-            return "pafot_corpus"
 
 
 def is_search(item: pytest.Item) -> bool:
@@ -139,12 +145,17 @@ def saved_of(item: pytest.Item) -> Saved | None:
     return mark.args[0]
 
 
-def _param(saved: Saved) -> Any:
-    marks = [getattr(pytest.mark, SAVED_MARK)(saved)]
+def _param(candidates: Candidates) -> Any:
+    mark = getattr(pytest.mark, SAVED_MARK)(candidates)
+    return pytest.param(SEARCH, id=f"{SAVED_PART}{candidates.id}", marks=[mark])
+
+
+def _mark(item: pytest.Item, saved: Saved) -> None:
+    """Now that the parameters are known, so is the one file that the item replays."""
+    item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
     if saved.xfail is not None:
         # A scenario that kills the process cannot be tried while it is accepted.
-        marks.append(pytest.mark.xfail(strict=True, reason=saved.xfail, run=not saved.is_crash))
-    return pytest.param(saved, id=f"{SAVED_PART}{saved.id}", marks=marks)
+        item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail, run=not saved.is_crash), append=False)
 
 
 def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:
@@ -188,20 +199,14 @@ def _deselect(config: pytest.Config, items: list[pytest.Item], dropped: Iterable
 def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
         raise pytest.UsageError(f"{file}: expected a saved scenario, found no such file")
-    module = places.module_of_file(file, _corpus_name(config), config.rootpath)
+    corpus = corpus_name(config, {})
+    module = None if corpus is None else places.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
         raise pytest.UsageError(
             f"{file}: expected a saved scenario of a test file, but {where}; move the folder to where the test is now"
         )
     return module
-
-
-def _corpus_name(config: pytest.Config) -> str:
-    try:
-        return resolve(config, {}, 0).corpus
-    except OptionError as error:
-        raise pytest.UsageError(str(error)) from None
 
 
 def _without_ids(arg: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from typing import TYPE_CHECKING
 
@@ -10,10 +9,10 @@ import pytest
 
 from pytest_pafot.plugin.checks import REQUEST
 from pytest_pafot.plugin.collection import saved_of
-from pytest_pafot.plugin.request import Request, RequestError
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.bench import Bench
+    from pytest_pafot.plugin.request import Request
 
 
 class Execution:
@@ -25,15 +24,22 @@ class Execution:
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
+        from pytest_pafot.plugin.request import RequestError  # noqa: PLC0415
+
+        problem = ""
         try:
             _run(pyfuncitem, request)
         except RequestError as error:
-            pytest.fail(str(error), pytrace=False)
+            problem = str(error)
+        if problem:  # Outside of the handler, so that the same is not shown twice.
+            pytest.fail(problem, pytrace=False)
         return True
 
 
 def item_seed(base_seed: int, base_id: str) -> int:
     """The seed of a search: a function of the base seed and the node id, the same in every process."""
+    import hashlib  # noqa: PLC0415
+
     digest = hashlib.sha256(f"{base_seed}:{base_id}".encode()).digest()
     return int.from_bytes(digest[:4], "big")
 

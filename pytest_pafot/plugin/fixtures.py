@@ -2,59 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.options import OptionError, resolve
+from pytest_pafot.plugin.options import BY_NAME, corpus_name
 
 if TYPE_CHECKING:
-    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.run import Run
+    from pytest_pafot.plugin.provided import Corpus, Simulate
     from pytest_pafot.scenario import Scenario
-
-
-class Simulate(Protocol):
-    """What the fixture ``pafot_simulate`` gives."""
-
-    def __call__(self, scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
-        """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Corpus:
-    """What the fixture ``pafot_corpus`` gives: the saved scenarios of the module that asks for it.
-
-    Attributes:
-        folder: in which a folder for each test lies; it may not exist.
-    """
-
-    folder: Path
-
-    def __iter__(self) -> Iterator[Finding]:
-        """Every finding, by test and id.
-
-        Raises:
-            CorpusError: for a file that cannot be read.
-        """
-        from pytest_pafot.findings import corpus  # noqa: PLC0415
-
-        for path in self.paths:
-            yield corpus.read(path)
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    @property
-    def paths(self) -> list[Path]:
-        """Of the files."""
-        return sorted(self.folder.glob(f"*/*{places.SUFFIX}"))
 
 
 @pytest.fixture(scope="session")
@@ -85,8 +45,7 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
 @pytest.fixture
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     """The saved scenarios of all tests of the module, to iterate over."""
-    try:
-        corpus = resolve(request.config, arguments_of(request.node) or {}, 0).corpus
-    except OptionError as error:
-        pytest.fail(str(error), pytrace=False)
+    from pytest_pafot.plugin.provided import Corpus  # noqa: PLC0415
+
+    corpus = corpus_name(request.config, arguments_of(request.node) or {}) or str(BY_NAME["corpus"].default)
     return Corpus(folder=places.folder_of_module(request.path, corpus, request.config.rootpath))

@@ -19,13 +19,26 @@ FOLDER = "pafot"
 
 def flight_folder(item: pytest.Item, request: Request) -> Path:
     """In pytest's cache, which no repository keeps; without a cache in the corpus."""
-    cache = getattr(item.config, "cache", None)
+    cached = _cached_folder(item.config)
+    return cached or places.corpus_root(item.path, request.settings.corpus, item.config.rootpath)
+
+
+def unclaimed(config: pytest.Config) -> list[str]:
+    """What died processes have left behind that no test of this session took up."""
+    folder = _cached_folder(config)
+    if folder is None or not any(folder.iterdir()):
+        return []
+    from pytest_pafot.findings.inflight import InFlightError, leftovers  # noqa: PLC0415
+
     try:
-        if cache is not None:
-            return Path(cache.mkdir(FOLDER))
-    except OSError:
-        pass  # A read-only checkout: the record itself will say that it cannot be written.
-    return places.corpus_root(item.path, request.settings.corpus, item.config.rootpath)
+        found = leftovers(folder)
+    except InFlightError as error:
+        return [str(error)]
+    return [
+        f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
+        f"that test takes it up when it runs, or delete {each.path}"
+        for each in found
+    ]
 
 
 def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Leftover]:
@@ -46,6 +59,16 @@ def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Le
         return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
     except InFlightError:
         return []  # Writing a record into the same folder fails as well, and says so.
+
+
+def _cached_folder(config: pytest.Config) -> Path | None:
+    cache = getattr(config, "cache", None)
+    if cache is None:
+        return None
+    try:
+        return Path(cache.mkdir(FOLDER))
+    except OSError:
+        return None  # A read-only checkout: the record itself will say that it cannot be written.
 
 
 def owner_of(item: pytest.Item) -> str:

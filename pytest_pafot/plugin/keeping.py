@@ -71,17 +71,18 @@ class Keeper:
             versions=self.bench.versions,
         )
         kept = self._saved(self._finding(run, verdict.failure, found))
-        is_flaky = not verdict.is_timed and not is_same_run(run, self.rerun(run.scenario))
         headline = run.explain().splitlines()[0]
-        message = str(verdict.exception)
-        section_text = "" if headline in message else run.explain()
-        self._announce(
-            kept,
-            verdict.exception,
-            self._told(kept, _what(headline, verdict), is_flaky=is_flaky, is_timed=verdict.is_timed),
-            origin=f"{found.algorithm}, seed {self.seed}, generation {generation}, run {number}",
-            explanation=section_text,
-        )
+        is_flaky = False
+        try:
+            is_flaky = not verdict.is_timed and not is_same_run(run, self.rerun(run.scenario))
+        finally:  # An interrupt in the second run must not keep the find from being told.
+            self._announce(
+                kept,
+                verdict.exception,
+                self._told(kept, _what(run, headline, verdict), is_flaky=is_flaky, is_timed=verdict.is_timed),
+                origin=f"{found.algorithm}, seed {self.seed}, generation {generation}, run {number}",
+                explanation="" if headline in str(verdict.exception) else run.explain(),
+            )
         return kept.finding.id
 
     def keep_crash(self, leftover: Leftover) -> None:
@@ -185,9 +186,11 @@ def report_of(item: pytest.Item, find: terminal.Find, exception: BaseException, 
     return data
 
 
-def _what(headline: str, verdict: Verdict) -> str:
+def _what(run: Run, headline: str, verdict: Verdict) -> str:
+    """One line on a find: what happened in the run, and what the function said where that is not the same."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     first = str(verdict.exception).partition("\n")[0].strip()
-    is_told = not first or headline.partition(":")[0] in first
+    is_bare = run.collision is not None and first.startswith("assert ")
+    is_told = is_bare or not first or headline.partition(":")[0] in first
     return headline if is_told else f"{type(verdict.exception).__name__}: {first[:120]} ({headline})"

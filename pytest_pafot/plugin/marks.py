@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
 
 import pytest
 
 if TYPE_CHECKING:
-    from pytest_pafot.trace import Trace
+    from pytest_pafot.plugin.arguments import SearchArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
@@ -26,36 +26,6 @@ POSITIONAL = "<positional>"
 """Key of positional arguments, which a search does not take, so that the item can say so."""
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
-
-
-class SearchArguments(TypedDict, total=False):
-    """What :func:`search` accepts; every argument is optional."""
-
-    world: Any
-    lanes: int
-    speed_limit: float
-    clearance: float
-    npcs: int
-    genes: int
-    gene_seconds: float
-    ego_lane: int
-    ego_speed: float
-    ads: Any
-    arg: str
-    fitness: str | Callable[[Trace], float]
-    blame: str
-    decision_limit: float
-    generations: int
-    population: int
-    seed: int
-    algorithm: str
-    max_time: float
-    stop_after: int
-    corpus: str
-    save: str
-    profile: str
-    strict_drift: bool
-    strict_health: bool
 
 
 class Rejected(BaseException):

@@ -1,4 +1,4 @@
-"""The options, in one typed table, and the settings that an item ends up with.
+"""The options, in one typed table, and the sources of their values.
 
 Command line, ini and toml keys, ``PAFOT_*`` variables, marker arguments and the reference documentation are all
 made from :data:`OPTIONS`. Precedence: command line, marker, environment, a profile that was named, ini, the
@@ -10,8 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import pytest
 
@@ -33,8 +32,7 @@ class OptionError(ValueError):
     """A value that an option cannot take; the message names the place, what was expected and received."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Option:
+class Option(NamedTuple):
     """One option and everything that is generated from it.
 
     Attributes:
@@ -165,23 +163,6 @@ OPTIONS: tuple[Option, ...] = (
 BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """The value of every option for one item. ``seed`` is the base seed."""
-
-    generations: int
-    population: int
-    seed: int
-    algorithm: str
-    max_time: float | None
-    stop_after: int | None
-    corpus: str
-    save: str
-    profile: str
-    strict_drift: bool
-    strict_health: bool
-
-
 def add_options(parser: pytest.Parser) -> None:
     """Declare the whole table to pytest."""
     group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
@@ -203,40 +184,21 @@ def add_options(parser: pytest.Parser) -> None:
             )
 
 
+def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
+    """The option ``corpus`` alone; None where it, or the choice of a profile, is wrong."""
+    sources = Sources(config=config, marker=marker, environ=os.environ)
+    try:
+        return str(value_of(BY_NAME["corpus"], sources, None, LOCAL))
+    except OptionError:
+        return None
+
+
 def is_ci(environ: Mapping[str, str]) -> bool:
     """Whether the profile ``ci`` is automatic: CI is set to anything but an empty text, 0 or false."""
     return environ.get("CI", "").lower() not in ("", "0", "false")
 
 
-def resolve(
-    config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
-) -> Settings:
-    """The settings of an item.
-
-    Args:
-        config: of the session, for command line and ini.
-        marker: the arguments of the item's marker; those that are no options are not looked at.
-        fresh_seed: the base seed when no source gives one.
-        environ: where PAFOT_* variables and CI are looked up.
-
-    Raises:
-        OptionError: naming the source, what was expected and received.
-    """
-    sources = _Sources(config=config, marker=marker, environ=environ)
-    named = sources.first(BY_NAME["profile"], ("command line", "marker", "environment", "ini"))
-    automatic = FULL if is_ci(environ) else LOCAL
-    values = {
-        option.name: _value(option, sources, named, automatic)
-        for option in OPTIONS
-        if option.everywhere and option.name != "profile"
-    }
-    if values["seed"] is None:
-        values["seed"] = fresh_seed
-    return Settings(profile=named or automatic, **values)
-
-
-@dataclass(frozen=True, slots=True)
-class _Sources:
+class Sources(NamedTuple):
     """Where values come from, read one option at a time so that an error names its place."""
 
     config: pytest.Config
@@ -244,6 +206,11 @@ class _Sources:
     environ: Mapping[str, str]
 
     def first(self, option: Option, order: tuple[Source, ...]) -> Any:
+        """The value in the first of these sources that has one.
+
+        Raises:
+            OptionError: naming the source, what was expected and received.
+        """
         for source in order:
             place, value = self._raw(option, source)
             if value is None:
@@ -264,7 +231,8 @@ class _Sources:
         return f"ini key {option.key}", _ini(self.config, option)
 
 
-def _value(option: Option, sources: _Sources, named: str | None, automatic: str) -> Any:
+def value_of(option: Option, sources: Sources, named: str | None, automatic: str) -> Any:
+    """The value of an option, by the precedence; ``named`` and ``automatic`` are profiles."""
     value = sources.first(option, ("command line", "marker", "environment"))
     if value is None and named:
         value = PROFILES[named].get(option.name)

@@ -4,48 +4,34 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-import pytest
-
 from pytest_pafot.plugin import places
+from pytest_pafot.plugin.session import Seen
 
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
 
 
-@dataclass(slots=True)
-class Seen:
-    """What a session collected, before any selection.
-
-    Attributes:
-        folders: corpus folders of the items.
-        roots: corpora of the items, with the folder of the test files that each serves.
-        classes: node ids of the classes that exist in collected places.
-        opened: node ids of the classes whose members were collected.
-    """
-
-    folders: set[Path] = field(default_factory=set)
-    roots: dict[Path, Path] = field(default_factory=dict)
-    classes: set[str] = field(default_factory=set)
-    opened: set[str] = field(default_factory=set)
-
-
-def find(seen: Seen, items: Iterable[pytest.Item], corpus: str, rootpath: Path) -> list[Path]:
+def find(seen: Seen, roots: Mapping[Path, Path], collected: set[Path], rootpath: Path) -> list[Path]:
     """Folders that hold saved scenarios of no test.
 
     A folder is an orphan when its module is gone, or when the place where its test would be, module or class, was
     collected and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all
     members of a module or class before it selects. A module that failed or was skipped at import blames nobody.
+
+    Args:
+        seen: what was collected.
+        roots: corpora, with the folder of the test files that each serves.
+        collected: test files with at least one item.
+        rootpath: of the session.
     """
-    collected = {item.path for item in items if item.path.suffix == ".py"}
-    roots = {places.corpus_root(path, corpus, rootpath): path.parent for path in collected}
-    roots.update(seen.roots)
-    found: list[Path] = []
-    for root, directory in sorted(roots.items()):
-        found += [folder for folder in _folders(root) if _is_orphan(folder, directory, collected, seen, rootpath)]
-    return found
+    return [
+        folder
+        for root, directory in sorted(roots.items())
+        for folder in _folders(root)
+        if _is_orphan(folder, directory, collected, seen, rootpath)
+    ]
 
 
 def prune(folders: Iterable[Path]) -> list[str]:

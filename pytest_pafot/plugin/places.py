@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
@@ -20,8 +21,7 @@ CRASH = "ProcessCrash"
 """Failure of a finding whose scenario was in flight when a process died."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Saved:
+class Saved(NamedTuple):
     """A corpus file as collected.
 
     Attributes:
@@ -51,6 +51,26 @@ class Saved:
 
     def __repr__(self) -> str:
         return f"<saved {self.id}>"
+
+
+class Candidates(NamedTuple):
+    """Files of the same id that may belong to an item of a test function, by their folder, one of which will.
+
+    Attributes:
+        id: of all of them.
+        files: by the folder that belongs to one parametrisation.
+    """
+
+    id: str
+    files: Mapping[Path, Saved]
+
+
+def by_id(saved: Iterable[Saved]) -> list[Candidates]:
+    """One for each id, in the order in which they come."""
+    found: dict[str, dict[Path, Saved]] = {}
+    for each in saved:
+        found.setdefault(each.id, {})[each.path.parent] = each
+    return [Candidates(id=id_, files=files) for id_, files in found.items()]
 
 
 def read_saved_file(path: Path) -> Saved:
@@ -135,14 +155,14 @@ def module_named(directory: Path, folder: str) -> Path:
 def base_name(item: pytest.Item) -> str:
     """The name without the plugin's own part: ``test_x[1-search]`` is ``test_x[1]``."""
     mark = item.get_closest_marker(SAVED_MARK)
-    token = SEARCH_PART if mark is None else f"{SAVED_PART}{mark.args[0].id}"
-    head, found, tail = item.name.rpartition(token)
-    if not found or not head.endswith(("[", "-")):
+    part = SEARCH_PART if mark is None else f"{SAVED_PART}{mark.args[0].id}"
+    split = _split(item.name, part)
+    if split is None:
         return item.name
+    head, tail = split
     if tail.startswith("-"):
         return head + tail[1:]
-    inner = head[:-1]
-    return inner if head.endswith("[") else inner + tail
+    return head[:-1] if head.endswith("[") else head[:-1] + tail
 
 
 def base_id(item: pytest.Item) -> str:
@@ -152,11 +172,11 @@ def base_id(item: pytest.Item) -> str:
 
 def saved_node_id(item: pytest.Item, id_: str) -> str:
     """The node id that a finding of a search will have as an item."""
-    return _renamed(item.nodeid, id_)
+    return _with_name(item, _renamed(item.name, id_))
 
 
 def saved_name(item: pytest.Item, id_: str) -> str:
-    """The same for the last part of the node id, or for the third part of a report's location."""
+    """The same for the third part of a report's location."""
     return _renamed(item.location[2], id_)
 
 
@@ -172,12 +192,18 @@ def _with_name(item: pytest.Item, name: str) -> str:
 
 
 def _renamed(text: str, id_: str) -> str:
-    head, _, tail = text.rpartition(SEARCH_PART)
-    return f"{head}{SAVED_PART}{id_}{tail}"
+    split = _split(text, SEARCH_PART)
+    return text if split is None else f"{split[0]}{SAVED_PART}{id_}{split[1]}"
+
+
+def _split(text: str, part: str) -> tuple[str, str] | None:
+    """What stands before and after the last occurrence of a part of a parametrised name."""
+    found = list(re.finditer(rf"(?<=[\[-]){re.escape(part)}(?=[\]-])", text))
+    return (text[: found[-1].start()], text[found[-1].end() :]) if found else None
 
 
 def _files(folder: Path) -> list[Path]:
     try:
         return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
     except OSError:
-        return []
+        return []  # It has no items; whoever writes a finding into it is told what is wrong with it.

@@ -6,15 +6,17 @@ import shutil
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin import messages, orphans
+from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import ORPHANS
 from pytest_pafot.plugin.options import BY_NAME
-from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS
-from pytest_pafot.report import terminal
+from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line
+
+if TYPE_CHECKING:
+    from pytest_pafot.report import terminal
 
 WORKER_ORPHANS = "pafot_orphans"
 
@@ -67,13 +69,23 @@ class Reporter:
         # An interrupt or a dead worker leaves finds whose search never came to its teardown.
         for node_id in list(self._pending):
             self._expand(node_id)
+        if self._searches or self._replays:
+            from pytest_pafot.plugin.flights import unclaimed  # noqa: PLC0415
+
+            self._problems += unclaimed(self._config)
         for folder in self._config.stash.get(ORPHANS, []):
             self._note_orphan(folder)
         if self._config.getoption(BY_NAME["prune"].key):
+            from pytest_pafot.plugin import orphans  # noqa: PLC0415
+
             self._problems += orphans.prune(self._orphans)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
+        if not (self._searches or self._replays or self._orphans or self._problems or self._running):
+            return
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
         root = self._config.rootpath
         session = terminal.Session(
             searches=self._searches,
@@ -99,8 +111,11 @@ class Reporter:
         return ("passed", ".", f"PASSED ({label})") if report.passed else None
 
     def _take(self, report: Any, message: dict[str, Any]) -> None:
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
         kind = message["kind"]
         if kind == "start":
+            self._tell_base_seed()
             self._running[report.nodeid] = None
         elif kind == "progress":
             self._show_progress(terminal.Progress(**_without_kind(message)))
@@ -113,6 +128,11 @@ class Reporter:
             self._replays.append(
                 terminal.Replay(node_id=report.nodeid, label=message["label"], detail=message["detail"])
             )
+
+    def _tell_base_seed(self) -> None:
+        """Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early."""
+        if self._is_parallel() and not self._running and not self._searches and self._config.get_verbosity() >= 0:
+            self._write_lines([f"pafot: {base_line(self._config)}"])
 
     def _take_find(self, report: Any, message: dict[str, Any]) -> None:
         node_id = message["node_id"]
@@ -136,6 +156,8 @@ class Reporter:
                 self._config.hook.pytest_runtest_logreport(report=phase)
 
     def _show_progress(self, progress: terminal.Progress) -> None:
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
         writer = self._terminal()
         if writer is None or self._config.get_verbosity() < 0:
             return
@@ -178,14 +200,21 @@ class Reporter:
     def _rewrites(self) -> bool:
         """Whether one line can be written again and again: a terminal, and one item at a time."""
         writer = self._terminal()
-        is_parallel = self._config.pluginmanager.has_plugin("dsession")
-        return writer is not None and bool(writer.isatty) and not is_parallel
+        if writer is None or self._is_parallel():
+            return False
+        is_terminal = writer.isatty  # A value in earlier versions of pytest, a method in later ones.
+        return bool(is_terminal() if callable(is_terminal) else is_terminal)
+
+    def _is_parallel(self) -> bool:
+        return self._config.pluginmanager.has_plugin("dsession")
 
     def _terminal(self) -> Any:
         return self._config.pluginmanager.get_plugin("terminalreporter")
 
     def _note_orphan(self, folder: Path) -> None:
         if folder not in self._orphans:
+            from pytest_pafot.plugin import orphans  # noqa: PLC0415
+
             self._orphans[folder] = orphans.count(folder)
 
 

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL, SearchArguments
-from pytest_pafot.plugin.options import BY_NAME, OptionError, Settings, resolve
+from pytest_pafot.plugin.arguments import SearchArguments
+from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
+from pytest_pafot.plugin.options import BY_NAME, OptionError
+from pytest_pafot.plugin.settings import Settings, resolve
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.space import SearchSpace
@@ -82,7 +84,7 @@ def read_request(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed
 def build_world(request: Request, fixture_world: Any) -> Any:
     """The world of a search: the mark's, else the fixture's with the mark's road arguments.
 
-    A road that is not given by ``world=`` lasts as long as the chains that the mark describes.
+    Where the mark says how long the chains are, runs on a Highway that it does not give itself last as long.
 
     Raises:
         RequestError: when the road arguments do not fit the world.
@@ -90,7 +92,8 @@ def build_world(request: Request, fixture_world: Any) -> Any:
     if request.world is not None:
         return request.world
     changes = dict(request.road)
-    if not changes and not {"genes", "gene_seconds"} & set(request.space):
+    is_timed = bool({"genes", "gene_seconds"} & set(request.space))
+    if not changes and not is_timed:
         return fixture_world
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
@@ -101,8 +104,9 @@ def build_world(request: Request, fixture_world: Any) -> Any:
                 f"received {fixture_world!r}; describe the whole road with world= instead"
             )
         return fixture_world
-    space = _space(request, speed_limit=26.8)
-    changes["duration"] = space.genes * space.gene_seconds
+    if is_timed:
+        space = _space(request, speed_limit=26.8)
+        changes["duration"] = space.genes * space.gene_seconds
     try:
         return dataclasses.replace(fixture_world, **changes)
     except (TypeError, ValueError) as error:
@@ -110,12 +114,21 @@ def build_world(request: Request, fixture_world: Any) -> Any:
 
 
 def build_space(request: Request, world: Any) -> SearchSpace:
-    """The space of scenarios on a world.
+    """The space of scenarios on a world, with as many genes as a run of it comes to unless the mark says how many.
 
     Raises:
-        RequestError: when an argument is out of range.
+        RequestError: when an argument is out of range, or the world cannot be built.
     """
-    return _space(request, speed_limit=float(world.speed_limit))
+    from pytest_pafot.world import WorldError  # noqa: PLC0415
+
+    try:
+        speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
+    except WorldError as error:
+        raise RequestError(f"@pafot.search(world=...): {error}") from None
+    space = _space(request, speed_limit=speed_limit)
+    if "genes" in request.space:
+        return space
+    return dataclasses.replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
 
 
 def _space(request: Request, speed_limit: float) -> SearchSpace:

@@ -27,9 +27,36 @@ from pytest_pafot.searching.space import SearchSpace
 
 REASONS = {"generations": "all generations done", "time": "--pafot-max-time", "stopped": "enough findings"}
 
-
 WHOLE = (REASONS["generations"], REASONS["time"])
 """Reasons that leave a search whose health says something."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watched:
+    """Runs of a search, with the scenario on disk until its verdict is known."""
+
+    bench: Bench
+    flight: InFlight
+
+    def run(self, scenario: Scenario) -> Run:
+        """One run, whose verdict follows."""
+        __tracebackhide__ = True
+        self.flight.record(scenario)
+        return self.bench.simulate(scenario, self.bench.world)
+
+    def judge(self, run: Run) -> Verdict:
+        """The verdict on the last run."""
+        __tracebackhide__ = True
+        verdict = self.bench.judge(run)
+        self.flight.clear()
+        return verdict
+
+    def rerun(self, scenario: Scenario) -> Run:
+        """One run without a verdict."""
+        __tracebackhide__ = True
+        run = self.run(scenario)
+        self.flight.clear()
+        return run
 
 
 @dataclass(slots=True)
@@ -40,7 +67,9 @@ class Searching:
         bench: that it runs on.
         seed: of the search.
         clock: seconds since any moment.
+        started: when the search began.
         told_at: when progress was told last.
+        notes: to be told once in the summary.
     """
 
     bench: Bench
@@ -58,20 +87,26 @@ class Searching:
         __tracebackhide__ = True
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
-
-            def run(scenario: Scenario) -> Run:
-                __tracebackhide__ = True
-                flight.record(scenario)
-                return self.bench.simulate(scenario, self.bench.world)
-
-            keeper = Keeper(bench=self.bench, seed=self.seed, rerun=run)
+            watched = Watched(bench=self.bench, flight=flight)
+            keeper = Keeper(bench=self.bench, seed=self.seed, rerun=watched.rerun)
             for leftover in left_behind(self.bench.item, self.bench.request):
                 keeper.keep_crash(leftover)
             saved = places.saved_in(self.bench.folder)
-            hunt = Hunt(stage=self._stage(keeper, flight, run, _lethal(saved)))
+            hunt = Hunt(
+                stage=Stage(
+                    run=watched.run,
+                    judge=watched.judge,
+                    fitness=checked_fitness(self.bench),
+                    keep=keeper.keep,
+                    lethal=_lethal(saved),
+                )
+            )
             reason = "interrupted"
             try:
                 reason = self._hunted(hunt, keeper, saved)
+            except Exception:
+                reason = "error"
+                raise
             finally:
                 if flight.error is not None:
                     self.notes.append(str(flight.error))
@@ -103,17 +138,6 @@ class Searching:
         except FitnessError as error:
             raise RequestError(f"{self.bench.item.name}: {error}") from None
         return "interrupted" if hunt.finished is None else REASONS[hunt.finished.reason]
-
-    def _stage(
-        self, keeper: Keeper, flight: InFlight, run: Callable[[Scenario], Run], lethal: frozenset[Scenario]
-    ) -> Stage:
-        def judge(run: Run) -> Verdict:
-            __tracebackhide__ = True
-            verdict = self.bench.judge(run)
-            flight.clear()
-            return verdict
-
-        return Stage(run=run, judge=judge, fitness=checked_fitness(self.bench), keep=keeper.keep, lethal=lethal)
 
     def _tick(self, hunt: Hunt, keeper: Keeper) -> None:
         now = self.clock()
@@ -158,7 +182,7 @@ class Searching:
             failing=hunt.verdicts["failed"],
             finds=finds,
             known=dict(hunt.known),
-            warnings=tuple(health.warnings()) if reason in WHOLE else (),
+            warnings=tuple(_warnings(hunt)) if reason in WHOLE else (),
             notes=tuple(self.notes),
             coverage=health.coverage.describe(float(self.bench.world.speed_limit)) if hunt.runs else "",
         )
@@ -208,6 +232,17 @@ def checked_fitness(bench: Bench) -> Fitness:
         return resolve(bench.request.fitness, responsible=by_ego)
     except FitnessError as error:
         raise RequestError(f"@pafot.search(fitness=...): {error}") from None
+
+
+def _warnings(hunt: Hunt) -> list[str]:
+    """The search's health, and whether the test function was asked at all."""
+    warnings = hunt.health.warnings()
+    if hunt.verdicts["npc"] and not hunt.verdicts["passed"] and not hunt.verdicts["failed"]:
+        warnings.append(
+            "the test function was never called: all runs that it could judge were collisions that an NPC is "
+            'responsible for, which blame="ego" leaves out; search longer'
+        )
+    return warnings
 
 
 def _lethal(saved: list[places.Saved]) -> frozenset[Scenario]:

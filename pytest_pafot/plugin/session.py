@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ TERMINAL_SECONDS, LOG_SECONDS = 0.25, 10.0
 """How often a search reports its progress, on a terminal and in a log."""
 
 
-@dataclass(slots=True, kw_only=True)
 class Shared:
     """Values that the controller decides and every worker uses.
 
@@ -28,17 +26,12 @@ class Shared:
             one collects these and no files that were written since. None before.
     """
 
-    fresh_seed: int
-    progress_seconds: float
-    frozen: frozenset[str] | None = None
-
-    def to_plain(self) -> dict[str, Any]:
-        """For xdist's worker input, which takes plain data only."""
-        frozen = None if self.frozen is None else sorted(self.frozen)
-        return {"fresh_seed": self.fresh_seed, "progress_seconds": self.progress_seconds, "frozen": frozen}
+    def __init__(self, *, fresh_seed: int, progress_seconds: float, frozen: frozenset[str] | None = None) -> None:
+        self.fresh_seed = fresh_seed
+        self.progress_seconds = progress_seconds
+        self.frozen = frozen
 
 
-@dataclass(slots=True)
 class Explicit:
     """Corpus files that were given on the command line.
 
@@ -47,8 +40,26 @@ class Explicit:
         modules: test files that are collected for their sake alone.
     """
 
-    files: set[Path] = field(default_factory=set)
-    modules: set[Path] = field(default_factory=set)
+    def __init__(self) -> None:
+        self.files: set[Path] = set()
+        self.modules: set[Path] = set()
+
+
+class Seen:
+    """What a session collected, before any selection.
+
+    Attributes:
+        folders: corpus folders of the items.
+        roots: corpora of the items, with the folder of the test files that each serves.
+        classes: node ids of the classes that exist in collected places.
+        opened: node ids of the classes whose members were collected.
+    """
+
+    def __init__(self) -> None:
+        self.folders: set[Path] = set()
+        self.roots: dict[Path, Path] = {}
+        self.classes: set[str] = set()
+        self.opened: set[str] = set()
 
 
 SHARED = pytest.StashKey[Shared]()
@@ -58,6 +69,18 @@ EXPLICIT = pytest.StashKey[Explicit]()
 def is_worker(config: pytest.Config) -> bool:
     """Whether this process is a worker of pytest-xdist."""
     return hasattr(config, "workerinput")
+
+
+def base_line(config: pytest.Config) -> str:
+    """The profile and the base seed of searches whose mark gives none, in one line."""
+    from pytest_pafot.plugin.options import OptionError  # noqa: PLC0415
+    from pytest_pafot.plugin.settings import resolve  # noqa: PLC0415
+
+    try:
+        settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
+    except OptionError as error:
+        return str(error)
+    return f"profile {settings.profile}, base seed {settings.seed} (repeat with --pafot-seed={settings.seed})"
 
 
 def start(config: pytest.Config) -> None:
@@ -78,15 +101,23 @@ class Sharing:
     """Hooks of pytest-xdist, on the controller."""
 
     def __init__(self, config: pytest.Config) -> None:
-        self._shared = config.stash[SHARED]
+        self._config = config
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
-        """Give a worker what it shares with this session."""
-        node.workerinput[WORKER_KEY] = self._shared.to_plain()
+        """Give a worker what it shares with this session, as plain data."""
+        shared = self._config.stash[SHARED]
+        node.workerinput[WORKER_KEY] = {
+            "fresh_seed": shared.fresh_seed,
+            "progress_seconds": shared.progress_seconds,
+            "frozen": None if shared.frozen is None else sorted(shared.frozen),
+        }
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
         """Remember which saved scenarios the first workers collected."""
-        if self._shared.frozen is None:
-            self._shared.frozen = frozenset(node_id for node_id in ids if SAVED_PART in node_id)
+        shared = self._config.stash[SHARED]
+        if shared.frozen is None:
+            # Under --dist=loadgroup the name of the group is appended.
+            names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
+            shared.frozen = frozenset(name for name in names if SAVED_PART in name)

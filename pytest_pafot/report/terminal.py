@@ -308,7 +308,7 @@ def _figures(search: Search) -> str:
 
 def _origin(search: Search) -> str:
     return (
-        f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed}, "
+        f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
         f"{search.generations} of {_plural(search.asked, 'generation')}, ended: {search.reason}"
     )
 

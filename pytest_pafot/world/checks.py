@@ -147,5 +147,5 @@ def fits(scenario: Scenario, road: StraightRoad, limits: NpcLimits, physics_hz: 
     if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
         raise ScenarioError(
             f"gene_seconds: expected a whole number of ticks of 1/{physics_hz} s, received {scenario.gene_seconds:g}; "
-            f"the nearest is {max(round(ticks), 1) / physics_hz:g}"
+            f"the nearest is {max(round(ticks), 1) / physics_hz!r}"
         )

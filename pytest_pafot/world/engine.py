@@ -149,7 +149,7 @@ def _decide(
     except AdsHang as hang:
         guard.decision_ends()
         message = "one decision took longer than the hang limit of the world and was interrupted"
-        return AdsError(kind="Hang", message=message, traceback=_where(hang), tick=tick)
+        return AdsError(kind="Hang", message=message, traceback=_where(hang), tick=tick, interrupted=True)
     except (Exception, SystemExit) as error:  # noqa: BLE001  (whatever the user's code raises is a finding)
         report = traceback.TracebackException(type(error), error, _users_part(error))
         return AdsError(
@@ -308,5 +308,5 @@ def _outcome(collision: Collision | None, invalid: bool, error: AdsError | None,
     if invalid:
         return Outcome.INVALID
     if error is not None:
-        return Outcome.HANG if error.kind == "Hang" else Outcome.ADS_ERROR
+        return Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
     return Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD

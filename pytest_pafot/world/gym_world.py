@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import difflib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -41,7 +43,7 @@ class World:
     """
 
     env_id: str
-    config: dict[str, Any] | None = None
+    config: dict[str, Any] | None = field(default=None, hash=False)
     duration: float | None = None
     clearance: float = 3.0
     headway: float = 2.0
@@ -87,6 +89,11 @@ class World:
     def speed_limit(self) -> float:
         """Of the fastest lane [m/s]."""
         return self.road.speed_limit
+
+    @property
+    def longest_run(self) -> float:
+        """How long a run lasts that nothing ends early [s]."""
+        return self._rules.duration
 
     @property
     def physics_hz(self) -> int:
@@ -167,9 +174,16 @@ class World:
                 f"env_id: expected a registered environment, received {self.env_id!r}; highway-env's straight roads "
                 f"are {', '.join(known)}; an environment of your own must be registered by an import before it is used"
             )
+        creator = _creator(gymnasium.registry[self.env_id].entry_point)
+        if isinstance(creator, type) and not issubclass(creator, AbstractEnv):
+            raise WorldError(
+                f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
+                f"{self.env_id!r} ({creator.__name__})"
+            )
         config = {**_with_tuples(self.config or {}), "vehicles_count": 0}
         try:
-            env: Any = gymnasium.make(self.env_id, config=config, disable_env_checker=True).unwrapped
+            with _vehicle_classes_kept():
+                env: Any = gymnasium.make(self.env_id, config=config, disable_env_checker=True).unwrapped
         except Exception as error:
             raise WorldError(
                 f"{self.env_id}: expected a configuration that the environment accepts, received {self.config!r}; it "
@@ -199,7 +213,6 @@ class World:
     def _network(self) -> ParallelLanes:
         from pytest_pafot.world.vehicles import ParallelLanes  # noqa: PLC0415
 
-        assert self.road.lanes  # described() has checked the shape  # noqa: S101
         return ParallelLanes(self._plain_network)
 
     @cached_property
@@ -228,6 +241,37 @@ class World:
             limits=self.limits,
             hang_limit=self.hang_limit,
         )
+
+
+def _creator(entry_point: Any) -> Any:
+    from gymnasium.envs.registration import load_env_creator  # noqa: PLC0415
+
+    return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+
+
+@contextmanager
+def _vehicle_classes_kept() -> Iterator[None]:
+    """Undo what an environment writes to highway-env's vehicle classes.
+
+    intersection-v0 sets the IDM's distances on the class itself, for every other environment of the process; without
+    this, an environment that was merely tried would change how an IDM ego drives from then on.
+    """
+    from highway_env.vehicle.kinematics import Vehicle  # noqa: PLC0415
+
+    classes, queue = set(), [Vehicle]
+    while queue:
+        classes.add(queue[-1])
+        queue.extend(queue.pop().__subclasses__())
+    before = {cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes}
+    try:
+        yield
+    finally:
+        for cls, constants in before.items():
+            for name in [name for name in vars(cls) if name.isupper() and name not in constants]:
+                delattr(cls, name)
+            for name, value in constants.items():
+                if vars(cls)[name] is not value:
+                    setattr(cls, name, value)
 
 
 def _with_tuples(config: Any) -> Any:

@@ -77,6 +77,11 @@ class Highway:
         length = 100.0 + 2 * checks.ego_start(self.headway, self.clearance) + checks.TOP_SPEED * self.duration
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
 
+    @property
+    def longest_run(self) -> float:
+        """How long a run lasts that nothing ends early [s]."""
+        return self.duration
+
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario with a fresh ADS.
 

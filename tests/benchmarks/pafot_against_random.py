@@ -59,7 +59,8 @@ class Tally:
     def __str__(self) -> str:
         return (
             f"{self.collisions:3}/{self.scenarios:<3} = {self.share:5.1%} (ego {self.ego:2}, "
-            f"npc {self.collisions - self.ego:3}, invalid {self.invalid:2}, {self.seconds / self.scenarios:4.1f} s each)"
+            f"npc {self.collisions - self.ego:3}, invalid {self.invalid:2}, "
+            f"{self.seconds / self.scenarios:4.1f} s each)"
         )
 
 
@@ -72,9 +73,7 @@ def main() -> None:
     searched, drawn = [], []
     for seed in range(arguments.seeds):
         pafot = Tally(world)
-        for _ in run_campaign(
-            PafotSearch(space), pafot.evaluate, generations=arguments.generations, seed=seed, clock=time.monotonic
-        ):
+        for _ in run_campaign(PafotSearch(space), pafot.evaluate, generations=arguments.generations, seed=seed):
             pass
         random = Tally(world)
         rng = np.random.default_rng(seed)

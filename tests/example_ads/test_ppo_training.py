@@ -25,10 +25,27 @@ def model():
     return sb3.PPO("MlpPolicy", FiveVehicles(), policy_kwargs=architecture, seed=0, device="cpu")
 
 
-def test_the_numpy_policy_and_stable_baselines3_agree_on_500_observations(model):
-    policy = ppo.PpoPolicy(train.actor_of(model))
+@pytest.fixture(scope="module")
+def shipped(model):
+    """stable-baselines3's own policy with the weights that are shipped."""
+    modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
+    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
+    scales = np.tile(train.SCALES, 5)[:, np.newaxis]
+    with torch.no_grad():
+        for number, (layer, (weights, biases)) in enumerate(zip(linear, ppo.read_actor(), strict=True)):
+            layer.weight.copy_(torch.from_numpy((weights if number else weights / scales).T.copy()))
+            layer.bias.copy_(torch.from_numpy(biases))
+    return model
+
+
+def test_the_numpy_policy_and_stable_baselines3_agree_on_500_observations(shipped):
     seen = list(np.random.default_rng(1).uniform(-1, 1, size=(500, 5, 5)).astype(np.float32))
-    assert train.agreement(model, policy, seen) == 500
+    assert train.agreement(shipped, ppo.make(), seen) == 500
+
+
+def test_what_is_written_of_a_trained_model_is_its_actor(shipped):
+    for written, kept in zip(train.actor_of(shipped), ppo.read_actor(), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(written, kept, strict=True))
 
 
 def test_layers_come_back_from_the_file_as_they_were(model, tmp_path):

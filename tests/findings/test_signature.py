@@ -124,7 +124,7 @@ def test_a_slug_names_side_and_cell_of_a_collision():
 def test_a_slug_names_the_subject_of_another_assertion_and_the_worst_cell():
     assert slug("assert run.min_ttc > 1.0") == "min-ttc-2"
     assert slug("assert not run.off_road") == "off-road-2"
-    assert slug("", kind="SlowDecision") == "slowdecision-2"
+    assert slug("", kind="SlowDecision") == "slow-decision-2"
 
 
 def test_a_slug_names_a_fault_of_the_ads():

@@ -1,5 +1,6 @@
 """A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
 
+import os
 from pathlib import Path
 
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
@@ -7,8 +8,12 @@ import pytest
 
 import pytest_pafot.plugin.replaying
 import pytest_pafot.plugin.searcher
-import pytest_pafot.strategies  # noqa: F401
-import pytest_pafot.world.engine  # noqa: F401
+import pytest_pafot.strategies
+import pytest_pafot.world.engine
+from pytest_pafot.findings.inflight import InFlight
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.world import Highway
 
 CONFTEST = """
 import pytest
@@ -35,16 +40,25 @@ class Project:
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
-    def run(self, *args, generations=1, seed=1, subprocess=False):
-        """A session; plugins that change its output are off unless asked for."""
-        quiet = [] if any("sugar" in str(arg) or "randomly" in str(arg) for arg in args) else ["no:sugar", "no:randomly"]
-        options = [part for name in quiet for part in ("-p", name)]
+    def run(self, *args, generations=1, seed=1, subprocess=False, plugins=(), **inline):
+        """A session with this plugin and no other people's but those asked for."""
+        parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
+        # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
+        names = ["pafot", *parallel, *plugins, "no:unraisableexception"]
+        options = [part for name in names for part in ("-p", name)]
         if generations is not None:
             options.append(f"--pafot-generations={generations}")
         if seed is not None:
             options.append(f"--pafot-seed={seed}")
         run = self.pytester.runpytest_subprocess if subprocess else self.pytester.runpytest_inprocess
-        return run(*options, *map(str, args))
+        return run(*options, *map(str, args), **inline)
+
+    def leave_behind(self, owner):
+        """What a process leaves behind that died while a test ran a scenario."""
+        folder = self.path / ".pytest_cache" / "d" / "pafot"
+        flight = InFlight(folder, owner, world=Highway(duration=10.0).to_dict())
+        flight.record(Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),) * 2,), gene_seconds=5))
+        os.close(flight._descriptor)
 
     @property
     def files(self):
@@ -75,6 +89,7 @@ def project(pytester, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester)
 
 

@@ -63,7 +63,9 @@ def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(failing):
     failing.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
     result = failing.run()
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"])
+    result.stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
+    )
     assert failing.files
 
 
@@ -74,8 +76,16 @@ def test_a_renamed_module_leaves_an_orphan(failing):
     failing.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
 
 
+METHOD = """
+class TestClass:
+    @pafot.search(SHORT, stop_after=1)
+    def test_fails(self, run):
+        assert not run
+"""
+
+
 def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
-    source = "class TestClass:\n    @pafot.search(SHORT, stop_after=1)\n    def test_fails(self, run):\n        assert not run\n"
+    source = METHOD
     project.write(source)
     project.run()
     project.write(source.replace("TestClass", "TestOther").replace("assert not run", "pass"))
@@ -85,11 +95,18 @@ def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
 
 
 def test_a_removed_parameter_leaves_an_orphan(project):
-    source = "@pytest.mark.parametrize('limit', [1, 2])\n@pafot.search(SHORT, stop_after=1)\ndef test_it(run, limit):\n    assert not limit\n"
+    source = """
+@pytest.mark.parametrize("limit", [1, 2])
+@pafot.search(SHORT, stop_after=1)
+def test_it(run, limit):
+    assert not limit
+"""
     project.write(source)
     project.run()
     project.write(source.replace("[1, 2]", "[2]"))
-    project.run(generations=0).stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"])
+    project.run(generations=0).stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -180,7 +197,11 @@ def test_a_name_that_another_finding_has_taken_is_not_overwritten(failing):
     failing.run()
     text = failing.only_file.read_text().replace("AssertionError", "ValueError")
     failing.only_file.write_text(text)
-    (failing.path / "test_it.py").write_text((failing.path / "test_it.py").read_text().replace("assert run.duration < 1", "assert run.duration < 1 or run.scenario.seed"))
+    (failing.path / "test_it.py").write_text(
+        (failing.path / "test_it.py")
+        .read_text()
+        .replace("assert run.duration < 1", "assert run.duration < 1 or run.scenario.seed")
+    )
     failing.run()
     assert text in failing.contents.values()
 
@@ -210,32 +231,81 @@ def test_dies(run):
     result.stdout.fnmatch_lines(["*1 fixed"])
 
 
+PASSES = """
+@pafot.search(SHORT)
+def test_lives(run):
+    pass
+"""
+
+
 def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
-    project.write("import os\n\n@pafot.search(SHORT)\ndef test_dies(run):\n    os.environ.get('DIE') and os._exit(9)\n")
-    project.pytester._monkeypatch.setenv("DIE", "1")
-    project.run(subprocess=True)
-    project.pytester._monkeypatch.delenv("DIE")
+    project.write(PASSES)
+    project.leave_behind("test_it.py::test_lives")
     project.run(generations=0).assert_outcomes(failed=2)
+    project.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
-def test_a_scenario_that_kills_every_process_ends_one_session_and_not_all(project):
-    project.write("import os\n\n@pafot.search(SHORT)\ndef test_dies(run):\n    os._exit(9)\n")
-    project.run(subprocess=True)
-    project.run(generations=0).assert_outcomes(failed=2)
-    assert project.run(generations=0, subprocess=True).ret == 9
+def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project):
+    project.write(PASSES)
+    project.leave_behind("test_it.py::test_lives")
+    project.run().assert_outcomes(failed=2)
+    project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
+    project.run("test_it.py::test_lives[search]").assert_outcomes(passed=1)
+
+
+def test_a_saved_scenario_that_killed_two_processes_runs_only_when_it_is_asked_for(project):
+    project.write(PASSES)
+    project.leave_behind("test_it.py::test_lives")
+    project.run(generations=0)
+    project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"not run: 2 processes have died in this scenario*pytest {project.files[0]}"])
-    assert project.run(project.files[0], subprocess=True).ret == 9
+    project.run(project.files[0]).assert_outcomes(passed=1, deselected=1)
+    project.run(generations=0).assert_outcomes(passed=1, skipped=1)
+
+
+def test_an_xfailed_scenario_that_kills_the_process_is_not_run(project):
+    project.write(PASSES)
+    project.leave_behind("test_it.py::test_lives")
+    project.run(generations=0)
+    text = project.only_file.read_text()
+    project.only_file.write_text(text.replace('# xfail: "reason"', 'xfail: "native code"'))
+    project.run(generations=0).assert_outcomes(xfailed=1, skipped=1)
 
 
 def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
     failing.run()
-    source = (failing.path / "test_it.py").read_text()
-    (failing.path / "test_it.py").write_text(source.replace("    assert", "    import os; os._exit(9)\n    assert"))
-    assert failing.run(generations=0, subprocess=True).ret == 9
-    (failing.path / "test_it.py").write_text(source)
+    failing.leave_behind(f"test_it.py::test_fails[saved-{failing.only_id}]")
     for _ in range(2):
         result = failing.run(generations=0)
         result.assert_outcomes(failed=1, skipped=1)
         result.stdout.fnmatch_lines(["replay: still failing"])
+
+
+def test_what_a_died_process_ran_is_told_even_when_its_test_does_not_run(project):
+    project.write(PASSES)
+    project.leave_behind("test_old.py::test_dies")
+    result = project.run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran"])
+
+
+def test_a_file_that_is_copied_to_another_parametrisation_keeps_its_id(project):
+    project.write(
+        """
+@pytest.mark.parametrize("limit", [1, 2])
+@pafot.search(SHORT, stop_after=1)
+def test_short(run, limit):
+    assert run.duration < limit
+"""
+    )
+    project.run("-k", "1-")
+    id_ = project.only_id
+    other = project.only_file.parent.with_name("test_short@2")
+    other.mkdir()
+    (other / project.only_file.name).write_text(project.only_file.read_text())
+    result = project.run("-v", generations=0)
+    result.assert_outcomes(failed=2, skipped=2)
+    for limit in (1, 2):
+        result.stdout.fnmatch_lines([f"test_it.py::test_short[[]{limit}-saved-{id_}[]] FAILED*"])

@@ -48,7 +48,9 @@ def test_a_misspelt_arg_is_one_clear_error_and_not_a_missing_fixture(project):
     project.write('@pafot.search(arg="rnu")\ndef test_misspelt(run):\n    pass\n')
     result = project.run()
     result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)"])
+    result.stdout.fnmatch_lines(
+        ["*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)"]
+    )
 
 
 def test_arg_renames_the_parameter_also_where_it_is_keyword_only(project):
@@ -84,17 +86,29 @@ class TestClass:
 
 
 def test_a_method_has_its_own_files(project):
-    project.write("class TestClass:\n    @pafot.search(SHORT, stop_after=1)\n    def test_fails(self, run):\n        assert not run\n")
+    project.write(
+        """
+class TestClass:
+    @pafot.search(SHORT, stop_after=1)
+    def test_fails(self, run):
+        assert not run
+"""
+    )
     project.run().assert_outcomes(failed=2)
     assert "TestClass.test_fails" in project.files[0]
     result = project.run("-v", generations=0)
     result.stdout.fnmatch_lines([f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"])
 
 
-@pytest.mark.parametrize("order", ["@given(number=st.integers())\n@pafot.search", "@pafot.search\n@given(number=st.integers())"])
+@pytest.mark.parametrize(
+    "order", [("@given(number=st.integers())", "@pafot.search"), ("@pafot.search", "@given(number=st.integers())")]
+)
 def test_given_and_search_on_one_function_are_refused(project, order):
-    project.write(f"from hypothesis import given, strategies as st\n\n{order}\ndef test_both(run, number):\n    pass\n")
-    result = project.run()
+    decorators = "\n".join(order)
+    project.write(
+        f"from hypothesis import given, strategies as st\n\n{decorators}\ndef test_both(run, number):\n    pass\n"
+    )
+    result = project.run(plugins=("hypothesispytest",))
     result.assert_outcomes(errors=1)
     result.stdout.fnmatch_lines(["*expected @pafot.search or @given, received both*pafot_simulate*"])
 
@@ -132,6 +146,7 @@ def test_other():
     result = project.run()
     result.assert_outcomes(errors=1, passed=1)
     result.stdout.fnmatch_lines([message])
+    result.stdout.no_fnmatch_line("*another exception occurred*")
     assert "set up" not in result.stdout.str()
 
 
@@ -142,6 +157,7 @@ def test_other():
         ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
         ("ego_lane='left'", "*ego_lane*"),
         ("ego_lane=7", "*ego_lane*"),
+        ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
         ("fitness='best'", "*(fitness=...): *'best'*"),
         ("fitness=lambda trace: 'high'", "*fitness: expected *"),
     ],
@@ -151,6 +167,7 @@ def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(projec
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([message])
+    result.stdout.no_fnmatch_line("*another exception occurred*")
 
 
 def test_a_missing_ads_fixture_says_what_to_write(project):
@@ -162,7 +179,9 @@ def test_a_missing_ads_fixture_says_what_to_write(project):
 
 
 def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):
-    project.write("@pytest.fixture\ndef ads():\n    return 'planner'\n\n@pafot.search\ndef test_drive(run):\n    pass\n")
+    project.write(
+        "@pytest.fixture\ndef ads():\n    return 'planner'\n\n@pafot.search\ndef test_drive(run):\n    pass\n"
+    )
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*expected the fixture 'ads' to give a factory*received 'planner'*"])
@@ -210,7 +229,9 @@ def test_a_test_that_skips_every_scenario_is_skipped_with_its_reason(project):
 
 
 def test_rejected_scenarios_are_counted_and_found_nothing(project):
-    project.write("@pafot.search(SHORT)\ndef test_rejects(run):\n    if run.scenario.seed % 2:\n        pafot.reject()\n")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_rejects(run):\n    if run.scenario.seed % 2:\n        pafot.reject()\n"
+    )
     result = project.run(generations=3)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*rejected*"])
@@ -242,9 +263,27 @@ def test_hangs(run):
     assert run.scenario.id == ""
 """
     )
-    result = project.run(generations=5)
+    result = project.run(generations=5, plugins=("timeout",))
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
+
+
+def test_a_timeout_in_a_decision_of_the_ads_is_no_find(project):
+    project.write(
+        """
+import time
+
+def slow():
+    return lambda observation: time.sleep(30)
+
+@pytest.mark.timeout(1, method="signal")
+@pafot.search(SHORT, ads=slow)
+def test_hangs(run):
+    pass
+"""
+    )
+    project.run(plugins=("timeout",)).assert_outcomes(failed=1)
+    assert project.files == []
 
 
 def test_an_interrupt_keeps_and_reports_the_finds_before_it(project):
@@ -260,10 +299,12 @@ def test_interrupted(run):
     assert run.scenario.id == ""
 """
     )
-    result = project.run("--junitxml=junit.xml", subprocess=True)
+    result = project.run("--junitxml=junit.xml", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert f'name="test_interrupted[saved-{project.only_id}]"' in (project.path / "junit.xml").read_text()
-    result.stdout.fnmatch_lines([f"pafot: found test_it.py::test_interrupted[[]saved-{project.only_id}[]]", "*interrupted"])
+    result.stdout.fnmatch_lines(
+        [f"pafot: found test_it.py::test_interrupted[[]saved-{project.only_id}[]]", "*interrupted"]
+    )
 
 
 def test_an_interrupt_in_the_simulation_keeps_the_finds_too(project):
@@ -282,6 +323,6 @@ def test_interrupted(run):
     assert run.scenario.id == ""
 """
     )
-    result = project.run(subprocess=True)
+    result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert project.files

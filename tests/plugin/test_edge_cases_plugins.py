@@ -18,6 +18,15 @@ def test_many(run):
     assert run.scenario.id == ""
 """
 
+ONE_SIGNATURE = """
+@pafot.search(SHORT, generations=5)
+def test_one(run):
+    if run.event_cell != 6:
+        pafot.reject()
+    assert run.scenario.id == ""
+"""
+"""All failures of this are one finding; a few generations make sure that there is one."""
+
 COUNTED = """
 @pafot.search(SHORT)
 def test_counted(run):
@@ -32,30 +41,46 @@ def runs(project):
     return len(path.read_text().splitlines()) if path.exists() else 0
 
 
-@pytest.mark.parametrize("plugin", ["no:terminal", "no:cacheprovider", "no:capture", "no:junitxml", "no:logging", "no:xdist"])
+@pytest.mark.parametrize("plugin", ["no:terminal", "no:cacheprovider", "no:capture", "no:junitxml", "no:logging"])
 def test_without_one_of_pytests_plugins_finds_are_still_saved_and_failed(failing, plugin):
     result = failing.run("-p", plugin)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     assert len(failing.files) == 1
 
 
-@pytest.mark.parametrize("plugin", ["sugar", "randomly", "rerunfailures", "timeout", "html", "cov"])
-def test_with_another_plugin_finds_are_reported_once(failing, plugin):
-    options = {
-        "sugar": ["-p", "no:randomly", "--force-sugar"],
-        "randomly": ["-p", "no:sugar"],
-        "rerunfailures": ["--reruns=1"],
-        "timeout": ["--timeout=60"],
-        "html": ["--html=report.html", "--self-contained-html"],
-        "cov": ["--cov=test_it", "--cov-report="],
-    }
-    pytest.importorskip(f"pytest_{plugin}")
-    result = failing.run(*options[plugin], "--junitxml=junit.xml", "-rA", subprocess=plugin in ("cov", "html"))
+OTHERS = {
+    "sugar": ["--force-sugar"],
+    "randomly": [],
+    "rerunfailures": ["--reruns=1"],
+    "timeout": ["--timeout=60"],
+    "html": ["--html=report.html", "--self-contained-html"],
+    "pytest_cov": ["--cov=test_it", "--cov-report="],
+}
+
+
+def test_without_a_cache_a_search_that_finds_nothing_leaves_nothing_behind(project):
+    project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
+    project.run("-p", "no:cacheprovider").assert_outcomes(passed=1)
+    assert {path.name for path in project.path.iterdir()} - {"__pycache__"} == {"conftest.py", "test_it.py"}
+
+
+@pytest.mark.parametrize("plugin", OTHERS)
+def test_with_another_plugin_finds_are_reported_once(project, plugin):
+    pytest.importorskip(plugin if plugin == "pytest_cov" else f"pytest_{plugin}")
+    project.write(ONE_SIGNATURE)
+    result = project.run(
+        *OTHERS[plugin],
+        "--junitxml=junit.xml",
+        "-rA",
+        plugins=(plugin, "metadata") if plugin == "html" else (plugin,),
+        subprocess=plugin in ("pytest_cov", "sugar"),  # Both change the process that they run in.
+        generations=None,
+    )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
-    name = f"test_fails[saved-{failing.only_id}]"
-    assert (failing.path / "junit.xml").read_text().count(f'name="{name}"') == 1
+    name = f"test_one[saved-{project.only_id}]"
+    assert (project.path / "junit.xml").read_text().count(f'name="{name}"') == 1
     if plugin == "html":
-        assert (failing.path / "report.html").read_text().count(f"::{name}") >= 1
+        assert f"::{name}" in (project.path / "report.html").read_text()
 
 
 @pytest.mark.parametrize("family", ["xunit1", "xunit2"])
@@ -84,21 +109,20 @@ def test_maxfail_of_more_than_one_lets_a_search_go_on(project):
 
 def test_pdb_stands_in_the_test_function_at_the_first_find(project):
     project.write(MANY)
-    project.pytester.makeconftest(
-        """
-import pytest
+    project.pytester.makepyfile(
+        quiet="""
+import pdb
 
-@pytest.fixture
-def ads():
-    return lambda: lambda observation: (0.0, 0.0)
-
-def pytest_exception_interact(node, call, report):
-    frame = call.excinfo.traceback[-1]
-    print("STANDS IN", node.name, frame.name, flush=True)
+class Quiet(pdb.Pdb):
+    def interaction(self, frame, failure):
+        traceback = getattr(failure, "__traceback__", failure)
+        while traceback.tb_next is not None:
+            traceback = traceback.tb_next
+        print("STANDS IN", traceback.tb_frame.f_code.co_name)
 """
     )
-    result = project.run("--pdb", "--pdbcls=nothing:Pdb", "-s", subprocess=True)
-    result.stdout.fnmatch_lines(["*STANDS IN test_many[[]search[]] test_many"])
+    result = project.run("--pdb", "--pdbcls=quiet:Quiet")
+    result.stdout.fnmatch_lines(["*STANDS IN test_many"])
     assert len(project.files) == 1
 
 
@@ -107,7 +131,9 @@ def test_collect_only_lists_the_items_and_simulates_nothing(project):
     project.run("-x")
     before = runs(project)
     result = project.run("--collect-only", "-q")
-    result.stdout.fnmatch_lines(["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"])
+    result.stdout.fnmatch_lines(
+        ["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"]
+    )
     assert runs(project) == before
 
 
@@ -134,16 +160,18 @@ def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
     failing.run()
     failing.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run\n")
     failing.run("--lf").assert_outcomes(passed=1, deselected=1)
-    failing.run("--lf").assert_outcomes(passed=1, deselected=1)
+    result = failing.run("--lf", "-v")
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["test_it.py::test_fails[[]search[]] PASSED*"])
     failing.run("--lf").assert_outcomes(passed=2)
 
 
-def test_stepwise_goes_on_at_the_find(project):
-    project.write(TWO)
-    project.run("--sw")
-    assert len(project.files) == 1
-    result = project.run("--sw", "-v")
-    result.stdout.fnmatch_lines([f"*saved-{project.only_id}[]] FAILED*"])
+def test_stepwise_starts_over_after_a_find_and_then_goes_on_at_it(project):
+    project.write(ONE_SIGNATURE)
+    project.run("--sw", generations=None)
+    # Looked at closely: pytest starts over whenever the number of tests has changed, which a find does.
+    project.run("--sw", generations=None).assert_outcomes(passed=1, failed=1)
+    project.run("--sw", generations=None).assert_outcomes(failed=1, deselected=1)
 
 
 def test_an_xfail_mark_of_the_function_covers_its_search_and_its_finds(project):
@@ -160,9 +188,8 @@ def test_the_marks_select_and_deselect_under_strict_markers(failing):
     failing.run("--strict-markers", "-m", "not pafot").assert_outcomes(passed=1, deselected=2)
 
 
-def test_durations_and_captured_output_know_nothing_of_messages(failing):
-    result = failing.run("--durations=0", "-vv", "-rA")
-    assert " pafot  " not in result.stdout.str().replace("=", " ").partition("slowest durations")[2].partition("short test")[0]
+def test_durations_and_summaries_know_nothing_of_messages(failing):
+    failing.run("--durations=0", "-rA").stdout.no_fnmatch_line("*s pafot *")
 
 
 def test_a_log_gets_a_line_of_progress_every_ten_seconds_and_not_more(project):

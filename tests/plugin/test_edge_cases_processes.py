@@ -1,6 +1,12 @@
 """Edge cases 6 and 11, and what must not depend on processes: workers, kills, hash seeds."""
 
+import re
+import subprocess
+import sys
+
 import pytest
+
+from pytest_pafot.findings.corpus import read
 
 pytest.importorskip("xdist")
 
@@ -37,7 +43,7 @@ def test_workers_find_save_and_report_the_same_as_one_process(project):
 def test_workers_replay_and_label(project):
     project.write(TWO)
     project.run("-x")
-    result = project.run("-n2", generations=0)
+    result = project.run("-n1", generations=0)
     result.assert_outcomes(failed=1, skipped=2)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
@@ -45,8 +51,8 @@ def test_workers_replay_and_label(project):
 def test_workers_use_one_fresh_base_seed(project):
     project.write(TWO.replace('run.scenario.id == ""', "run"))
     output = project.run("-n2", seed=None).stdout.str()
-    seeds = {part.split(",")[0] for part in output.split("--pafot-seed=")[1:]}
-    assert len(seeds) == 1
+    assert len(set(re.findall(r"--pafot-seed=(\d+)", output))) == 1
+    assert output.count("pafot: profile local, base seed ") == 1
 
 
 def test_workers_report_orphans_once_and_prune_them(project):
@@ -105,3 +111,34 @@ def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
     forget(project)
     project.run()
     assert names == [name.rpartition("/")[2] for name in project.files]
+
+
+def test_workers_run_a_corpus_file_alone(project):
+    project.write(TWO)
+    project.run("-x")
+    project.run("-n1", project.files[0]).assert_outcomes(failed=1)
+
+
+def test_load_groups_do_not_change_the_ids_of_finds(project):
+    project.write('@pytest.mark.xdist_group("research")\n' + TWO.strip() + "\n")
+    result = project.run("-n1", "--dist=loadgroup")
+    first = next(name for name in project.files if "test_first" in name)
+    id_ = first.rpartition("/")[2].removesuffix(".pafot.yaml")
+    result.stdout.fnmatch_lines([f"FAILED test_it.py::test_first[[]saved-{id_}[]]*"])
+
+
+def test_a_kill_at_any_moment_loses_nothing_announced_and_leaves_no_broken_file(project):
+    project.write(TWO.replace("assert run", "__import__('time').sleep(0.05)\n    assert run"))
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=50", "--pafot-seed=1"]
+    with subprocess.Popen(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
+        announced = []
+        for line in process.stdout:
+            if line.startswith("  saved as "):
+                announced.append(line.removeprefix("  saved as ").strip())
+            if len(announced) == 2:
+                break
+        process.kill()
+    assert set(announced) <= set(project.files)
+    assert [read(project.path / name).test for name in project.files]
+    result = project.run(generations=0)
+    assert result.parseoutcomes()["failed"] >= 2

@@ -2,16 +2,18 @@
 
 import pytest
 
-from pytest_pafot.plugin.marks import SearchArguments
-from pytest_pafot.plugin.options import OPTIONS, OptionError, is_ci, resolve
+from pytest_pafot.plugin.arguments import SearchArguments
+from pytest_pafot.plugin.options import OPTIONS, OptionError, is_ci
+from pytest_pafot.plugin.reference import options_table
 from pytest_pafot.plugin.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
+from pytest_pafot.plugin.settings import resolve
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
     """The settings of a config that is made from these sources."""
     if ini:
         project.pytester.makeini(f"[pytest]\n{ini}")
-    config = project.pytester.parseconfigure("-p", "no:randomly", *args)
+    config = project.pytester.parseconfigure("-p", "pafot", *args)
     return resolve(config, marker or {}, fresh_seed=77, environ=environ or {})
 
 
@@ -25,7 +27,9 @@ def test_under_ci_a_search_is_large_and_its_seed_fixed(project):
     assert (ci.profile, ci.generations, ci.seed) == ("ci", 100, 0)
 
 
-@pytest.mark.parametrize(("value", "expected"), [("true", True), ("1", True), ("", False), ("0", False), ("false", False)])
+@pytest.mark.parametrize(
+    ("value", "expected"), [("true", True), ("1", True), ("", False), ("0", False), ("false", False)]
+)
 def test_ci_is_set_by_anything_but_an_empty_or_negative_word(value, expected):
     assert is_ci({"CI": value}) is expected
 
@@ -69,7 +73,9 @@ def test_every_option_is_an_ini_key_a_variable_and_a_marker_argument(project, op
 
 
 def test_native_toml_takes_native_types(project):
-    project.pytester.makefile(".toml", pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n")
+    project.pytester.makefile(
+        ".toml", pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n"
+    )
     found = settings(project)
     assert (found.generations, found.max_time, found.strict_drift) == (3, 60.0, True)
 
@@ -77,7 +83,10 @@ def test_native_toml_takes_native_types(project):
 @pytest.mark.parametrize(
     ("source", "place"),
     [
-        ({"marker": {"generations": -1}}, r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1"),
+        (
+            {"marker": {"generations": -1}},
+            r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1",
+        ),
         ({"marker": {"population": 1}}, "at least 2, received 1"),
         ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
         ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
@@ -115,3 +124,12 @@ def test_every_option_is_in_the_help(project):
     result = project.run("--help", generations=None, seed=None)
     for option in OPTIONS:
         assert option.flag in result.stdout.str()
+
+
+def test_the_reference_has_a_row_for_every_option_with_all_its_names():
+    rows = options_table().splitlines()[2:]
+    assert len(rows) == len(OPTIONS)
+    for option, row in zip(OPTIONS, rows, strict=True):
+        names = (option.key, option.variable, f"{option.name}=") if option.everywhere else ()
+        assert all(f"`{name}`" in row for name in names)
+        assert option.flag in row

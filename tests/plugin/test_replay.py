@@ -19,7 +19,7 @@ PASSES = KNOWN.replace("LINE", "assert run.outcome")
 def saved(project):
     """A project with one saved scenario, whose search finds nothing but that."""
     project.write(FAILS)
-    project.run()
+    project.run(generations=5)
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
     return project
 
@@ -40,12 +40,14 @@ def test_a_saved_scenario_that_passes_is_called_fixed_and_kept(saved):
 
 
 def test_a_saved_scenario_that_fails_as_before_is_still_failing(saved):
-    saved.run(generations=0).stdout.fnmatch_lines(["replay: still failing", "replayed 1 saved scenario: 1 still failing"])
+    saved.run(generations=0).stdout.fnmatch_lines(
+        ["replay: still failing", "replayed 1 saved scenario: 1 still failing"]
+    )
 
 
 def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
-    result = saved.run()
+    result = saved.run(generations=5)
     result.assert_outcomes(failed=1, passed=1)
     result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
     assert saved.contents == before
@@ -59,7 +61,7 @@ def test_a_rediscovered_scenario_is_known(saved):
 
 def test_an_xfailed_file_lets_the_session_pass_and_its_failure_is_known(saved):
     edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
-    result = saved.run()
+    result = saved.run(generations=5)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
     result.stdout.fnmatch_lines([f"  known: * covered by saved-{saved.only_id}"])
@@ -70,7 +72,9 @@ def test_an_xfailed_file_that_passes_fails_and_asks_for_the_removal_of_the_line(
     saved.write(PASSES)
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["[[]XPASS(strict)] planner issue 12", f"fixed: remove the line `xfail:` from {saved.files[0]}"])
+    result.stdout.fnmatch_lines(
+        ["[[]XPASS(strict)] planner issue 12", f"fixed: remove the line `xfail:` from {saved.files[0]}"]
+    )
 
 
 def test_a_failure_whose_files_all_pass_is_new_again_and_gets_its_own_file(saved):
@@ -88,7 +92,9 @@ def test_a_passing_replay_under_other_versions_is_drifted_and_fails_only_when_as
     saved.write(PASSES)
     result = saved.run("-v", generations=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env 0.* then, * now"])
+    result.stdout.fnmatch_lines(
+        ["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env 0.* then, * now"]
+    )
     saved.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
 
 

@@ -24,7 +24,12 @@ def test_a_find_is_a_readable_file_beside_the_test(failing):
 def test_a_find_is_announced_with_its_file_while_the_search_runs(failing):
     result = failing.run()
     result.stdout.fnmatch_lines(
-        [f"pafot: found test_it.py::test_fails[[]saved-{failing.only_id}[]]", "*", f"  saved as {failing.files[0]}", "FF*"]
+        [
+            f"pafot: found test_it.py::test_fails[[]saved-{failing.only_id}[]]",
+            "*",
+            f"  saved as {failing.files[0]}",
+            "FF*",
+        ]
     )
 
 
@@ -46,13 +51,15 @@ def test_a_search_that_finds_nothing_passes_and_says_what_it_did(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
     result = project.run(generations=2)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["*runs in * s*0 failing*", "*from --pafot-seed=1*2 of 2 generations*"])
+    result.stdout.fnmatch_lines(["*runs in * s*0 failing*", "*from --pafot-seed=1 (profile local), 2 of 2"])
     assert project.files == []
 
 
 def test_assertions_in_the_test_are_explained_as_pytest_does(failing):
     result = failing.run()
-    result.stdout.fnmatch_lines([">       assert run.duration < 1", "E       assert * < 1", "E        +  where * = <Run *>.duration"])
+    result.stdout.fnmatch_lines(
+        [">       assert run.duration < 1", "E       assert * < 1", "E        +  where * = <Run *>.duration"]
+    )
 
 
 def test_fixtures_are_evaluated_once_per_item_and_the_ads_once_per_scenario(project):
@@ -146,7 +153,7 @@ def test_fault(run):
     assert run.responsibility != "npc"
 """
     )
-    result = project.run(generations=10)
+    result = project.run(generations=4)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["* npc at fault*"])
 
@@ -165,7 +172,7 @@ def test_runs(run):
     )
     result = project.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", '*return {}*missing key*'])
+    result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
     assert project.only_id.startswith("ads-error")
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
@@ -191,6 +198,24 @@ def test_in_time(run):
     result.assert_outcomes(failed=2, passed=1)
     result.stdout.fnmatch_lines(["*SlowDecision*depends on wall-clock time*"])
     assert "failure: SlowDecision" in project.only_file.read_text()
+
+
+def test_a_hang_is_a_find_that_depends_on_time(project):
+    project.write(
+        """
+import time
+
+def ads():
+    return lambda observation: time.sleep(5)
+
+@pafot.search(world=pafot.Highway(duration=5.0, hang_limit=0.05), ads=ads, stop_after=1)
+def test_decides(run):
+    pass
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*the ADS failed: *(depends on wall-clock time)*"])
 
 
 def test_max_time_shorter_than_one_run_still_runs_one(project):

@@ -1,0 +1,268 @@
+"""Write the tables of reference.md that come from the code.
+
+Run it after a change of either: ``python docs/generate.py``.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot import criticality, strategies
+from pytest_pafot.findings.emit import text_of
+from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.run import Moment, Run
+from pytest_pafot.grid import Cell
+from pytest_pafot.plugin import fixtures
+from pytest_pafot.plugin.arguments import SearchArguments
+from pytest_pafot.plugin.options import BY_NAME
+from pytest_pafot.plugin.reference import options_table
+from pytest_pafot.plugin.request import Request
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.fitness import Weights
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
+from pytest_pafot.world import Highway, NpcLimits, Observation, VehicleState, World
+
+REFERENCE = Path(__file__).with_name("reference.md")
+
+_SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
+_ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
+_ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
+
+MARKER_TEXTS: Mapping[str, str] = {
+    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`. By default what the fixture "
+    "`pafot_world` gives.",
+    "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
+    "arg": "The parameter of the test function that receives the run.",
+    "fitness": '`"default"`, `"paper"`, or a function of a `Trace` that returns a number, higher = worse for the ego.',
+    "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
+    "or where there is none.",
+    "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
+}
+"""Arguments whose meaning no other docstring has."""
+
+MARKER_DEFAULTS: Mapping[str, str] = {"ads": '`"ads"`', "world": "-", "genes": "as a run lasts"}
+"""Defaults that no dataclass has."""
+
+FILE_TEXTS: Mapping[str, str] = {
+    "pafot": "Version of the format, `1`.",
+    "test": "Node id of the test, parameters included. Which test replays the file depends on its folder, "
+    "not on this line.",
+    "world": "The world that the scenario fails in; `kind` is `highway` or `gym`, the other keys are the fields of "
+    "`Highway` or `World`. The replay uses this world, not the one that the test names now.",
+    "scenario.seed": "Seed of the repair inside the run.",
+    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
+    "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",
+    "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s].",
+    "expect.assertion": "The failing assertion without its message, with `N` for each number.",
+    "expect.preventable_by": "A list of names, for reference drivers that survive the scenario in the ego's place; "
+    "optional, and never written by this version.",
+    "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand.",
+}
+
+
+def sections() -> dict[str, str]:
+    """The text of every generated section, by name."""
+    return {
+        "options": options_table(),
+        "marker": _marker_table(),
+        "fixtures": _fixtures_table(),
+        "run": _properties_table(Run),
+        "moment": _fields_table(Moment),
+        "collision": _fields_table(Collision),
+        "ads-error": _fields_table(AdsError),
+        "outcomes": _outcomes_table(),
+        "trace": _fields_table(Trace),
+        "scenario": _fields_table(Scenario),
+        "instruction": _fields_table(PositionInstruction),
+        "cells": _cells_table(),
+        "highway": _fields_table(Highway),
+        "world": _fields_table(World),
+        "limits": _fields_table(NpcLimits),
+        "observation": _fields_table(Observation),
+        "vehicle": _fields_table(VehicleState),
+        "weights": _fields_table(Weights),
+        "measures": _measures_table(),
+        "file": _file_table(),
+        "example-file": f"```yaml\n{text_of(_example())}```\n",
+        "strategies": _strategies_table(),
+    }
+
+
+def generated(text: str) -> str:
+    """A document with its generated sections as they are now.
+
+    Raises:
+        KeyError: for a section that nothing generates.
+    """
+    made = sections()
+    return _SECTION.sub(lambda found: f"{found[1]}{made[found[2]]}{found[3]}", text)
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def _fields_table(cls: type[Any]) -> str:
+    defaults = _defaults(cls)
+    has_defaults = any(defaults.values())
+    header = ["Name", *(["Default"] if has_defaults else []), "Meaning"]
+    rows = [
+        [_code(names), *([defaults.get(names.partition(",")[0], "")] if has_defaults else []), text]
+        for names, text in _attributes(cls)
+    ]
+    return _table(header, rows)
+
+
+def _code(names: str) -> str:
+    return ", ".join(f"`{name}`" for name in names.split(", "))
+
+
+def _defaults(cls: type[Any]) -> dict[str, str]:
+    if not is_dataclass(cls):
+        return {}
+    return {field.name: _default(field) for field in fields(cls)}
+
+
+def _default(field: Field[Any]) -> str:
+    if field.default is not MISSING:
+        return f"`{field.default!r}`"
+    return "" if field.default_factory is MISSING else f"`{field.default_factory.__name__}()`"  # type: ignore[union-attr]
+
+
+def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str, str]]:
+    """Names and texts of a docstring's block of that heading."""
+    _, found, block = (inspect.getdoc(thing) or "").partition(f"{heading}\n")
+    entries: list[tuple[str, str]] = []
+    for line in block.split("\n\n")[0].splitlines() if found else []:
+        entry = _ENTRY.match(line[4:])
+        if entry and not line.startswith(" " * 5):
+            entries.append((entry[1], entry[2]))
+        elif entries:
+            entries[-1] = (entries[-1][0], f"{entries[-1][1]} {line.strip()}")
+    for names, text in entries:
+        yield names, _plain(text)
+
+
+def _plain(text: str) -> str:
+    """Text of a docstring as Markdown."""
+    return _ROLE.sub(lambda found: f"`{found[1].rpartition('.')[2]}`", text).replace("``", "`").strip()
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _first_paragraph(docstring: str | None) -> str:
+    return _plain(" ".join(inspect.cleandoc(docstring or "").split("\n\n")[0].split()))
+
+
+def _marker_table() -> str:
+    texts = {**MARKER_TEXTS, **dict(_attributes(SearchSpace)), **dict(_attributes(Highway))}
+    defaults = {**_defaults(Request), **_defaults(Highway), **_defaults(SearchSpace), **MARKER_DEFAULTS}
+    names = [name for name in SearchArguments.__annotations__ if name not in BY_NAME]
+    rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
+    return _table(["Argument", "Default", "Meaning"], rows)
+
+
+def _fixtures_table() -> str:
+    tree = ast.parse(inspect.getsource(fixtures))
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("pafot_")]
+    rows = [[f"`{node.name}`", _scope(node), _first_paragraph(ast.get_docstring(node))] for node in functions]
+    return _table(["Fixture", "Scope", "Gives"], rows)
+
+
+def _scope(node: ast.FunctionDef) -> str:
+    keywords = [word for each in node.decorator_list if isinstance(each, ast.Call) for word in each.keywords]
+    return next((str(word.value.value) for word in keywords if isinstance(word.value, ast.Constant)), "function")
+
+
+def _properties_table(cls: type[Any]) -> str:
+    own = dict(_attributes(cls))
+    for name, member in vars(cls).items():
+        if not name.startswith("_") and name not in own:
+            inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
+            own[name if inner is not member else f"{name}()"] = _first_paragraph(inner.__doc__)
+    return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
+
+
+def _outcomes_table() -> str:
+    body = ast.parse(inspect.getsource(Outcome)).body[0]
+    assert isinstance(body, ast.ClassDef)  # noqa: S101
+    after = (node.value for node in body.body[1:] if isinstance(node, ast.Expr))
+    texts = [value.value for value in after if isinstance(value, ast.Constant)]
+    rows = [[f"`{outcome}`", str(text)] for outcome, text in zip(Outcome, texts, strict=True)]
+    return _table(["Outcome", "Meaning"], rows)
+
+
+def _cells_table() -> str:
+    rows = [[str(int(cell)), cell.label, f"`pafot.Cell.{cell.name}`"] for cell in Cell]
+    return _table(["Number", "Place", "In code"], rows)
+
+
+def _file_table() -> str:
+    described = {
+        ", ".join(f"{part}.{name}" for name in names.split(", ")): _capital(text)
+        for part, cls in (("expect", Expect), ("found", Found))
+        for names, text in _attributes(cls)
+    }
+    described |= {names: text for names, text in FILE_TEXTS.items() if names in described}
+    own = {names: text for names, text in FILE_TEXTS.items() if names not in described}
+    last = {"xfail": own.pop("xfail")}
+    return _table(["Field", "Meaning"], [[_code(names), text] for names, text in (own | described | last).items()])
+
+
+def _example() -> Finding:
+    cut_in = (PositionInstruction(Cell.FRONT_LEFT, 25.0), PositionInstruction(Cell.FRONT, 8.0))
+    return Finding(
+        id="front-2-1f3a9c",
+        test="tests/test_safety.py::test_never_at_fault_in_a_collision",
+        scenario=Scenario(npcs=(cut_in,), seed=7),
+        world=Highway().to_dict(),
+        expect=Expect(
+            failure="AssertionError",
+            assertion="not run.collision",
+            outcome=Outcome.COLLISION,
+            time=12.4,
+            npc=0,
+            cell=Cell.FRONT,
+            side="front",
+            responsibility="ego",
+        ),
+        found=Found(
+            seed=1234,
+            generation=17,
+            algorithm="pafot",
+            versions={"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"},
+        ),
+    )
+
+
+def _measures_table() -> str:
+    functions = [getattr(criticality, name) for name in criticality.__all__]
+    measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
+    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _first_paragraph(each.__doc__)] for each in measures])
+
+
+def _parameters(function: Callable[..., Any]) -> Iterable[str]:
+    return inspect.signature(function).parameters
+
+
+def _strategies_table() -> str:
+    rows = []
+    for name in strategies.__all__:
+        function: Callable[..., Any] = getattr(strategies, name)
+        arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
+        rows.append([f"`pafot.strategies.{name}()`", _first_paragraph(function.__doc__), arguments])
+    return _table(["Strategy", "Draws", "Arguments, all by keyword"], rows)
+
+
+if __name__ == "__main__":
+    REFERENCE.write_text(generated(REFERENCE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")

@@ -1,0 +1,102 @@
+"""The fixtures for ordinary tests, and the world that may be overridden."""
+
+
+def test_pafot_simulate_runs_a_scenario_against_any_ads(project):
+    project.write(
+        """
+def test_simulates(pafot_simulate):
+    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
+    run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0))
+    assert isinstance(run, pafot.Run)
+    assert run.scenario == scenario
+
+def test_takes_another_world(pafot_simulate):
+    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
+    run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(lanes=3, duration=1.0))
+    assert (len(run.trace.lanes), run.duration) == (3, 1.0)
+"""
+    )
+    project.run().assert_outcomes(passed=2)
+
+
+def test_pafot_simulate_drives_given_tests_without_health_check_or_deadline_failures(project):
+    project.write(
+        """
+from hypothesis import given, settings
+
+@settings(max_examples=5, database=None)
+@given(scenario=pafot.strategies.scenarios())
+def test_any(pafot_simulate, scenario):
+    world = pafot.Highway(duration=2.0)
+    assert pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=world).duration <= 2.0
+"""
+    )
+    project.run(subprocess=True, plugins=("hypothesispytest",)).assert_outcomes(passed=1)
+
+
+def test_an_overridden_world_is_used_by_searches_and_by_simulate(project):
+    project.write(
+        """
+@pytest.fixture(scope="session")
+def pafot_world():
+    return pafot.Highway(lanes=3, duration=2.0)
+
+@pafot.search
+def test_search(run):
+    assert (len(run.trace.lanes), run.duration) == (3, 2.0)
+
+@pafot.search(lanes=5)
+def test_the_mark_wins(run):
+    assert len(run.trace.lanes) == 5
+    assert run.duration <= 2.0
+
+@pafot.search(world=pafot.Highway(lanes=6, duration=1.0))
+def test_a_whole_world_wins(run):
+    assert (len(run.trace.lanes), run.duration) == (6, 1.0)
+
+def test_simulate(pafot_simulate):
+    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),))
+    assert pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0)).duration == 2.0
+"""
+    )
+    project.run().assert_outcomes(passed=4)
+
+
+def test_a_world_fixture_that_gives_no_world_is_one_clear_error(project):
+    project.write(
+        """
+@pytest.fixture(scope="session")
+def pafot_world():
+    return "highway-v0"
+
+@pafot.search
+def test_search(run):
+    pass
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*expected the fixture pafot_world to give *received 'highway-v0'"])
+
+
+def test_pafot_corpus_gives_the_saved_scenarios_of_the_module(failing):
+    failing.run()
+    failing.write(
+        """
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    assert run.duration < 1
+
+def test_corpus(pafot_corpus, pafot_simulate):
+    (finding,) = pafot_corpus
+    assert len(pafot_corpus) == 1
+    assert finding.test == "test_it.py::test_fails"
+    assert pafot_simulate(finding.scenario, lambda: lambda observation: (0.0, 0.0)).duration > 1
+"""
+    )
+    failing.run("-k", "test_corpus").assert_outcomes(passed=1, deselected=2)
+
+
+def test_pafot_corpus_is_empty_where_nothing_is_saved(project):
+    project.write("def test_corpus(pafot_corpus):\n    assert list(pafot_corpus) == []\n")
+    project.run().assert_outcomes(passed=1)

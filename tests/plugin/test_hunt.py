@@ -1,0 +1,123 @@
+"""The search loop with stand-ins for the simulation and the test function."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from pytest_pafot.findings.replay import Replayed
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.plugin.execution import item_seed
+from pytest_pafot.plugin.hunt import Hunt, Stage
+from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.searching import SearchSpace, run_campaign, sample
+from pytest_pafot.searching.random_search import RandomSearch
+from pytest_pafot.trace import Lane, Outcome, Trace
+
+SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
+
+
+def quiet_trace(scenario, outcome=Outcome.SAFE):
+    """A run in which nothing moves: signatures differ by the failure alone."""
+    return Trace(
+        scenario=scenario,
+        executed=scenario,
+        outcome=outcome,
+        states=np.zeros((2, 2, 7)) + np.arange(2)[None, :, None] * 50.0,
+        sizes=np.full((2, 2), 2.0),
+        lanes=(Lane(x=0.0, y=0.0, heading=0.0, length=1000.0, width=4.0, speed_limit=30.0),),
+        physics_hz=15,
+        ads_hz=5,
+        arrivals=((0,),),
+    )
+
+
+def failed(kind="AssertionError"):
+    return Verdict(kind="failed", exception=AssertionError(), failure=Failure(kind=kind))
+
+
+@dataclass
+class Kept:
+    """What the loop handed on."""
+
+    finds: list
+
+    def keep(self, run, verdict, generation, number):
+        self.finds.append((verdict.failure.kind, generation, number))
+        return f"id-{len(self.finds)}"
+
+
+def hunt(verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), lethal=frozenset()):
+    """A random search in which run ``n`` gets the ``n``-th verdict."""
+    count = iter(range(10**6))
+    kept = Kept([])
+    stage = Stage(
+        run=lambda scenario: Run(quiet_trace(scenario)),
+        judge=lambda run: verdicts(next(count)),
+        fitness=lambda trace: 0.0,
+        keep=kept.keep,
+        lethal=lethal,
+    )
+    found = Hunt(stage=stage, replayed=replayed)
+    events = run_campaign(
+        RandomSearch(SPACE, population=population), found.evaluate, generations=generations, seed=1, stop=None
+    )
+    found.follow(events, lambda: None)
+    return found, kept.finds
+
+
+def test_failures_with_one_signature_are_one_find_with_a_count():
+    found, finds = hunt(lambda number: failed())
+    assert finds == [("AssertionError", 0, 1)]
+    assert found.repeats == {"id-1": found.runs - 1}
+
+
+def test_each_signature_is_handed_on_once_with_its_generation():
+    _, finds = hunt(lambda number: failed("A" if number < 2 else "B"))
+    assert finds == [("A", 0, 1), ("B", 1, 3)]
+
+
+def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
+    run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
+    signature = of_failure(run, Failure(kind="AssertionError"))
+    covering = Replayed(id="saved", signature=signature, observed=signature)
+    found, finds = hunt(lambda number: failed(), replayed=[covering])
+    assert finds == []
+    assert found.known == {"saved": found.runs}
+
+
+def test_a_failure_whose_saved_scenario_passes_now_is_new_again():
+    run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
+    fixed = Replayed(id="saved", signature=of_failure(run, Failure(kind="AssertionError")), observed=None)
+    _, finds = hunt(lambda number: failed(), replayed=[fixed])
+    assert len(finds) == 1
+
+
+@pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "invalid"])
+def test_other_verdicts_are_counted_by_kind(kind):
+    found, finds = hunt(lambda number: Verdict(kind=kind))
+    assert finds == []
+    assert found.verdicts == {kind: found.runs}
+
+
+def test_a_scenario_in_which_a_process_died_is_not_run():
+    everything, _ = hunt(lambda number: Verdict(kind="passed"))
+    scenarios = []
+    stage = Stage(
+        run=lambda scenario: scenarios.append(scenario) or Run(quiet_trace(scenario)),
+        judge=lambda run: Verdict(kind="passed"),
+        fitness=lambda trace: 0.0,
+        keep=lambda *find: "",
+    )
+    search = RandomSearch(SPACE, population=2)
+    Hunt(stage=stage).follow(run_campaign(search, Hunt(stage=stage).evaluate, generations=3, seed=1), lambda: None)
+    found, _ = hunt(lambda number: Verdict(kind="passed"), lethal=frozenset(scenarios[:1]))
+    assert found.runs == everything.runs - 1
+
+
+def test_the_seed_of_an_item_is_a_function_of_base_seed_and_node_id():
+    assert item_seed(1, "test_it.py::test_a") == item_seed(1, "test_it.py::test_a") == 1662527925
+    assert item_seed(1, "test_it.py::test_a") != item_seed(2, "test_it.py::test_a")
+    assert item_seed(1, "test_it.py::test_a") != item_seed(1, "test_it.py::test_b")

@@ -1,0 +1,52 @@
+"""Live progress: lines in a log, one rewritten line on a terminal, nothing when it is to be quiet."""
+
+import pytest
+
+PASSES = "@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"
+
+ON_A_TERMINAL = """
+import pytest
+
+@pytest.fixture
+def ads():
+    return lambda: lambda observation: (0.0, 0.0)
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session):
+    session.config.pluginmanager.get_plugin("terminalreporter").isatty = lambda: True
+"""
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", 0.0)
+    monkeypatch.setattr("pytest_pafot.plugin.reporting.TERMINAL_SECONDS", 0.0)
+
+
+def test_a_log_gets_whole_lines_while_the_search_runs(project, impatient):
+    project.write(PASSES)
+    result = project.run(generations=2)
+    result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/2 generations, 1 run, 0 failing, 0 new, *"])
+
+
+def test_a_log_is_not_flooded(project):
+    project.write(PASSES)
+    assert "1/2 generations" not in project.run(generations=2).stdout.str()
+
+
+def test_a_quiet_session_shows_no_progress(project, impatient):
+    project.write(PASSES)
+    assert "/2 generations" not in project.run("-q", generations=2).stdout.str().partition("pafot =")[0]
+
+
+def test_a_terminal_gets_one_line_that_is_rewritten_and_erased(project, impatient):
+    project.pytester.makeconftest(ON_A_TERMINAL)
+    project.write(PASSES)
+    output = project.run(generations=2).stdout.str()
+    assert "\rpafot: " in output.replace("\n", "\r")
+    assert "1/2 generations, 1 run, " in output
+
+
+def test_without_a_terminal_reporter_progress_goes_nowhere(project, impatient):
+    project.write(PASSES)
+    assert project.run("-p", "no:terminal", generations=2).ret == 0

@@ -1,0 +1,120 @@
+"""Texts for the terminal: plain ASCII, 80 columns, and plain data on the way."""
+
+import json
+
+import pytest
+
+from pytest_pafot.report import terminal
+from pytest_pafot.report.terminal import Find, Progress, Replay, Search, Session
+
+FIND = Find(
+    id="front-2-1f3a9c",
+    node_id="tests/test_safety.py::test_it[saved-front-2-1f3a9c]",
+    headline="collision after 12.4 s: NPC 0 in cell 2 (front) against the ego's front",
+    path="tests/pafot_corpus/test_safety/test_it/front-2-1f3a9c.pafot.yaml",
+    repeats=17,
+)
+SEARCH = Search(
+    node_id="tests/test_safety.py::test_it[search]",
+    profile="local",
+    base_seed=3,
+    seed=4154884243,
+    generations=10,
+    asked=10,
+    reason="all generations done",
+    seconds=12.34,
+    runs=48,
+    known_runs=3,
+    invalid=2,
+    npc=9,
+    rejected=1,
+    skipped=1,
+    reached=0.634,
+    no_interaction=5,
+    failing=18,
+    finds=(FIND,),
+    known={"rear-6-abcdef": 4},
+    warnings=(
+        "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they began; give them more time",
+    ),
+    notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
+    coverage="8/8 cells, 23/24 ring steps, 6/6 speed bins",
+)
+
+
+def test_a_search_survives_the_way_through_plain_data():
+    assert Search.from_plain(json.loads(json.dumps(SEARCH.to_plain()))) == SEARCH
+
+
+def test_the_summary_has_every_figure_and_fits_in_80_columns():
+    lines = terminal.session_lines(Session(searches=[SEARCH]), verbose=True)
+    text = " ".join(" ".join(lines).split())
+    for part in (
+        "48 runs in 12.3 s, 3 not run again, 18 failing, 9 npc at fault, 2 invalid, 1 rejected, 1 skipped",
+        "5 without interaction, 63% of genes reached",
+        "pafot, seed 4154884243 from --pafot-seed=3 (profile local), 10 of 10 generations, ended: all generations done",
+        "saved-front-2-1f3a9c, 17 more runs collision after 12.4 s",
+        "known: 4 runs covered by saved-rear-6-abcdef",
+        "warning: NPCs reached",
+        "note: cut by --pafot-max-time",
+        "covered 8/8 cells",
+    ):
+        assert part in text
+    assert all(line.isascii() for line in lines)
+    assert max(map(len, lines)) <= 80
+
+
+def test_nothing_to_tell_is_nothing_told():
+    assert terminal.session_lines(Session()) == []
+
+
+def test_progress_is_one_line_that_is_cut_at_the_left_of_the_name():
+    progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
+    line = terminal.progress_line(progress)
+    assert len(line) <= 80
+    assert line.startswith("pafot: ...xxx")
+    assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
+
+
+@pytest.mark.parametrize(
+    ("flags", "remark"),
+    [
+        ({}, ""),
+        ({"is_flaky": True}, " (flaky: running it again gave another run)"),
+        ({"is_timed": True}, " (depends on wall-clock time)"),
+    ],
+)
+def test_a_find_says_what_a_reader_must_know_besides(flags, remark):
+    assert Find(id="a", node_id="b", headline="c", **flags).remark == remark
+
+
+def test_a_find_that_could_not_be_saved_shows_its_file():
+    find = Find(id="a", node_id="t[saved-a]", headline="c", problem="read-only")
+    text = terminal.find_section(find, scenario="s", origin="o", explanation="", content="pafot: 1\ntest: t\n")
+    assert text.splitlines()[-4:] == ["not saved  read-only", "the file would be:", "  pafot: 1", "  test: t"]
+
+
+def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
+    replays = [
+        Replay(node_id="t[saved-a]", label="fixed"),
+        Replay(node_id="t[saved-b]", label="still failing"),
+        Replay(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
+    ]
+    assert terminal.replay_lines(replays) == [
+        "replayed 3 saved scenarios: 1 drifted, 1 fixed, 1 still failing",
+        "  fixed: t[saved-a]",
+        "  drifted: t[saved-c]",
+        "    numpy 1 then, 2 now",
+    ]
+
+
+def test_orphans_say_what_to_do_and_pruned_ones_that_they_are_gone():
+    kept = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)]))
+    assert kept[0] == "orphaned: 2 saved scenarios of no test in corpus/test_a"
+    assert "--pafot-prune" in kept[1]
+    gone = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)], pruned=True))
+    assert gone == ["removed: 2 saved scenarios of no test in corpus/test_a"]
+
+
+def test_what_is_no_ascii_is_escaped():
+    assert terminal.found_line(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]

@@ -1,0 +1,280 @@
+"""An ADS that raises, returns nonsense, hangs or is slow: an outcome of its own, never a collision, never a crash."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.guard import HangGuard
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
+HIGHWAY, GYM = Highway(), World("highway-v0")
+CONTINUOUS = World("highway-v0", config={"action": {"type": "ContinuousAction"}})
+worlds = pytest.mark.parametrize(("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM, 1)], ids=["Highway", "World"])
+
+
+def always(action):
+    """A factory of an ADS that always returns one thing."""
+    return lambda: lambda observation: action
+
+
+# --- ADSs that fail
+
+
+class CustomFault(Exception):  # noqa: N818
+    pass
+
+
+def failing_after(decisions, fail, idle):
+    """An ADS that drives for so many decisions, then calls ``fail``."""
+
+    def factory():
+        count = iter(range(1000))
+
+        def drive(observation):
+            return idle if next(count) < decisions else fail()
+
+        return drive
+
+    return factory
+
+
+@worlds
+def test_an_ads_that_raises_ends_the_run_with_a_traceback_of_its_own_code_alone(world, idle):
+    def deep():
+        raise CustomFault("the map\nhas no  lane 7")
+
+    def fail():
+        return deep()
+
+    trace = world.rollout(SCENARIO, failing_after(2, fail, idle))
+    every = world.physics_hz // world.ads_hz if world is GYM else 3
+    assert trace.outcome is Outcome.ADS_ERROR
+    assert trace.collision is None
+    assert trace.ticks == trace.error.tick == 2 * every
+    assert (trace.error.kind, trace.error.message) == ("CustomFault", "the map has no lane 7")
+    report = trace.error.traceback
+    assert report.startswith("Traceback (most recent call last):")
+    assert [line.split()[-1] for line in report.splitlines() if line.startswith("  File")] == ["drive", "fail", "deep"]
+    assert "pytest_pafot" not in report
+    assert len(trace.actions) == 2
+
+
+@worlds
+@pytest.mark.parametrize(
+    "fault", [ValueError(), TypeError("x"), StopIteration(), SystemExit(2), ExceptionGroup("g", [ValueError("y")])]
+)
+def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault):
+    def fail():
+        raise fault
+
+    trace = world.rollout(SCENARIO, failing_after(1, fail, idle))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, type(fault).__name__)
+    assert type(fault).__name__ in trace.error.traceback
+
+
+def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():
+    class Mute(Exception):  # noqa: N818
+        def __str__(self):
+            raise RuntimeError("no words")
+
+    def fail():
+        raise Mute
+
+    trace = HIGHWAY.rollout(SCENARIO, failing_after(1, fail, (0, 0)))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "Mute")
+
+
+@worlds
+def test_ctrl_c_inside_an_ads_is_the_users_and_no_finding(world, idle):
+    def fail():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        world.rollout(SCENARIO, failing_after(1, fail, idle))
+    assert not [thread for thread in threading.enumerate() if thread.name == "pafot-hang-guard"]
+
+
+PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, received"
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
+        {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
+    trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
+    assert trace.outcome is Outcome.ADS_ERROR
+    assert trace.error.kind == "BadAction"
+    assert trace.error.message.startswith(PAIR)
+    assert (trace.error.traceback, trace.error.tick, trace.ticks) == ("", 3, 3)
+
+
+@pytest.mark.parametrize(
+    "action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)], ids=repr
+)
+def test_what_is_no_action_of_a_discrete_space_is_a_bad_action(action):
+    trace = GYM.rollout(SCENARIO, always(action))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
+    assert trace.error.message.startswith("expected a whole number from 0 to 4, received ")
+
+
+@pytest.mark.parametrize(
+    "action",
+    [None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
+     [1j, 0], [None, 0.0], [[1], [2, 3]], {}],
+    ids=repr,
+)  # fmt: skip
+def test_what_is_no_action_of_a_continuous_space_is_a_bad_action(action):
+    trace = CONTINUOUS.rollout(SCENARIO, always(action))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
+    assert trace.error.message.startswith("expected finite numbers of shape (2,), received ")
+
+
+def test_a_huge_wrong_action_is_shown_on_one_short_line():
+    trace = HIGHWAY.rollout(SCENARIO, always(np.zeros((1000, 3))))
+    assert len(trace.error.message) < 250
+    assert "\n" not in trace.error.message
+
+
+# --- ADSs that hang
+
+
+def sleeping():
+    time.sleep(30)
+
+
+def spinning():
+    while True:
+        pass
+
+
+def spinning_deaf():
+    """Swallows whatever interrupts it, once."""
+    try:
+        spinning()
+    except BaseException:  # noqa: BLE001
+        spinning()
+
+
+@worlds
+@pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf])
+def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang):
+    impatient = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
+    trace = impatient.rollout(SCENARIO, failing_after(1, hang, idle))
+    assert trace.outcome is Outcome.HANG
+    assert trace.error.kind == "Hang"
+    assert "hang limit" in trace.error.message
+    assert hang.__name__ in trace.error.traceback
+    assert "pytest_pafot" not in trace.error.traceback
+    assert trace.ticks == trace.error.tick > 0
+    assert impatient.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+
+
+def test_a_busy_hang_is_interrupted_outside_the_main_thread_too():
+    received = []
+    world = Highway(hang_limit=0.2)
+    thread = threading.Thread(
+        target=lambda: received.extend(
+            world.rollout(SCENARIO, ads) for ads in (failing_after(1, spinning, (0, 0)), always((0, 0)))
+        )
+    )
+    thread.start()
+    thread.join(10)
+    assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
+    assert "spinning" in received[0].error.traceback
+
+
+def test_an_ads_inside_another_run_may_hang_without_the_outer_one():
+    world = Highway(hang_limit=0.2)
+
+    def nesting(observation):
+        inner = world.rollout(SCENARIO, always((0.0, 0.0)))
+        return (0.0, 0.0) if inner.outcome is Outcome.SAFE else None
+
+    assert world.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
+
+
+def test_time_between_decisions_is_not_counted_as_a_hang():
+    with HangGuard(0.05) as guard:
+        for _ in range(3):
+            guard.decision_starts()
+            guard.decision_ends()
+            time.sleep(0.08)
+
+
+@pytest.mark.parametrize("inside_thread", [False, True])
+def test_a_decision_that_ends_just_as_it_is_interrupted_never_breaks_what_comes_after(inside_thread):
+    """Decisions of about the limit, over and over: each is interrupted inside, or not at all."""
+    from pytest_pafot.world.guard import AdsHang
+
+    escaped = []
+
+    def work():
+        try:
+            for step in range(60):
+                with HangGuard(0.004) as guard:
+                    try:
+                        try:
+                            guard.decision_starts()
+                            until = time.perf_counter() + 0.003 + step * 0.00005
+                            while time.perf_counter() < until:
+                                pass
+                        finally:
+                            guard.decision_ends()
+                    except AdsHang:
+                        guard.decision_ends()
+                    time.sleep(0)
+        except BaseException as error:  # noqa: BLE001
+            escaped.append(error)
+
+    if inside_thread:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    else:
+        work()
+    assert escaped == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+def test_an_interruption_that_comes_late_interrupts_nothing():
+    with HangGuard(5.0) as guard:
+        signal.raise_signal(signal.SIGUSR1)
+        guard.decision_starts()
+        signal.raise_signal(signal.SIGUSR1)
+        guard.decision_ends()
+        signal.raise_signal(signal.SIGUSR1)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+def test_the_users_signal_handler_is_back_after_a_run():
+    before = signal.signal(signal.SIGUSR1, handler := lambda number, frame: None)
+    try:
+        HIGHWAY.rollout(SCENARIO, always((0, 0)))
+        assert signal.getsignal(signal.SIGUSR1) is handler
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+def test_slow_decisions_are_measured_and_change_nothing_else():
+    def slow():
+        calls = iter(range(100))
+        return lambda observation: time.sleep(0.03 * (next(calls) == 2)) or (0.0, 0.0)
+
+    trace = HIGHWAY.rollout(SCENARIO, slow)
+    assert trace.outcome is Outcome.SAFE
+    assert 0.03 <= trace.max_decision_seconds < 5
+    assert trace.states.tobytes() == HIGHWAY.rollout(SCENARIO, always((0.0, 0.0))).states.tobytes()

@@ -1,0 +1,369 @@
+"""The four kinds of ADS, fresh per scenario, and the factories that make them."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import gc
+import itertools
+import math
+import threading
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world import AdsFactoryError, Highway, Observation, World
+from pytest_pafot.world.director import Director
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
+HIGHWAY, GYM = Highway(), World("highway-v0")
+CONTINUOUS = World("highway-v0", config={"action": {"type": "ContinuousAction"}})
+worlds = pytest.mark.parametrize(("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM, 1)], ids=["Highway", "World"])
+
+
+def always(action):
+    """A factory of an ADS that always returns one thing."""
+    return lambda: lambda observation: action
+
+
+# --- kind (a): planners on the highway
+
+
+def test_a_planner_sees_the_scene_in_si_units_as_plain_floats():
+    seen = []
+    trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.01))
+    assert [observation.time for observation in seen] == [tick / 5 for tick in range(20)]
+    for tick, observation in zip(range(0, 60, 3), seen, strict=True):
+        assert isinstance(observation, Observation)
+        assert (observation.lanes, observation.lane_width, observation.speed_limit) == (4, 4.0, 26.8)
+        vehicles = [observation.ego, *observation.others]
+        for state, row, size in zip(vehicles, trace.states[tick], trace.sizes, strict=True):
+            assert (state.x, state.y, state.heading, state.speed) == tuple(row[:4])
+            assert (state.length, state.width) == tuple(size)
+            assert state.lane == row[6]
+            assert {type(value) for value in state} <= {float, int}
+        assert observation.array.shape == (3, 7)
+        assert observation.array[1].tolist() == [float(value) for value in observation.others[0]]
+
+
+def test_a_planners_action_is_held_between_decisions_and_logged_as_given():
+    numbers = iter(range(100))
+    trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: (next(numbers) / 100, 0.001))
+    assert trace.actions == tuple((number / 100, 0.001) for number in range(20))
+    assert trace.ego[1:, 4].tolist() == [number / 100 for number in range(20) for _ in range(3)]
+    assert set(trace.ego[1:, 5]) == {0.001}
+
+
+@pytest.mark.parametrize(
+    "action", [(1, 0), [1.0, 0.0], np.array([1.0, 0.0]), np.float32([1, 0]), (np.float32(1), np.int64(0)), iter]
+)
+def test_any_pair_of_numbers_is_an_action(action):
+    trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: iter((1, 0)) if action is iter else action)
+    assert trace.outcome is Outcome.SAFE
+    assert set(trace.actions) == {(1.0, 0.0)}
+
+
+def test_a_planner_can_brake_to_a_standstill_and_stay_but_not_reverse():
+    trace = HIGHWAY.rollout(SCENARIO, always((-9.0, 0.0)))
+    assert abs(trace.ego[-1, 3]) < 1e-9
+    assert trace.ego[:, 3].min() > -1e-9
+
+
+def test_wishes_beyond_what_a_car_can_do_have_the_effect_of_the_strongest_that_it_can():
+    for wild, tame in (((1e9, 0.0), (6.0, 0.0)), ((-1e9, 0.0), (-9.81, 0.0)), ((0.0, 9.0), (0.0, math.pi / 4))):
+        a, b = (HIGHWAY.rollout(SCENARIO, always(action)) for action in (wild, tame))
+        assert a.states.tobytes() == b.states.tobytes()
+        assert a.actions[0] == wild
+
+
+def test_ego_off_the_road_is_an_outcome_with_its_first_tick():
+    trace = HIGHWAY.rollout(Scenario(npcs=[[PositionInstruction(8, 20.0)]], ego_lane=3), always((0.0, 0.02)))
+    assert trace.outcome is Outcome.OFF_ROAD
+    off = trace.ego[:, 1] > 14.0
+    assert trace.off_road_tick == off.argmax() > 0
+    assert (trace.ego[off, 6] == -1).all()
+
+
+# --- kind (b): policies of an environment
+
+
+def test_a_policy_gets_the_environments_observation_and_gives_its_action():
+    seen = []
+    trace = GYM.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or np.array([3]))
+    assert {(array.shape, array.dtype) for array in seen} == {((5, 5), np.dtype(np.float32))}
+    assert trace.actions == (3,) * 4  # highway-v0 decides once a second
+    assert trace.ego[-1, 3] > 24
+
+
+@pytest.mark.parametrize("action", [[0.1, 0.0], (0.1, 0.0), np.array([0.1, 0.0]), np.float32([0.1, 0]), [1, 0]])
+def test_continuous_actions_may_be_lists_tuples_and_arrays(action):
+    trace = CONTINUOUS.rollout(SCENARIO, always(action))
+    assert trace.outcome is Outcome.SAFE
+    assert trace.actions[0].tolist() == pytest.approx(list(action))
+
+
+def test_a_policy_that_reuses_its_action_array_leaves_a_true_log():
+    buffer, numbers = np.zeros(2), iter(range(100))
+
+    def policy(observation):
+        buffer[0] = next(numbers) / 100
+        return buffer
+
+    trace = CONTINUOUS.rollout(SCENARIO, lambda: policy)
+    assert [action[0] for action in trace.actions] == [0.0, 0.01, 0.02, 0.03]
+
+
+# --- kind (c): vehicle classes
+
+
+@pytest.mark.parametrize(
+    "ego",
+    [
+        IDMVehicle,
+        functools.partial(IDMVehicle, enable_lane_change=False),
+        functools.partial(MDPVehicle, target_speeds=[10, 20]),
+        lambda: IDMVehicle,
+    ],
+    ids=["class", "partial", "partial with speeds", "factory of a class"],
+)
+@worlds
+def test_a_vehicle_class_drives_itself_at_every_tick(world, idle, ego):
+    slow_leader = Scenario(npcs=[[PositionInstruction(2, 15.0)]], gene_seconds=10.0)
+    trace = world.rollout(slow_leader, ego)
+    assert trace.outcome in (Outcome.SAFE, Outcome.COLLISION)
+    assert trace.actions == ()
+    assert trace.ego[1:, 4].any()
+
+
+@worlds
+def test_an_error_inside_a_vehicle_class_is_the_adss(world, idle):
+    class Broken(Vehicle):
+        def act(self, action=None):
+            raise RuntimeError("no brakes")
+
+    trace = world.rollout(SCENARIO, Broken)
+    assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "RuntimeError", "no brakes")
+
+
+# --- kind (d): planners inside the environment
+
+
+def genes_reachable_from(thing):
+    """Whether a search through all that an object refers to, by whatever way, meets a director or a gene."""
+    seen, queue = set(), [thing]
+    while queue:
+        item = queue.pop()
+        if id(item) in seen or isinstance(item, type) or type(item).__name__ in ("module", "function", "frame"):
+            continue
+        if isinstance(item, (Director, PositionInstruction, Scenario)):
+            return True
+        seen.add(id(item))
+        queue.extend(gc.get_referents(item))
+    return False
+
+
+def test_a_planner_that_copies_the_environment_finds_no_genes_in_it():
+    found, traffic = [], []
+
+    def factory(env):
+        def plan(observation):
+            found.append(genes_reachable_from(copy.deepcopy(env)) or genes_reachable_from(env))
+            traffic.append([(type(other), other.target_speed, other.speed) for other in env.road.vehicles[1:]])
+            return 1
+
+        return plan
+
+    GYM.rollout(SCENARIO, factory)
+    assert found == [False] * 4
+    for other_class, target_speed, speed in itertools.chain.from_iterable(traffic):
+        assert other_class is IDMVehicle
+        assert target_speed == speed
+
+
+def test_the_search_for_genes_would_find_them():
+    assert genes_reachable_from([{"a": (SCENARIO,)}])
+
+
+def test_what_a_planner_does_in_its_environment_does_not_change_the_run():
+    def meddler(env):
+        def plan(observation):
+            inside = copy.deepcopy(env)
+            for _ in range(3):
+                inside.step(env.action_space.sample())
+            env.step(0)  # in the view itself, too
+            env.vehicle.position[:] = 0.0
+            env.road.vehicles.clear()
+            env.config["simulation_frequency"] = 1
+            return 3
+
+        return plan
+
+    reference = GYM.rollout(SCENARIO, lambda: lambda observation: 3)
+    for _ in range(2):
+        trace = GYM.rollout(SCENARIO, meddler)
+        assert trace.states.tobytes() == reference.states.tobytes()
+        assert (trace.outcome, trace.actions) == (reference.outcome, reference.actions)
+
+
+def test_a_planners_environment_is_in_step_with_the_run():
+    shown = []
+
+    def factory(env):
+        def plan(observation):
+            assert observation.tobytes() == env.observation_type.observe().tobytes()
+            shown.append([(*other.position, other.heading, other.speed) for other in env.road.vehicles])
+            return 3
+
+        return plan
+
+    trace = GYM.rollout(SCENARIO, factory)
+    assert trace.outcome is Outcome.SAFE, trace.error
+    assert shown == [[tuple(row) for row in states.tolist()] for states in trace.states[:60:15, :, :4]]
+
+
+def test_a_planner_that_samples_and_simulates_plans_the_same_each_time():
+    """Random shooting with the environment's own action space, and highway-env's random traffic behaviour."""
+
+    def shooter(env):
+        def plan(observation):
+            best = (-math.inf, 1)
+            for _ in range(3):
+                inside = copy.deepcopy(env)
+                action = env.action_space.sample()
+                for other in inside.road.vehicles[1:]:
+                    other.randomize_behavior()
+                reward = inside.step(action)[1] + inside.np_random.uniform(0, 0.01)
+                best = max(best, (reward, int(action)))
+            return best[1]
+
+        return plan
+
+    runs = [GYM.rollout(SCENARIO, shooter) for _ in range(3)]
+    assert len({(run.actions, run.states.tobytes()) for run in runs}) == 1
+
+
+def test_the_environment_of_a_planner_is_of_the_worlds_kind_and_config():
+    world = World("highway-fast-v0", config={"lanes_count": 5, "action": {"type": "DiscreteAction"}})
+    seen = []
+    world.rollout(SCENARIO, lambda env: seen.append(env) or (lambda observation: 4))
+    assert seen[0].config["lanes_count"] == 5
+    assert seen[0].spec.id == "highway-fast-v0"
+    assert len(seen[0].road.network.lanes_list()) == 5
+
+
+# --- fresh per scenario
+
+
+@worlds
+def test_every_run_gets_a_fresh_ads_and_asks_the_factory_once(world, idle):
+    made = []
+
+    class Counting:
+        def __init__(self):
+            self.calls = 0
+            made.append(self)
+
+        def __call__(self, observation):
+            self.calls += 1
+            return idle
+
+    first = world.rollout(SCENARIO, Counting)
+    second = world.rollout(SCENARIO, Counting)
+    assert [ads.calls for ads in made] == [len(first.actions)] * 2
+    assert first.states.tobytes() == second.states.tobytes()
+
+
+busy_worlds = pytest.mark.parametrize(("world", "busy"), [(HIGHWAY, (1.0, 0.001)), (GYM, 3)], ids=["Highway", "World"])
+
+
+@busy_worlds
+def test_a_run_inside_a_run_disturbs_neither(world, busy):
+    seen, seen_outside, inner = [], [], []
+
+    def watching(observation):
+        seen.append(np.array(getattr(observation, "array", observation)))
+        return busy
+
+    def nesting(observation):
+        seen_outside.append(np.array(getattr(observation, "array", observation)))
+        inner.append(world.rollout(SCENARIO.truncated(1), always(busy)))
+        return busy
+
+    plain = world.rollout(SCENARIO, lambda: watching)
+    outer = world.rollout(SCENARIO, lambda: nesting)
+    for trace in (outer, *inner):
+        assert trace.states.tobytes() == plain.states.tobytes()
+    assert np.array_equal(seen, seen_outside)
+
+
+@busy_worlds
+def test_runs_in_several_threads_are_the_runs_of_one(world, busy):
+    scenarios = [Scenario(npcs=[[PositionInstruction(cell, 20.0)]], gene_seconds=3.0) for cell in range(1, 9)]
+    expected = [world.rollout(scenario, always(busy)).states.tobytes() for scenario in scenarios]
+    received = {}
+
+    def work(index):
+        received[index] = world.rollout(scenarios[index], always(busy)).states.tobytes()
+
+    threads = [threading.Thread(target=work, args=(index,)) for index in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [received[index] for index in range(8)] == expected
+
+
+# --- factories that are none
+
+
+class CustomFault(Exception):  # noqa: N818
+    pass
+
+
+@worlds
+@pytest.mark.parametrize("factory", [None, 3, "planner", (0.0, 0.0), object()])
+def test_what_cannot_be_called_is_no_factory(world, idle, factory):
+    with pytest.raises(AdsFactoryError, match=r"ads: expected a factory, a callable .*return lambda: MyPlanner"):
+        world.rollout(SCENARIO, factory)
+
+
+@worlds
+def test_an_ads_given_in_place_of_its_factory_is_recognised(world, idle):
+    with pytest.raises(AdsFactoryError, match=r"can be called without arguments, .*\(observation\).*lambda: MyPlanner"):
+        world.rollout(SCENARIO, lambda observation: idle)
+
+
+@worlds
+@pytest.mark.parametrize("ads", [None, 3, (0.0, 0.0)])
+def test_a_factory_that_gives_nothing_that_drives_is_refused(world, idle, ads):
+    with pytest.raises(AdsFactoryError, match=r"expected the factory to return an ADS, .* received"):
+        world.rollout(SCENARIO, lambda: ads)
+
+
+def test_the_highway_has_no_environment_to_plan_in():
+    with pytest.raises(AdsFactoryError, match=r'without a parameter `env`.*use world=pafot\.World\("highway-v0"\)'):
+        HIGHWAY.rollout(SCENARIO, lambda env: lambda observation: (0, 0))
+
+
+@worlds
+def test_what_the_factory_itself_raises_comes_through(world, idle):
+    def factory():
+        raise CustomFault("no weights file")
+
+    with pytest.raises(CustomFault, match="no weights file"):
+        world.rollout(SCENARIO, factory)
+    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+
+
+def test_a_type_error_of_the_factorys_own_body_is_not_mistaken_for_a_wrong_signature():
+    def factory():
+        return len(3)
+
+    with pytest.raises(TypeError, match="has no len") as caught:
+        HIGHWAY.rollout(SCENARIO, factory)
+    assert not isinstance(caught.value, AdsFactoryError)

@@ -1,0 +1,114 @@
+"""The same scenario gives the same trace: in another process, with other hash seeds, whatever else is random."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import pickle
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.world import Highway, World
+from tests.support.world_cases import EGOS, chains, constant_speed
+
+ROOT = Path(__file__).parents[2]
+
+
+def policy():
+    actions = iter(np.random.default_rng(1).integers(5, size=1000))
+    return lambda observation: next(actions)
+
+
+def shooter(env):
+    return lambda observation: int(env.action_space.sample())
+
+
+SHUFFLED = {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}}
+
+
+def hungry(env_action=1):
+    """A policy whose action depends on every bit of a shuffled observation."""
+    return lambda observation: int(hashlib.sha256(observation.tobytes()).digest()[0] % 5)
+
+
+def cases():
+    """(world, ADS factory) of every kind."""
+    yield from ((Highway(duration=8.0), ego) for ego in EGOS)
+    yield from ((World("highway-v0", duration=8.0), ads) for ads in (policy, shooter, IDMVehicle))
+    yield World("highway-v0", config=SHUFFLED, duration=8.0), functools.partial(hungry)
+
+
+def digests():
+    """A digest of each case's traces over a few scenarios with conflicts, vanished lanes and repairs."""
+    result = []
+    for number, (world, ads) in enumerate(cases()):
+        rng = random.Random(number)
+        digest = hashlib.sha256()
+        for lane in (0, 1, 3):
+            scenario = Scenario.repaired(chains(rng, 4, 4, 26.8), seed=lane, ego_lane=lane, gene_seconds=2.0)
+            trace = world.rollout(scenario, ads)
+            digest.update(trace.states.tobytes())
+            digest.update(f"{trace.executed.canonical()} {trace.outcome} {trace.collision} {trace.arrivals}".encode())
+            digest.update(repr([np.asarray(action).tolist() for action in trace.actions]).encode())
+        result.append(digest.hexdigest())
+    return result
+
+
+def in_another_process(hash_seed):
+    code = "from tests.world.test_determinism import digests; print(*digests())"
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True, timeout=120
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("hash_seed", ["0", "12345"])
+def test_another_process_with_another_hash_seed_gives_the_same_traces(hash_seed):
+    assert in_another_process(hash_seed) == digests()
+
+
+def test_global_random_numbers_are_neither_used_nor_moved():
+    first = digests()
+    random.seed(99)
+    np.random.seed(99)
+    state, numpys = random.getstate(), np.random.get_state()
+    assert digests() == first
+    assert random.getstate() == state
+    assert pickle.dumps(np.random.get_state()) == pickle.dumps(numpys)
+
+
+def test_runs_in_between_leave_no_mark():
+    world, other = Highway(duration=8.0), World("highway-v0", duration=8.0)
+    rng = random.Random(1)
+    scenarios = [Scenario.repaired(chains(rng, 3, 4, 26.8), gene_seconds=2.0) for _ in range(6)]
+    forwards = [(world.rollout(s, IDMVehicle), other.rollout(s, policy)) for s in scenarios]
+    backwards = [(world.rollout(s, IDMVehicle), other.rollout(s, policy)) for s in reversed(scenarios)]
+    for a, b in zip(forwards, reversed(backwards), strict=True):
+        assert [trace.states.tobytes() for trace in a] == [trace.states.tobytes() for trace in b]
+
+
+def test_a_world_that_was_used_can_be_sent_to_another_process():
+    scenario = Scenario.repaired(chains(random.Random(2), 2, 3, 26.8), gene_seconds=2.0)
+    for world, ads in ((Highway(), constant_speed), (World("highway-v0"), policy)):
+        trace = world.rollout(scenario, ads)
+        sent = pickle.loads(pickle.dumps(world))
+        assert sent == world
+        assert sent.rollout(scenario, ads).states.tobytes() == trace.states.tobytes()
+
+
+def test_the_wall_clock_changes_nothing():
+    def slow():
+        return lambda observation: sum(range(20000)) * 0.0 or (0.0, 0.0)
+
+    scenario = Scenario.repaired(chains(random.Random(3), 2, 3, 26.8), gene_seconds=2.0)
+    a, b = (Highway().rollout(scenario, ads) for ads in (constant_speed, slow))
+    assert a.states.tobytes() == b.states.tobytes()

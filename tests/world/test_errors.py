@@ -1,0 +1,243 @@
+"""Every wrong world, and every scenario that does not fit one, is one clear error: place, expected, received, fix."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
+import numpy as np
+import pytest
+
+from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.world import Highway, NpcLimits, World, WorldError
+
+
+def raises(message, error=WorldError):
+    return pytest.raises(error, match=re.escape(message))
+
+
+def hold(*cells, speed=20.0, **fields):
+    return Scenario(npcs=[[PositionInstruction(cell, speed)] for cell in cells], **fields)
+
+
+def idle():
+    return lambda observation: (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
+        ({"lanes": 7}, "lanes: expected a whole number from 3 to 6, received 7"),
+        ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
+        ({"lanes": "4"}, "lanes: expected a whole number from 3 to 6, received '4'"),
+        ({"lanes": True}, "lanes: expected a whole number from 3 to 6, received True"),
+        ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
+        ({"speed_limit": math.nan}, "speed_limit: expected a number from 5 to 40, received nan"),
+        ({"speed_limit": "fast"}, "speed_limit: expected a number from 5 to 40, received 'fast'"),
+        ({"speed_limit": 39}, "speed_limit: expected at most 36.4 m/s, because NPCs may drive 1.1 times the limit"),
+        ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
+        ({"physics_hz": 15.0}, "physics_hz: expected a whole number from 5 to 1000, received 15.0"),
+        ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
+        ({"ads_hz": None}, "ads_hz: expected a whole number from 1 to 1000, received None"),
+        ({"duration": 0}, "duration: expected a number from 0.0666667 to 3600, received 0"),
+        ({"duration": 4000}, "duration: expected a number from 0.0666667 to 3600, received 4000"),
+        ({"duration": math.inf}, "duration: expected a number from 0.0666667 to 3600, received inf"),
+        ({"clearance": -1}, "clearance: expected a number from 0 to 50, received -1"),
+        ({"headway": 11}, "headway: expected a number from 0 to 10, received 11"),
+        ({"hang_limit": 0}, "hang_limit: expected a number from 0.01 to 86400, received 0"),
+        ({"limits": {"jerk": 5}}, "limits: expected pafot.NpcLimits(...), received {'jerk': 5}"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_a_wrong_option_of_the_highway_is_named_with_its_bounds(options, message):
+    with raises(message):
+        Highway(**options)
+
+
+@pytest.mark.parametrize(
+    ("physics_hz", "ads_hz", "message"),
+    [
+        (20, 15, "ads_hz: expected a divisor of physics_hz=20, so that every decision lasts a whole number of ticks, "
+                 "received 15; use one of 1, 2, 4, 5, 10, 20, or physics_hz=30"),
+        (15, 30, "received 30; use one of 1, 3, 5, 15, or physics_hz=30"),
+        (7, 2, "received 2; use one of 1, 7, or physics_hz=8"),
+    ],
+)  # fmt: skip
+def test_frequencies_that_do_not_divide_are_refused_with_what_would(physics_hz, ads_hz, message):
+    with raises(message):
+        Highway(physics_hz=physics_hz, ads_hz=ads_hz)
+    names = {"physics_hz=": "config.simulation_frequency="}
+    for old, new in names.items():
+        message = message.replace(old, new).replace("ads_hz:", "config.policy_frequency:")
+    with raises(message):
+        World("highway-v0", config={"simulation_frequency": physics_hz, "policy_frequency": ads_hz}).check()
+
+
+@pytest.mark.parametrize(("physics_hz", "ads_hz"), [(15, 15), (15, 1), (30, 10), (1000, 8), (5, 5)])
+def test_frequencies_that_divide_are_accepted_as_the_fix_says(physics_hz, ads_hz):
+    assert Highway(physics_hz=physics_hz, ads_hz=ads_hz).ads_hz == ads_hz
+
+
+@pytest.mark.parametrize("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
+@pytest.mark.parametrize("value", [0, -1, math.nan, math.inf, "5", None, True])
+def test_a_limit_that_is_no_positive_number_is_refused(name, value):
+    with raises(f"limits.{name}: expected a number above 0, received {value!r}"):
+        NpcLimits(**{name: value})
+
+
+def test_limits_that_contradict_what_an_npc_is_are_refused():
+    with raises("limits.heading: expected at most pi/4 rad, so that no NPC drives sideways, received 1.0"):
+        NpcLimits(heading=1)
+    with raises("limits.overspeed: expected at least 1, so that target speeds up to the limit can be driven"):
+        NpcLimits(overspeed=0.9)
+    with raises("speed_limit: expected at most 20.0 m/s, because NPCs may drive 2 times the limit"):
+        Highway(limits=NpcLimits(overspeed=2))
+
+
+@pytest.mark.parametrize("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
+def test_an_id_with_a_module_in_it_or_none_at_all_is_refused_before_anything_is_imported(env_id):
+    with raises(f"received {env_id!r}; import the module that registers it first"):
+        World(env_id)
+
+
+@pytest.mark.parametrize("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
+def test_an_unknown_id_is_refused_with_the_straight_roads_that_there_are(env_id):
+    with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; an environment"):
+        World(env_id).check()
+
+
+@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
+@pytest.mark.parametrize(
+    "env_id", sorted(k for k, spec in gymnasium.registry.items() if "highway_env" in str(spec.entry_point))
+)
+def test_every_environment_of_highway_env_either_runs_or_says_why_not(env_id):
+    world = World(env_id)
+    if env_id.startswith("highway-"):
+        world.check()
+        assert world.lanes >= 3
+        return
+    with pytest.raises(WorldError) as caught:
+        world.check()
+    text = str(caught.value)
+    if "multi-agent" in env_id:
+        assert text.startswith("config.controlled_vehicles: expected 1, the ego, received 2")
+    elif "ParkingEnv" not in text:
+        assert text.startswith(f"{env_id}: expected one straight road of parallel lanes along the x axis, received ")
+        assert text.endswith('use pafot.Highway, or pafot.World with "highway-v0" or "highway-fast-v0"')
+
+
+def test_an_environment_that_is_refused_leaves_highway_envs_vehicles_as_they_were():
+    """intersection-v2 writes to the class IDMVehicle when it is made."""
+    from highway_env.vehicle.behavior import IDMVehicle
+
+    with pytest.raises(WorldError):
+        World("intersection-v2").check()
+    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN) == (10.0, 3.0, -5.0)
+
+
+def test_an_environment_of_another_library_is_refused_by_its_class():
+    with raises("env_id: expected an environment that derives from highway-env's AbstractEnv, received"):
+        World("CartPole-v1").check()
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ([], "config: expected a dict of the environment's options, received []"),
+        ("lanes_count=3", "config: expected a dict of the environment's options, received 'lanes_count=3'"),
+        ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
+        ({"zebra": 3}, "config: expected options of highway-v0, received zebra; it has action, centering_position"),
+        ({1: 2}, "config: expected text as keys, received 1"),
+        ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected plain data (numbers, text"),
+        ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
+        ({"action": {"type": "Nope"}}, "raised ValueError: Unknown action type"),
+        ({"action": {}}, "raised KeyError: 'type'"),
+        ({"lanes_count": 0}, "highway-v0: expected a configuration that the environment accepts, received"),
+        ({"simulation_frequency": 15.5}, "config.simulation_frequency: expected a whole number from 5 to 1000"),
+        ({"simulation_frequency": 2}, "config.simulation_frequency: expected a whole number from 5 to 1000, rec"),
+        ({"policy_frequency": 0}, "config.policy_frequency: expected a whole number from 1 to 1000, received 0"),
+        ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
+        ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
+        ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
+    ],
+    ids=lambda value: str(value)[:40],
+)  # fmt: skip
+def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
+    with raises(message):
+        World("highway-v0", config=config).check()
+
+
+def test_an_action_for_several_vehicles_has_no_ego():
+    config = {"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}}
+    with raises("config.action: expected a discrete or continuous action for one vehicle, received the space Tuple"):
+        World("highway-v0", config=config).rollout(hold(1), lambda: lambda observation: (1,))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"duration": 0}, "duration: expected a number from 0.1 to 3600, received 0"),
+        ({"duration": "long"}, "duration: expected a number from 0.1 to 3600, received 'long'"),
+        ({"clearance": None}, "clearance: expected a number from 0 to 50, received None"),
+        ({"headway": -0.1}, "headway: expected a number from 0 to 10, received -0.1"),
+        ({"hang_limit": False}, "hang_limit: expected a number from 0.01 to 86400, received False"),
+        ({"limits": None}, "limits: expected pafot.NpcLimits(...), received None"),
+    ],
+)
+def test_a_wrong_option_of_a_gym_world_is_named_with_its_bounds(options, message):
+    with raises(message):
+        World("highway-v0", **options)
+
+
+def test_a_run_too_short_for_a_tick_is_refused():
+    with raises("duration: expected a number from 0.2 to 3600, received 0.1"):
+        World("highway-fast-v0", duration=0.1).check()
+
+
+def test_the_callers_configuration_is_neither_changed_nor_followed():
+    config = {"action": {"type": "DiscreteMetaAction", "target_speeds": np.array([10.0, 20.0])}, "lanes_count": 3}
+    world = World("highway-v0", config=config)
+    config["lanes_count"] = 6
+    config["action"]["type"] = "Nope"
+    assert world.lanes == 3
+    world.rollout(hold(1), lambda: lambda observation: 1)
+    assert set(config) == {"action", "lanes_count"}
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        (None, "scenario: expected a Scenario, received None"),
+        (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
+        (hold(1, ego_lane=9), "ego_lane: expected a lane from 0 to 3, received 9; the road has 4 lanes"),
+        (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists beside lane 0"),
+        (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
+        (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
+        (hold(1, gene_seconds=0.01), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.01; the"),
+        (hold(1, speed=35.0), "npcs[0][0].speed: expected at most the speed limit of "),
+    ],
+    ids=lambda value: str(value)[:40],
+)  # fmt: skip
+@pytest.mark.parametrize("world", [Highway(), World("highway-v0")], ids=["Highway", "World"])
+def test_a_scenario_that_does_not_fit_the_world_is_refused_by_field(world, scenario, message):
+    with raises(message, ScenarioError):
+        world.rollout(scenario, idle)
+
+
+def test_the_nearest_gene_duration_in_the_error_is_accepted():
+    with pytest.raises(ScenarioError) as caught:
+        Highway().rollout(hold(1, gene_seconds=0.15), idle)
+    nearest = float(str(caught.value).rsplit(" ", 1)[1])
+    assert Highway().rollout(hold(1, gene_seconds=nearest), idle).ticks == round(nearest * 15)
+
+
+def test_the_worlds_are_frozen_values():
+    assert Highway(lanes=5) == Highway(lanes=5) != Highway()
+    assert World("highway-v0", config={"lanes_count": 3}) == World("highway-v0", config={"lanes_count": 3})
+    assert {hash(Highway(lanes=5)), hash(Highway(lanes=5))} == {hash(Highway(lanes=5))}
+    for world in (Highway(), World("highway-v0")):
+        with pytest.raises(AttributeError):
+            world.headway = 3.0

@@ -1,0 +1,161 @@
+"""NPCs are vehicles and not missiles: their limits hold at every tick of every trace."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import HEADING, SPEED, Outcome, X, Y
+from pytest_pafot.world import Highway, NpcLimits, World
+from tests.support.world_cases import EGOS, chains, constant_speed, random_scenario, stopping, violations
+
+
+def random_highway(rng, physics_hz, limits=None):
+    ads_hz = rng.choice([hz for hz in (1, 5, physics_hz) if physics_hz % hz == 0])
+    return Highway(
+        lanes=rng.randint(3, 6),
+        speed_limit=rng.choice([26.8, 26.8, 13.9, 36.0]),
+        physics_hz=physics_hz,
+        ads_hz=ads_hz,
+        duration=rng.choice([5.0, 8.0]),
+        clearance=rng.choice([0.0, 3.0, 3.0, 8.0]),
+        headway=rng.choice([0.0, 1.0, 2.0, 2.0, 10.0]),
+        limits=limits or NpcLimits(),
+    )
+
+
+def assert_fixed_point(world, trace, ego):
+    again = world.rollout(trace.executed, ego)
+    assert again.executed == trace.executed
+    assert again.states.tobytes() == trace.states.tobytes()
+    assert (again.outcome, again.collision, again.arrivals) == (trace.outcome, trace.collision, trace.arrivals)
+
+
+@pytest.mark.parametrize("ego", EGOS, ids=lambda ego: ego.__name__)
+@pytest.mark.parametrize(("physics_hz", "scenarios"), [(5, 160), (15, 170), (50, 60)])
+def test_all_limits_hold_and_the_executed_chain_is_a_fixed_point(physics_hz, scenarios, ego):
+    rng = random.Random(f"{physics_hz} {ego.__name__}")
+    outcomes = []
+    for number in range(scenarios):
+        world = random_highway(rng, physics_hz)
+        scenario = random_scenario(rng, lanes=world.lanes, speed_limit=world.speed_limit, npcs=number % 8 + 1)
+        trace = world.rollout(scenario, ego)
+        assert violations(trace, world.limits, world.speed_limit) == [], (number, world, scenario.canonical())
+        if number % 3 == 0:
+            assert_fixed_point(world, trace, ego)
+        outcomes.append(trace.outcome)
+    assert Outcome.COLLISION in outcomes
+    assert {Outcome.SAFE, Outcome.OFF_ROAD} & set(outcomes), "the scenarios do not all end alike"
+
+
+@pytest.mark.parametrize("physics_hz", [5, 15, 50])
+def test_limits_are_options_and_hold_whatever_they_are(physics_hz):
+    rng = random.Random(physics_hz)
+    for number in range(120 if physics_hz < 50 else 40):
+        limits = NpcLimits(
+            acceleration=rng.choice([0.5, 2.0, 5.0, 9.0]),
+            braking=rng.choice([1.0, 4.0, 8.0, 10.0]),
+            jerk=rng.choice([1.0, 5.0, 10.0, 100.0, 1000.0]),
+            lateral_acceleration=rng.choice([0.3, 1.0, 2.0, 4.0, 9.0]),
+            overspeed=rng.choice([1.0, 1.05, 1.1]),
+            heading=rng.choice([0.02, 0.1, 0.3, 0.5, 0.78]),
+        )
+        world = random_highway(rng, physics_hz, limits)
+        scenario = random_scenario(rng, lanes=world.lanes, speed_limit=world.speed_limit)
+        trace = world.rollout(scenario, EGOS[number % len(EGOS)])
+        assert violations(trace, limits, world.speed_limit) == [], (number, world, scenario.canonical())
+
+
+def test_limits_hold_at_a_thousand_ticks_a_second():
+    rng = random.Random(0)
+    for _ in range(3):
+        world = Highway(physics_hz=1000, ads_hz=10, duration=6.0)
+        trace = world.rollout(random_scenario(rng, lanes=4, speed_limit=26.8, npcs=3), stopping)
+        assert violations(trace, world.limits, world.speed_limit) == []
+
+
+@pytest.mark.parametrize("env_id", ["highway-v0", "highway-fast-v0"])
+@pytest.mark.parametrize("lanes", [1, 2, 4])
+def test_limits_hold_on_the_environments_roads_too(env_id, lanes):
+    rng = random.Random(lanes)
+    world = World(env_id, config={"lanes_count": lanes}, duration=8.0)
+    for _ in range(15):
+        lane = rng.randrange(lanes)
+        most = len(world.road.cells(lane))
+        scenario = Scenario.repaired(chains(rng, rng.randint(1, most), 3, 30.0), ego_lane=lane, gene_seconds=3.0)
+        trace = world.rollout(scenario, lambda: lambda observation: 1)
+        assert violations(trace, world.limits, world.speed_limit) == []
+        assert_fixed_point(world, trace, lambda: lambda observation: 1)
+
+
+@pytest.mark.parametrize(("ego", "runs"), [(constant_speed, 80), (IDMVehicle, 20)], ids=["constant_speed", "IDM"])
+def test_with_two_npcs_less_than_a_quarter_of_the_default_runs_is_invalid(ego, runs):
+    rng = random.Random(7)
+    world = Highway()
+    traces = [world.rollout(Scenario.repaired(chains(rng, 2, 6, 26.8), seed=seed), ego) for seed in range(runs)]
+    assert sum(trace.outcome is Outcome.INVALID for trace in traces) < runs / 4
+    started = [tick for trace in traces for arrivals in trace.arrivals for tick in arrivals]
+    assert sum(tick is not None for tick in started) > len(started) / 4, "hardly any gene reaches its cell"
+
+
+def test_an_npc_drives_into_its_cell_then_at_its_speed_in_its_lane():
+    """The ego drives 20 m/s in lane 1; the NPC is to go to the front left, then to cut in and brake."""
+    chain = [PositionInstruction(1, 24.0), PositionInstruction(2, 8.0)]
+    trace = Highway(clearance=3.0).rollout(Scenario(npcs=[chain], ego_speed=20.0), constant_speed)
+    (first, second), npc, ego = trace.arrivals[0], trace.npcs[:, 0], trace.ego
+    assert 0 <= first < 150 < second < 300
+    assert npc[first, 0] - ego[first, 0] == pytest.approx(8.0, abs=2.5)
+    assert npc[149, SPEED] == pytest.approx(24.0, abs=0.1)
+    assert npc[149, Y] == pytest.approx(0.0, abs=0.05)
+    assert abs(npc[second, Y] - ego[second, Y]) <= 0.5
+    assert trace.outcome is Outcome.COLLISION
+    assert trace.collision.side == "front"
+    assert trace.collision.cell == 2
+
+
+def test_an_npc_whose_chain_has_ended_keeps_its_lane_and_speed_though_it_never_arrived():
+    """Its cell is behind an ego that drives away; once its only gene is over it no longer follows."""
+    short, long = [PositionInstruction(6, 25.0)], [PositionInstruction(4, 25.0)] * 6
+    scenario = Scenario(npcs=[short, long], ego_speed=15.0, gene_seconds=2.0)
+    trace = Highway().rollout(scenario, lambda: lambda observation: (3.0, 0.0))
+    assert trace.arrivals[0] == (None,)
+    assert len(trace.arrivals[1]) == 6
+    assert trace.npcs[-1, 0, SPEED] == pytest.approx(trace.npcs[30, 0, SPEED], abs=0.1)
+    assert abs(trace.npcs[31:, 0, HEADING]).max() < 1e-3
+    assert trace.ego[-1, SPEED] > trace.npcs[-1, 0, SPEED] + 10
+
+
+def test_a_lane_that_vanishes_inside_a_gene_is_not_driven_to():
+    """The ego moves to the left lane while an NPC is on its way to the front left."""
+
+    def to_the_left():
+        return lambda observation: (0.0, -0.01 * observation.ego.y - 0.3 * observation.ego.heading)
+
+    npc = [PositionInstruction(1, 20.0)]
+    trace = Highway().rollout(Scenario(npcs=[npc, [PositionInstruction(4, 20.0)]], ego_lane=1), to_the_left)
+    assert violations(trace, NpcLimits(), 26.8) == []
+    assert trace.npcs[:, 0, Y].min() > -1.0
+
+
+def test_npcs_brake_for_each_other():
+    """The first stops in the left lane ahead of the second, which wants 26 m/s: it stops behind it."""
+    stop, rush = [PositionInstruction(1, 0.0)], [PositionInstruction(7, 26.0)]
+    trace = Highway().rollout(Scenario(npcs=[stop, rush], gene_seconds=30.0), constant_speed)
+    gap = trace.npcs[:, 0, X] - trace.npcs[:, 1, X] - 5.0
+    assert trace.outcome is Outcome.SAFE
+    assert trace.arrivals[0] != (None,)
+    assert 0.5 < gap.min() < 10
+    assert trace.npcs[-1, :, SPEED].max() < 0.1
+
+
+def test_limits_hold_around_an_ego_that_reverses_spins_or_turns_around():
+    rng = random.Random(12)
+    world = World("highway-v0", config={"action": {"type": "ContinuousAction"}}, duration=12.0)
+    for _ in range(60):
+        scenario = Scenario.repaired(chains(rng, 3, 4, 30.0), ego_lane=rng.randrange(4), gene_seconds=3.0)
+        action = (rng.uniform(-1, 1), rng.choice([0.0, 0.1, -0.3, 0.9]))
+        trace = world.rollout(scenario, lambda action=action: lambda observation: action)
+        assert violations(trace, world.limits, world.speed_limit) == [], (scenario.canonical(), action)

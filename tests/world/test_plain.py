@@ -1,0 +1,152 @@
+"""Worlds as plain data: what a corpus file holds, and what it may not."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
+
+positive = st.floats(0.1, 20)
+limits = st.builds(
+    NpcLimits,
+    acceleration=positive,
+    braking=positive,
+    jerk=positive,
+    lateral_acceleration=positive,
+    overspeed=st.floats(1, 1.4),
+    heading=st.floats(0.01, 0.78),
+)
+shared = {
+    "clearance": st.floats(0, 50),
+    "headway": st.floats(0, 10),
+    "limits": limits,
+    "hang_limit": st.floats(0.01, 1000),
+}
+highways = st.tuples(st.integers(1, 20), st.integers(5, 50)).flatmap(
+    lambda hz: st.builds(
+        Highway,
+        lanes=st.integers(3, 6),
+        speed_limit=st.floats(5, 28),
+        physics_hz=st.just(hz[0] * hz[1]),
+        ads_hz=st.just(hz[0]),
+        duration=st.one_of(st.integers(1, 3600), st.floats(1, 3600)),
+        **shared,
+    )
+)
+plain_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-(2**40), 2**40), st.floats(allow_nan=False), st.text(max_size=8)),
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=5), inner, max_size=3)),
+    max_leaves=6,
+)
+gyms = st.builds(
+    World,
+    st.text(st.characters(exclude_characters=":"), min_size=1, max_size=12),
+    config=st.none() | st.dictionaries(st.sampled_from(["action", "observation", "scaling"]), plain_values),
+    duration=st.none() | st.floats(0.1, 3600),
+    **shared,
+)
+
+
+@given(highways | gyms)
+def test_a_world_read_back_from_its_plain_data_is_the_same_world(world):
+    data = world.to_dict()
+    written = json.dumps(data)
+    assert json.loads(written) == data, "the data is plain"
+    again = from_dict(json.loads(written))
+    assert again == world
+    assert type(again) is type(world)
+    assert again.to_dict() == data
+
+
+def test_fields_that_are_missing_have_their_defaults():
+    assert from_dict({"kind": "highway"}) == Highway()
+    assert from_dict({"kind": "gym", "env_id": "highway-v0"}) == World("highway-v0")
+    assert from_dict({"kind": "highway", "limits": {"jerk": 5}}) == Highway(limits=NpcLimits(jerk=5))
+
+
+def test_reading_and_writing_do_not_touch_the_data_given():
+    data = {"kind": "gym", "env_id": "highway-v0", "config": {"scaling": [1, 2]}, "limits": {"jerk": 5.0}}
+    text = json.dumps(data)
+    world = from_dict(data)
+    world.to_dict()["config"]["scaling"].append(3)
+    assert json.dumps(data) == text
+    assert world.config == {"scaling": [1, 2]}
+
+
+def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_same_when_read_back():
+    config = {
+        "action": {"type": "ContinuousAction", "acceleration_range": (-3, 3)},
+        "observation": {
+            "type": "GrayscaleObservation",
+            "observation_shape": (32, 16),
+            "stack_size": 2,
+            "weights": np.array([0.25, 0.5, 0.25]),
+        },
+    }
+    world = World("highway-v0", config=config)
+    assert world.config["observation"]["observation_shape"] == [32, 16]
+    assert world.config["observation"]["weights"] == [0.25, 0.5, 0.25]
+    env = from_dict(json.loads(json.dumps(world.to_dict())))._make_env()
+    assert env.observation_space.shape == (2, 32, 16)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (None, "world: expected a mapping, received None"),
+        ([], "world: expected a mapping, received []"),
+        ({}, "world.kind: expected one of gym, highway, received None"),
+        ({"kind": "carla"}, "world.kind: expected one of gym, highway, received 'carla'"),
+        ({"kind": ["gym"]}, "world.kind: expected one of gym, highway, received ['gym']"),
+        ({"kind": "highway", "lane": 3}, "world (kind highway): expected the fields ads_hz, clearance, duration, "),
+        ({"kind": "highway", 3: 3}, "world (kind highway): expected the fields"),
+        ({"kind": "highway", "lanes": 9}, "lanes: expected a whole number from 3 to 6, received 9"),
+        ({"kind": "highway", "limits": 5}, "world.limits: expected a mapping, received 5"),
+        ({"kind": "highway", "limits": {"yerk": 5}}, "world.limits: expected the fields acceleration, braking"),
+        ({"kind": "highway", "limits": {"jerk": "x"}}, "limits.jerk: expected a number above 0, received 'x'"),
+        ({"kind": "gym"}, 'world.env_id: expected the id of a registered environment, such as "highway-v0"'),
+        ({"kind": "gym", "env_id": "os:system"}, "env_id: expected the id of a registered environment without"),
+        ({"kind": "gym", "env_id": ["highway-v0"]}, "env_id: expected the id of a registered environment without"),
+        ({"kind": "gym", "env_id": "highway-v0", "config": []}, "config: expected a dict of the environment's options"),
+        ({"kind": "gym", "env_id": "highway-v0", "config": {3: 4}}, "config: expected text as keys, received 3"),
+    ],
+    ids=lambda value: str(value)[:40],
+)  # fmt: skip
+def test_faulty_data_is_refused_with_its_place_and_what_was_expected(data, message):
+    with pytest.raises(WorldError, match=re.escape(message)):
+        from_dict(data)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["os.system", "antigravity.fly", "highway_env.vehicle", "highway_env_evil.vehicle.X", 3, None, ["os.system"]],
+)
+def test_a_file_may_not_name_code_outside_highway_env(path):
+    before = set(sys.modules)
+    data = {"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}}
+    with pytest.raises(
+        WorldError, match=r"world\.config\.other_vehicles_type: expected a class of highway_env\.vehicle"
+    ):
+        from_dict(data)
+    assert set(sys.modules) == before
+
+
+def test_a_file_may_name_highway_envs_own_vehicle_classes():
+    path = "highway_env.vehicle.behavior.AggressiveVehicle"
+    world = from_dict({"kind": "gym", "env_id": "highway-v0", "config": {"other_vehicles_type": path}})
+    scenario = Scenario(npcs=[[PositionInstruction(1, 20.0)]], gene_seconds=1.0)
+    seen = []
+    world.rollout(scenario, lambda env: lambda observation: seen.append(type(env.road.vehicles[1]).__name__) or 1)
+    assert seen == ["AggressiveVehicle"]
+
+
+def test_reading_a_world_makes_no_environment():
+    from_dict({"kind": "gym", "env_id": "not-registered-v0"})

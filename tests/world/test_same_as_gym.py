@@ -1,0 +1,220 @@
+"""The same actions give the same trajectories as highway-env's own vehicles, road and ``env.step``.
+
+NPCs are driven there by stock vehicles with the controls that the trace has recorded, so the physics, the action types,
+the decision rate, the observations and highway-env's own drivers are compared, and not this package with itself.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
+import numpy as np
+import pytest
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
+from highway_env.vehicle.dynamics import BicycleVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
+from pytest_pafot.world import Highway, World
+from tests.support.gym_loop import Replayed, StateLog
+from tests.support.world_cases import chains
+
+STATE = slice(0, SPEED + 1)
+
+
+FUNCTIONS = {"tan": math.tan, "arctan": math.atan, "arcsin": math.asin, "sin": math.sin, "cos": math.cos}
+
+
+def of_the_c_library(name):
+    """A numpy function that rounds as the C library does, for single numbers."""
+    numpys, maths = getattr(np, name), FUNCTIONS[name]
+    return lambda x, *args, **kwargs: numpys(x, *args, **kwargs) if np.ndim(x) else np.float64(maths(x))
+
+
+@pytest.fixture(params=["exactly", "within a centimetre"])
+def exact(request, monkeypatch):
+    """Whether to compare to the last bit.
+
+    On some processors numpy rounds tan, arctan and arcsin otherwise than the C library does, and highway-env's results
+    differ between machines. To compare the equations to the last bit on all of them, highway-env gets the C library's.
+    """
+    if request.param == "exactly":
+        for name in FUNCTIONS:
+            monkeypatch.setattr(np, name, of_the_c_library(name))
+    return request.param == "exactly"
+
+
+only_exactly = pytest.mark.parametrize("exact", ["exactly"], indirect=True)
+
+
+class Npc(Replayed):
+    """A stock vehicle of which an IDM follower assumes what it assumes of an NPC: that it likes its speed."""
+
+    @property
+    def target_speed(self):
+        return self.speed
+
+
+def stock_env(trace, env_id="highway-v0", config=None, ego_class=None):
+    """An environment of gymnasium with the trace's vehicles at their start, and a log of their states."""
+    config = {"vehicles_count": 0, "duration": 10_000, **(config or {})}
+    env = gymnasium.make(env_id, config=config, disable_env_checker=True)
+    env.reset(seed=0)
+    plain = env.unwrapped
+    lane = trace.lanes[0]
+    plain.road.network = RoadNetwork.straight_road_network(
+        len(trace.lanes), length=lane.length, speed_limit=lane.speed_limit
+    )
+    start = trace.states[0]
+    ego = (ego_class or plain.action_type.vehicle_class)(plain.road, start[0, :2], *start[0, [HEADING, SPEED]].tolist())
+    npcs = [Npc(plain.road, npc[:2], *npc[[HEADING, SPEED]].tolist()) for npc in start[1:]]
+    for index, npc in enumerate(npcs, start=1):
+        controls = trace.states[1:, index, (ACCELERATION, STEERING)]
+        npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((20, 2))])  # env.step ends its last decision
+    for vehicle in (ego, *npcs):
+        vehicle.check_collisions = False
+    plain.road.vehicles = [ego, *npcs]
+    plain.controlled_vehicles = [ego]
+    plain.define_spaces()
+    plain.road.step = StateLog(plain.road)
+    return env, plain.road.step
+
+
+def assert_same(trace, log, exact):
+    stock = np.array(log.rows[: trace.ticks])
+    assert stock.shape == (trace.ticks, trace.states.shape[1], 4)
+    own = trace.states[1:, :, STATE]
+    if exact:
+        assert np.array_equal(stock, own), f"differ from tick {np.flatnonzero((stock != own).any(axis=(1, 2)))[0] + 1}"
+    else:
+        assert np.abs(stock[..., :2] - own[..., :2]).max() <= 0.01
+
+
+def random_scenarios(count, *, lanes, speed_limit, seed, npcs=2, genes=6):
+    rng = random.Random(seed)
+    for _ in range(count):
+        yield Scenario.repaired(
+            chains(rng, npcs, genes, speed_limit),
+            seed=rng.randrange(2**32),
+            ego_lane=rng.randrange(lanes),
+            ego_speed=rng.uniform(18, 25),
+        )
+
+
+def lmap(action, low, high):
+    return low + (action + 1) * (high - low) / 2
+
+
+@pytest.mark.parametrize(("physics_hz", "ads_hz"), [(15, 5), (20, 10), (5, 1)])
+def test_a_planner_on_the_highway_drives_as_continuous_actions_do(exact, physics_hz, ads_hz):
+    world = Highway(physics_hz=physics_hz, ads_hz=ads_hz)
+    for number, scenario in enumerate(random_scenarios(2, lanes=4, speed_limit=26.8, seed=physics_hz)):
+        rng = np.random.default_rng(number)
+        actions = np.stack([rng.uniform(-0.3, 0.32, 600), rng.normal(0, 0.004, 600)], axis=1)
+        numbers = iter(actions)
+
+        def planner(observation, numbers=numbers):
+            throttle, wheel = next(numbers)
+            return lmap(throttle, -5.0, 5.0), lmap(wheel, -np.pi / 4, np.pi / 4)
+
+        trace = world.rollout(scenario, lambda planner=planner: planner)
+        env, log = stock_env(
+            trace,
+            config={
+                "lanes_count": 4,
+                "simulation_frequency": physics_hz,
+                "policy_frequency": ads_hz,
+                "action": {"type": "ContinuousAction"},
+            },
+        )
+        env.unwrapped.observation_type.observe = lambda: None  # nobody looks, and it costs more than all the rest
+        for action in actions[: len(trace.actions)]:
+            env.step(action)
+        assert trace.outcome is not Outcome.ADS_ERROR
+        assert trace.ego[:, SPEED].min() > 1
+        assert_same(trace, log, exact)
+
+
+def continuous(rng):
+    return rng.uniform(-0.4, 0.4, 2).astype(np.float32) * np.float32([1, 0.03])
+
+
+@pytest.mark.parametrize("env_id", ["highway-v0", "highway-fast-v0"])
+@pytest.mark.parametrize(
+    ("action_type", "choose"),
+    [
+        ({"type": "DiscreteMetaAction"}, lambda rng: int(rng.integers(5))),
+        ({"type": "DiscreteMetaAction", "lateral": False}, lambda rng: rng.integers(3, size=(1,))),
+        ({"type": "ContinuousAction"}, continuous),
+        ({"type": "ContinuousAction", "longitudinal": False}, lambda rng: continuous(rng)[1:]),
+        ({"type": "ContinuousAction", "dynamical": True}, lambda rng: continuous(rng) * np.float32([1, 0.3])),
+        ({"type": "ContinuousAction", "speed_range": [5, 25]}, lambda rng: continuous(rng).astype(np.float64)),
+        ({"type": "DiscreteAction", "steering_range": [-0.01, 0.01]}, lambda rng: np.int64(rng.integers(9))),
+    ],
+    ids=lambda value: "-".join(map(str, value.values())) if isinstance(value, dict) else "",
+)
+def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id, action_type, choose):
+    config = {"action": action_type, "observation": {"type": "Kinematics", "vehicles_count": 4, "see_behind": True}}
+    world = World(env_id, config=config, duration=60.0)
+    (scenario,) = random_scenarios(1, lanes=world.lanes, speed_limit=30.0, seed=env_id)
+    rng, seen = np.random.default_rng(5), []
+
+    def policy(observation):
+        seen.append(observation)
+        return choose(rng)
+
+    trace = world.rollout(scenario, lambda: policy)
+    env, log = stock_env(trace, env_id, config)
+    assert len(trace.actions) == len(seen) > 3
+    expected = env.unwrapped.observation_type.observe()
+    for observation, action in zip(seen, trace.actions, strict=True):
+        if exact:
+            assert observation.tobytes() == expected.tobytes()
+        else:
+            assert np.allclose(observation, expected, atol=1e-3)
+        expected, *_ = env.step(action)
+    assert_same(trace, log, exact)
+
+
+@pytest.mark.parametrize(
+    "ego_class", [IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle, Vehicle, BicycleVehicle]
+)
+@pytest.mark.parametrize("world", [Highway(), World("highway-v0", duration=60.0)], ids=["Highway", "World"])
+@only_exactly
+def test_vehicle_classes_drive_themselves_as_they_do_in_gymnasium(exact, world, ego_class):
+    for scenario in random_scenarios(2, lanes=4, speed_limit=26.8, seed=ego_class.__name__):
+        trace = world.rollout(scenario, ego_class)
+        env, log = stock_env(trace, ego_class=ego_class)
+        plain = env.unwrapped
+        for _ in range(trace.ticks):
+            plain.road.act()
+            plain.road.step(1 / 15)
+        assert_same(trace, log, exact)
+
+
+def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehicles_overlap():
+    """highway-env's own polygons, tested for contact without its prediction."""
+    from highway_env.utils import are_polygons_intersecting
+
+    world, found = Highway(), 0
+    for scenario in random_scenarios(12, lanes=4, speed_limit=26.8, seed=11):
+        trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
+        env, _ = stock_env(trace, ego_class=Vehicle)
+        road, first = env.unwrapped.road, None
+        for tick in range(1, trace.ticks + 1):
+            road.act()
+            road.step(1 / 15)
+            ego, *npcs = road.vehicles
+            still = np.zeros(2)
+            hits = [are_polygons_intersecting(ego.polygon(), npc.polygon(), still, still)[0] for npc in npcs]
+            if any(hits):
+                first = (tick, hits.index(True))
+                break
+        assert first == (trace.collision and (trace.collision.tick, trace.collision.npc))
+        found += first is not None
+    assert found >= 3

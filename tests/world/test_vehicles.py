@@ -1,0 +1,176 @@
+"""The trimmed vehicles and roads against highway-env's own, and roads that are not highway-env's."""
+
+from __future__ import annotations
+
+import copy
+import math
+import random
+
+import gymnasium
+import numpy as np
+import pytest
+from highway_env.envs.highway_env import HighwayEnv
+from highway_env.road.lane import SineLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import HEADING, LANE, X, Y
+from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.vehicles import Car, ParallelLanes, described, straight_network
+from tests.support.world_cases import LENGTH, WIDTH, chains
+
+controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
+
+
+def parallel(lanes=3, *, x=0.0, y=0.0, width=4.0, length=1000.0):
+    network = RoadNetwork()
+    for index in range(lanes):
+        lane_y = y + width * index
+        network.add_lane("a", "b", StraightLane([x, lane_y], [x + length, lane_y], width=width, speed_limit=25))
+    return network
+
+
+NETWORKS = [RoadNetwork.straight_road_network(4), parallel(), parallel(5, x=100.0, y=-20.0, width=3.5), parallel(1)]
+
+
+@given(
+    st.sampled_from(NETWORKS),
+    st.floats(-300, 12_000),
+    st.one_of(st.floats(-40, 40), st.sampled_from([2.0, 6.0, -18.25])),
+    st.none() | st.floats(-10, 10),
+)
+def test_the_closest_lane_is_highway_envs(network, x, y, heading):
+    position = np.array([x, y])
+    assert ParallelLanes(network).get_closest_lane_index(position, heading) == network.get_closest_lane_index(
+        position, heading
+    )
+
+
+@given(st.floats(-1, 1), st.floats(-41, 42), controls, st.sampled_from([5, 15, 50]))
+def test_a_car_steps_as_a_highway_env_vehicle_does(heading, speed, steps, physics_hz):
+    road = Road(NETWORKS[0], np_random=np.random.default_rng(0))
+    stock = Vehicle(road, [300.0, 4.0], heading, speed)
+    car = Car(road, [300.0, 4.0], heading, speed)
+    car.road.network = ParallelLanes(NETWORKS[0])
+    for acceleration, steering in steps:
+        stock.act({"acceleration": acceleration, "steering": steering})
+        car.control(acceleration, steering)
+        stock.step(1 / physics_hz)
+        car.step(1 / physics_hz)
+        state = (*stock.position, stock.heading, stock.speed)
+        assert (*car.position, car.heading, car.speed) == pytest.approx(state, rel=1e-12, abs=1e-12)
+        assert (car.acceleration, car.steering) == (stock.action["acceleration"], stock.action["steering"])
+    assert car.lane_index == stock.lane_index
+    assert car.lane is stock.lane
+
+
+def test_a_car_is_a_highway_env_vehicle_to_highway_envs_own_code():
+    road = Road(ParallelLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
+    car, stock = Car(road, [300.0, 4.5], 0.1, 20.0), Vehicle(road, [300.0, 4.5], 0.1, 20.0)
+    car.control(1.0, 0.05)
+    stock.act({"acceleration": 1.0, "steering": 0.05})
+    assert car.to_dict() == stock.to_dict()
+    assert car.polygon().tolist() == stock.polygon().tolist()
+    assert car.lane_offset.tolist() == stock.lane_offset.tolist()
+    times = np.arange(0.1, 1.0, 0.1)
+    predicted = [np.array(v.predict_trajectory_constant_speed(times)[0]) for v in (car, stock)]
+    assert predicted[0] == pytest.approx(predicted[1], abs=1e-9)
+    twin = copy.deepcopy(car)
+    twin.step(0.1)
+    assert (car.x, twin.x > 300.0) == (300.0, True)
+    car.position = [1.0, 2.0]
+    assert (car.x, car.y, car.position.tolist()) == (1.0, 2.0, [1.0, 2.0])
+
+
+def test_a_network_of_our_own_has_highway_envs_lanes_and_line_types():
+    own, stock = (
+        straight_network(4, 900.0, 4.0, 26.8),
+        RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8),
+    )
+    for a, b in zip(own.lanes_list(), stock.lanes_list(), strict=True):
+        assert (a.start.tolist(), a.end.tolist(), a.width, a.speed_limit) == (
+            b.start.tolist(),
+            b.end.tolist(),
+            b.width,
+            b.speed_limit,
+        )
+        assert a.line_types == b.line_types
+
+
+def curved():
+    network = RoadNetwork()
+    network.add_lane("a", "b", SineLane([0, 0], [100, 0], 2, 0.1, 0, speed_limit=20))
+    return network
+
+
+def unequal():
+    network = parallel(2)
+    network.add_lane("a", "b", StraightLane([0, 8], [500, 8], speed_limit=25))
+    return network
+
+
+def from_the_right():
+    network = RoadNetwork()
+    for y in (4.0, 0.0):
+        network.add_lane("a", "b", StraightLane([0, y], [500, y], speed_limit=25))
+    return network
+
+
+@pytest.mark.parametrize(
+    "network",
+    [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()],
+    ids=["empty", "curved", "unequal lengths", "at an angle", "from the right"],
+)
+def test_roads_that_are_not_straight_along_x_are_refused(network):
+    with pytest.raises(WorldError, match="mine-v0: expected one straight road of parallel lanes along the x axis"):
+        described(network, "mine-v0")
+
+
+class OwnRoad(HighwayEnv):
+    """A user's environment: three narrow lanes that start somewhere else."""
+
+    def _create_road(self):
+        self.road = Road(parallel(x=100.0, y=-20.0, width=3.5, length=4000.0), np_random=self.np_random)
+
+
+@pytest.fixture
+def own_id():
+    gymnasium.register(id="OwnRoad-v0", entry_point=OwnRoad)
+    yield "OwnRoad-v0"
+    del gymnasium.registry["OwnRoad-v0"]
+
+
+@pytest.mark.parametrize("ego", [IDMVehicle, lambda: lambda observation: 1], ids=["vehicle class", "policy"])
+def test_a_registered_environment_of_ones_own_is_driven_on_its_own_road(own_id, ego):
+    world = World(own_id, duration=12.0)
+    assert (world.lanes, world.speed_limit, world.road.lane_width) == (3, 25.0, 3.5)
+    rng = random.Random(0)
+    for _ in range(12):
+        scenario = Scenario.repaired(
+            chains(rng, rng.randint(1, 5), 4, 25.0), ego_lane=rng.randrange(3), ego_speed=20.0, gene_seconds=3.0
+        )
+        trace = world.rollout(scenario, ego)
+        assert trace.states[0, 0, X] == 300.0
+        assert trace.states[0, 0, Y] == -20.0 + 3.5 * scenario.ego_lane
+        assert {lane.y for lane in trace.lanes} == {-20.0, -16.5, -13.0}
+        npcs = trace.npcs
+        half = (LENGTH * np.abs(np.sin(npcs[..., HEADING])) + WIDTH * np.abs(np.cos(npcs[..., HEADING]))) / 2
+        assert (npcs[..., Y] - half).min() >= -20.0 - 1.75
+        assert (npcs[..., Y] + half).max() <= -13.0 + 1.75
+        assert (npcs[..., LANE] >= 0).all()
+        assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
+
+
+def test_lanes_are_told_apart_as_highway_env_does_and_off_the_road_is_minus_one():
+    road = described(parallel(3, x=100.0, y=-20.0, width=3.5), "mine-v0")
+    y = np.array([-21.76, -21.75, -20.0, -18.25, -18.24, -13.0, -11.25, -11.24])
+    assert road.lanes_at(np.full(8, 500.0), y).tolist() == [-1, 0, 0, 0, 1, 2, 2, -1]
+    assert road.lanes_at(np.array([99.9, 100.0, 1100.0, 1100.1]), np.full(4, -20.0)).tolist() == [-1, 0, 0, -1]
+    for lateral in (-1.0, 0.0, 1.75, 1.76, 5.25, 7.0, 99.0):
+        assert road.nearest_lane(lateral) == min(max(math.ceil(lateral / 3.5 - 0.5), 0), 2)
+        if -1.75 <= lateral <= 8.75:
+            assert road.nearest_lane(lateral) == road.lanes_at(np.array([500.0]), np.array([lateral - 20.0]))[0]
