@@ -40,7 +40,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot_world` gives.",
     "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, or a function of a `Trace` that returns a number, higher = worse for the ego.',
+    "fitness": '`"default"`, `"paper"`, `pafot.Weights(...)` or a function `Trace -> float`, higher is worse.',
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     "or where there is none.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pytest_pafot.scenario import PositionInstruction as PositionInstruction
     from pytest_pafot.scenario import Scenario as Scenario
     from pytest_pafot.scenario import ScenarioError as ScenarioError
+    from pytest_pafot.searching.fitness import Weights as Weights
     from pytest_pafot.trace import Collision as Collision
     from pytest_pafot.trace import Outcome as Outcome
     from pytest_pafot.trace import Trace as Trace
@@ -43,6 +44,7 @@ _HOMES = {
     "Scenario": "scenario",
     "ScenarioError": "scenario",
     "Trace": "trace",
+    "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",
     "reject": "plugin.marks",

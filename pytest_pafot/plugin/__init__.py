@@ -9,9 +9,7 @@ from __future__ import annotations
 import pytest
 
 from pytest_pafot.plugin import fixtures, session
-from pytest_pafot.plugin.checks import Checks
 from pytest_pafot.plugin.collection import Collection, accept_files
-from pytest_pafot.plugin.execution import Execution
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import Unseen
 from pytest_pafot.plugin.options import add_options
@@ -37,8 +35,6 @@ def pytest_configure(config: pytest.Config) -> None:
     features = {
         "fixtures": fixtures,
         "collection": Collection(config),
-        "checks": Checks(),
-        "execution": Execution(),
         "messages": Unseen(),
         "reporting": WorkerReporter(config) if is_worker else Reporter(config),
     }
@@ -46,3 +42,15 @@ def pytest_configure(config: pytest.Config) -> None:
         features["sharing"] = session.Sharing(config)
     for name, feature in features.items():
         config.pluginmanager.register(feature, f"pafot-{name}")
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Register what runs the items, where there are any."""
+    if not any(item.get_closest_marker(SEARCH_MARK) for item in session.items):
+        return
+    from pytest_pafot.plugin.checks import Checks  # noqa: PLC0415
+    from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
+
+    for name, feature in (("checks", Checks()), ("execution", Execution())):
+        if not session.config.pluginmanager.has_plugin(f"pafot-{name}"):
+            session.config.pluginmanager.register(feature, f"pafot-{name}")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypedDict
 
 if TYPE_CHECKING:
+    from pytest_pafot.searching.fitness import Weights
     from pytest_pafot.trace import Trace
 
 
@@ -23,7 +24,7 @@ class SearchArguments(TypedDict, total=False):
     ego_speed: float
     ads: Any
     arg: str
-    fitness: str | Callable[[Trace], float]
+    fitness: str | Weights | Callable[[Trace], float]
     blame: str
     decision_limit: float
     generations: int

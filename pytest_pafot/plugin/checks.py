@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.marks import arguments_of
+from pytest_pafot.plugin.marks import DEFAULT_ADS, arguments_of
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.request import Request
@@ -51,8 +51,8 @@ class Checks:
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
         error = call.excinfo.value
-        if isinstance(error, pytest.FixtureLookupError) and error.argname == request.ads:
+        if isinstance(error, pytest.FixtureLookupError) and error.argname in (request.ads, DEFAULT_ADS):
             from pytest_pafot.plugin.refusals import missing_ads  # noqa: PLC0415
 
-            report.longrepr = missing_ads(item, str(request.ads))
+            report.longrepr = missing_ads(item, str(error.argname))
         return report

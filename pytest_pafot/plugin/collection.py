@@ -86,7 +86,8 @@ class Collection:
         if not searches and not saved:
             return None
         counts = f"{_count(searches, 'search', 'searches')}, {_count(saved, 'saved scenario', 'saved scenarios')}"
-        return f"pafot: {counts}; {base_line(self._config)}"
+        base = base_line(self._config)
+        return f"pafot: {counts}; {base}" if base else f"pafot: {counts}"
 
     def _belongs(self, item: pytest.Item) -> bool:
         """Whether an item is to be kept: files belong to one parametrisation, and others drop out here."""

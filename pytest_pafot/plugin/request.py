@@ -205,9 +205,11 @@ def _positive(name: str, value: object) -> float | None:
 
 
 def _fitness(value: object) -> Any:
-    if not isinstance(value, str) and not callable(value):
+    from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
+
+    if not isinstance(value, (str, Weights)) and not callable(value):
         raise RequestError(
-            "@pafot.search(fitness=...): expected default, paper or a function of a Trace that returns a float, "
-            f"received {value!r}"
+            "@pafot.search(fitness=...): expected default, paper, pafot.Weights(...) or a function of a Trace that "
+            f"returns a float, received {value!r}"
         )
     return value

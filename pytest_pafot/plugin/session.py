@@ -72,7 +72,7 @@ def is_worker(config: pytest.Config) -> bool:
 
 
 def base_line(config: pytest.Config) -> str:
-    """The profile and the base seed of searches whose mark gives none, in one line."""
+    """The profile and the base seed of searches whose mark gives none, in one line; empty when none runs."""
     from pytest_pafot.plugin.options import OptionError  # noqa: PLC0415
     from pytest_pafot.plugin.settings import resolve  # noqa: PLC0415
 
@@ -80,6 +80,8 @@ def base_line(config: pytest.Config) -> str:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
     except OptionError as error:
         return str(error)
+    if settings.generations == 0:
+        return ""
     return f"profile {settings.profile}, base seed {settings.seed} (repeat with --pafot-seed={settings.seed})"
 
 

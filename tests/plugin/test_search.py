@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 
 def test_a_search_fails_and_reports_each_find_under_the_id_of_its_replay(failing):
     result = failing.run()
@@ -260,3 +262,9 @@ def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):
     project.only_file.unlink()
     project.run("--pafot-stop-after=1", seed=seed)
     assert project.contents == first
+
+
+@pytest.mark.parametrize("fitness", ["'paper'", "pafot.Weights(ttc=2.0)", "lambda trace: -trace.duration"])
+def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project, fitness):
+    project.write(f"@pafot.search(fitness={fitness})\ndef test_drive(run):\n    pass\n")
+    project.run().assert_outcomes(passed=1)
