@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -278,3 +280,32 @@ def test_slow_decisions_are_measured_and_change_nothing_else():
     assert trace.outcome is Outcome.SAFE
     assert 0.03 <= trace.max_decision_seconds < 5
     assert trace.states.tobytes() == HIGHWAY.rollout(SCENARIO, always((0.0, 0.0))).states.tobytes()
+
+
+def test_a_thread_can_be_traced_after_a_hang_in_another_one():
+    # CPython 3.11 hangs in a traced function after an exception for a thread was taken back by its C interface.
+    code = """
+import sys, threading
+from pytest_pafot.world.guard import AdsHang, HangGuard
+
+def decide():
+    with HangGuard(0.05) as guard:
+        guard.decision_starts()
+        try:
+            while True:
+                pass
+        except AdsHang:
+            guard.decision_ends()
+
+for _ in range(3):
+    thread = threading.Thread(target=decide)
+    thread.start()
+    thread.join()
+
+def traced():
+    return sum(range(100))
+
+sys.settrace(lambda *event: None)
+traced()
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
