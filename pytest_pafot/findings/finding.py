@@ -77,7 +77,7 @@ class Expect:
             message="" if is_told else _first_line(failure.message),
             outcome=signature.outcome,
             time=round(run.event_time, 3),
-            npc=run.event_npc,
+            npc=None if signature.cell is None else run.event_npc,
             cell=signature.cell,
             side=signature.side,
             responsibility=signature.responsibility,

@@ -22,6 +22,9 @@ _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(
 SLOW_DECISION = "SlowDecision"
 """The failure of a run in which a decision took longer than the limit that the test sets."""
 
+_FAULTS = frozenset({Outcome.ADS_ERROR, Outcome.HANG})
+"""Of the ADS itself, which are the same wherever the others drive."""
+
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
 
@@ -51,7 +54,8 @@ class Signature:
         assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
         outcome: how the run ended.
         side: of the ego that was hit; None without a collision.
-        cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment.
+        cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment,
+            and for faults of the ADS itself.
         responsibility: who caused the collision.
     """
 
@@ -72,7 +76,7 @@ class Signature:
         return subject if self.cell is None else f"{subject}-{int(self.cell)}"
 
     def _subject(self) -> str:
-        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
+        if self.outcome in _FAULTS:
             return self.outcome.replace("_", "-")
         if self.failure == SLOW_DECISION:
             return _kebab("slow-decision")
@@ -88,7 +92,7 @@ def of_failure(run: Run, failure: Failure) -> Signature:
         assertion=normalised(failure.assertion, failure.message),
         outcome=run.outcome,
         side=None if run.collision is None else run.collision.side,
-        cell=run.event_cell,
+        cell=None if run.outcome in _FAULTS else run.event_cell,
         responsibility=position_rule(run.trace),
     )
 

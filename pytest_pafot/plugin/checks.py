@@ -22,7 +22,7 @@ class Checks:
     # Neither tryfirst nor trylast: after the skip marks are looked at, before pytest sets the fixtures up.
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse an item that cannot run as it is written; skip a search without generations."""
-        __tracebackhide__ = True
+        # Not hidden: pytest 9 adds a line on hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
             return

@@ -12,7 +12,7 @@ from pytest_pafot.plugin import places
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.options import corpus_name
 from pytest_pafot.plugin.places import Candidates, Saved
-from pytest_pafot.plugin.session import EXPLICIT, SAVED_PART, SEARCH_PART, SHARED, Explicit, Seen, base_line
+from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit, Seen, base_line
 
 ORPHANS = pytest.StashKey[list[Path]]()
 
@@ -148,7 +148,7 @@ def saved_of(item: pytest.Item) -> Saved | None:
 
 def _param(candidates: Candidates) -> Any:
     mark = getattr(pytest.mark, SAVED_MARK)(candidates)
-    return pytest.param(SEARCH, id=f"{SAVED_PART}{candidates.id}", marks=[mark])
+    return pytest.param(SEARCH, id=places.saved_part(candidates.id), marks=[mark])
 
 
 def _mark(item: pytest.Item, saved: Saved) -> None:

@@ -107,7 +107,7 @@ class Keeper:
         kept = self._saved(finding)
         text = (
             f"a process (pid {leftover.pid}) died while it ran this scenario, by a crash of native code, a lack of "
-            "memory or a kill from outside"
+            "memory or a kill from outside; if it was killed from outside, delete the file"
         )
         told = self._told(kept, "crash: a process died while it ran this scenario")
         self._announce(kept, plain_failure(text), told, origin="the record of a session that died")

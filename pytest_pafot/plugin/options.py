@@ -266,7 +266,9 @@ def _read_integer(option: Option, value: object) -> int:
     except ValueError:
         number = None
     if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
-        raise OptionError(f"expected a whole number, at least {option.least:g}, received {value!r}")
+        too_much = isinstance(number, int) and number >= SEED_LIMIT
+        limit = f" and less than {SEED_LIMIT}" if too_much else ""
+        raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 
 

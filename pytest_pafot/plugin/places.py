@@ -152,10 +152,19 @@ def module_named(directory: Path, folder: str) -> Path:
     return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
 
 
+def saved_part(id_: str) -> str:
+    """What the name of an item says of its file. What no id may hold is quoted, since pytest would rewrite it."""
+    if id_.isascii() and id_.isprintable() and "\\" not in id_:
+        return f"{SAVED_PART}{id_}"
+    from urllib.parse import quote  # noqa: PLC0415
+
+    return f"{SAVED_PART}{quote(id_, errors='surrogateescape')}"
+
+
 def base_name(item: pytest.Item) -> str:
     """The name without the plugin's own part: ``test_x[1-search]`` is ``test_x[1]``."""
     mark = item.get_closest_marker(SAVED_MARK)
-    part = SEARCH_PART if mark is None else f"{SAVED_PART}{mark.args[0].id}"
+    part = SEARCH_PART if mark is None else saved_part(mark.args[0].id)
     split = _split(item.name, part)
     if split is None:
         return item.name
@@ -193,7 +202,7 @@ def _with_name(item: pytest.Item, name: str) -> str:
 
 def _renamed(text: str, id_: str) -> str:
     split = _split(text, SEARCH_PART)
-    return text if split is None else f"{split[0]}{SAVED_PART}{id_}{split[1]}"
+    return text if split is None else f"{split[0]}{saved_part(id_)}{split[1]}"
 
 
 def _split(text: str, part: str) -> tuple[str, str] | None:

@@ -126,5 +126,7 @@ def _detail(finding: Finding, run: Run, versions: dict[str, str]) -> str:
     ]
     then = f"{finding.expect.outcome} at {finding.expect.time:.1f} s"
     now = f"{run.outcome} at {run.event_time:.1f} s"
+    if finding.expect.failure == places.CRASH:
+        then = "the process died"
     event = [] if then == now else [f"{then} in the file, {now} now"]
     return "; ".join([*event, *changed]) or "another run than before"

@@ -69,7 +69,7 @@ class Reporter:
         # An interrupt or a dead worker leaves finds whose search never came to its teardown.
         for node_id in list(self._pending):
             self._expand(node_id)
-        if self._searches or self._replays:
+        if self._searches or self._replays or self._running:
             from pytest_pafot.plugin.flights import unclaimed  # noqa: PLC0415
 
             self._problems += unclaimed(self._config)

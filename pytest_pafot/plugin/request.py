@@ -167,7 +167,7 @@ def _check_world(arguments: Mapping[str, Any]) -> None:
             f"give {double[0]} to the world"
         )
     world = arguments["world"]
-    if not callable(getattr(world, "rollout", None)):
+    if isinstance(world, type) or not callable(getattr(world, "rollout", None)):
         raise RequestError(
             f"@pafot.search(world=...): expected pafot.Highway(...) or pafot.World(...), received {world!r}"
         )

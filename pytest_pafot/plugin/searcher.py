@@ -85,6 +85,7 @@ class Searching:
     def run(self) -> None:
         """Replay, search, report; fails the item when there is something new, or nothing was tested."""
         __tracebackhide__ = True
+        fitness = checked_fitness(self.bench)
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
             watched = Watched(bench=self.bench, flight=flight)
@@ -96,7 +97,7 @@ class Searching:
                 stage=Stage(
                     run=watched.run,
                     judge=watched.judge,
-                    fitness=checked_fitness(self.bench),
+                    fitness=fitness,
                     keep=keeper.keep,
                     lethal=_lethal(saved),
                 )
@@ -177,7 +178,7 @@ class Searching:
             npc=hunt.verdicts["npc"],
             rejected=hunt.verdicts["rejected"],
             skipped=hunt.verdicts["skipped"],
-            reached=health.reached_share,
+            reached=health.reached_share if health.genes_started else None,
             no_interaction=health.no_interaction,
             failing=hunt.verdicts["failed"],
             finds=finds,

@@ -93,7 +93,7 @@ class Search:
         runs: simulated scenarios.
         known_runs: scenarios that were not simulated, since an earlier run showed what they do.
         invalid, npc, rejected, skipped: runs without a judgement, by kind.
-        reached: share of Position-Instructions whose cell was reached.
+        reached: share of Position-Instructions whose cell was reached; None where no run tells.
         no_interaction: runs in which no NPC came near the ego.
         failing: runs that the test rejected.
         finds: distinct ones that are new.
@@ -118,7 +118,7 @@ class Search:
     npc: int = 0
     rejected: int = 0
     skipped: int = 0
-    reached: float = 0.0
+    reached: float | None = None
     no_interaction: int = 0
     failing: int = 0
     finds: tuple[Find, ...] = ()
@@ -180,7 +180,7 @@ class Session:
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """One line, cut at the left of the node id where it does not fit."""
+    """One line, cut at the left of the node id, and at the end where even that does not make it fit."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     tail = (
         f" {progress.generation}/{progress.generations} generations, {_plural(progress.runs, 'run')}, "
@@ -189,7 +189,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
     name = name if len(name) <= room else f"...{name[3 - room :]}"
-    return f"pafot: {name}{tail}"
+    return f"pafot: {name}{tail}"[:width]
 
 
 def found_line(find: Find) -> list[str]:
@@ -301,7 +301,7 @@ def _figures(search: Search) -> str:
         (search.no_interaction, "without interaction"),
     )
     parts += [f"{count} {what}" for count, what in unjudged if count]
-    if search.runs:
+    if search.reached is not None:
         parts.append(f"{search.reached:.0%} of genes reached")
     return ", ".join(parts)
 

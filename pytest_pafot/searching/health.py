@@ -62,10 +62,11 @@ class Health:
         simulated: those of them that were run; the others were known from earlier runs.
         invalid: runs in which two NPCs touched.
         discarded: runs that the user's function declined to judge.
-        genes_started, genes_reached: counted over all NPCs.
+        genes_started, genes_reached: counted over all NPCs, but for runs that a fault of the ADS cut short.
         valid: runs that were neither invalid nor discarded; the counts below are among these.
         failing: runs that the user's function rejected.
-        no_interaction: runs in which no NPC gave the ego a reason to react.
+        no_interaction: runs in which no NPC gave the ego a reason to react. A run that a fault of the ADS cut short
+            is none of these, nor of the next two.
         outran: runs in which the ego left all NPCs behind.
         barely_moved: runs in which the ego hardly drove.
         immediate: collisions within the first second.
@@ -102,19 +103,21 @@ class Health:
         invalid = evaluation.outcome is Outcome.INVALID
         discarded = evaluation.discarded and not invalid
         valid = not invalid and not discarded
+        broken = evaluation.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
+        driven = valid and not broken
         collided = evaluation.outcome is Outcome.COLLISION
         return Health(
             evaluated=self.evaluated + 1,
             simulated=self.simulated + 1,
             invalid=self.invalid + invalid,
             discarded=self.discarded + discarded,
-            genes_started=self.genes_started + evaluation.genes_started,
-            genes_reached=self.genes_reached + evaluation.genes_reached,
+            genes_started=self.genes_started + (0 if broken else evaluation.genes_started),
+            genes_reached=self.genes_reached + (0 if broken else evaluation.genes_reached),
             valid=self.valid + valid,
             failing=self.failing + (valid and evaluation.failing),
-            no_interaction=self.no_interaction + (valid and not evaluation.interaction),
-            outran=self.outran + (valid and evaluation.outran),
-            barely_moved=self.barely_moved + (valid and evaluation.barely_moved),
+            no_interaction=self.no_interaction + (driven and not evaluation.interaction),
+            outran=self.outran + (driven and evaluation.outran),
+            barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
             immediate=self.immediate + (valid and collided and evaluation.duration < IMMEDIATE),
             coverage=self.coverage.counted(evaluation.executed, evaluation.depth if evaluation.genes_started else 0),
         )

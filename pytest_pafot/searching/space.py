@@ -33,10 +33,15 @@ class SearchSpace:
     ego_speed: float = 22.0
 
     def __post_init__(self) -> None:
+        for name in ("npcs", "genes"):
+            if not isinstance(getattr(self, name), int):
+                raise ValueError(f"{name}: expected a whole number, received {getattr(self, name)!r}")
         if not 1 <= self.npcs <= 8:
             raise ValueError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {self.npcs!r}")
         if self.genes < 1:
             raise ValueError(f"genes: expected at least one Position-Instruction per NPC, received {self.genes!r}")
+        if not (isinstance(self.gene_seconds, (int, float)) and 0 < self.gene_seconds < math.inf):
+            raise ValueError(f"gene_seconds: expected seconds, more than 0, received {self.gene_seconds!r}")
         if not (math.isfinite(self.speed_limit) and self.speed_limit >= 0):
             raise ValueError(f"speed_limit: expected a finite speed in m/s, at least 0, received {self.speed_limit!r}")
 

@@ -178,6 +178,8 @@ def checked_si_action(action: Any) -> tuple[float, float]:
         raise BadAction(f"{expected}, received {shown(action)}")
     try:
         acceleration, steering = action
+        if isinstance(acceleration, (str, bytes)) or isinstance(steering, (str, bytes)):
+            raise TypeError("text is no number")
         pair = float(acceleration), float(steering)
     except (TypeError, ValueError, OverflowError):
         raise BadAction(f"{expected}, received {shown(action)}") from None

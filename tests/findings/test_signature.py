@@ -131,7 +131,24 @@ def test_a_slug_names_a_fault_of_the_ads():
     error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
     for outcome in (Outcome.ADS_ERROR, Outcome.HANG):
         run = Run(approaching(outcome=outcome, error=error))
-        assert slug(kind="ValueError", run=run) == f"{outcome.replace('_', '-')}-2"
+        assert slug(kind="ValueError", run=run) == outcome.replace("_", "-")
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
+def test_a_fault_of_the_ads_is_the_same_wherever_the_others_drive(outcome):
+    error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
+    near = Run(approaching(outcome=outcome, error=error))
+    alone = Run(
+        trace_of(
+            vehicle(0.0, 4.0, speed=20.0, ticks=9),
+            vehicle(50.0, 4.0, speed=20.0, ticks=9),
+            outcome=outcome,
+            error=error,
+        )
+    )
+    failure = Failure(kind="ValueError", message="no path")
+    assert near.event_cell is Cell.FRONT
+    assert of_failure(near, failure) == of_failure(alone, failure)
 
 
 def test_a_slug_has_no_cell_where_nothing_approached():

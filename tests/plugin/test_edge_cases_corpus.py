@@ -34,6 +34,15 @@ def test_a_garbled_file_is_one_failing_item_with_its_place(failing, fault):
     result.stdout.fnmatch_lines([f"*{failing.only_file.name}*{field}*expected *, received *"])
 
 
+@pytest.mark.parametrize("name", ["with space", "\xfcber", "a%b", "copy (1)", "[x]"])
+def test_a_file_whose_name_is_no_id_is_one_failing_item(failing, name):
+    failing.run()
+    failing.only_file.rename(failing.only_file.with_name(f"{name}.pafot.yaml"))
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*: expected a name of letters, digits*; rename the file"])
+
+
 def test_crlf_line_ends_are_accepted(failing):
     failing.run()
     failing.only_file.write_bytes(failing.only_file.read_bytes().replace(b"\n", b"\r\n"))
@@ -243,6 +252,15 @@ def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project)
     project.leave_behind("test_it.py::test_lives")
     project.run(generations=0).assert_outcomes(failed=2)
     project.run(generations=0).assert_outcomes(passed=1, skipped=1)
+
+
+def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
+    failing.leave_behind("test_it.py::test_fails")
+    result = failing.run(generations=0)
+    result.stdout.fnmatch_lines(["*a kill from outside; if it was killed from outside, delete the file"])
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
 
 
 def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project):

@@ -122,6 +122,7 @@ def test_given_and_search_on_one_function_are_refused(project, order):
         ("blame='npc'", "*(blame=...): expected any or ego, received 'npc'*"),
         ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
         ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
+        ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
         ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
         ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
         ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
@@ -147,6 +148,7 @@ def test_other():
     result.assert_outcomes(errors=1, passed=1)
     result.stdout.fnmatch_lines([message])
     result.stdout.no_fnmatch_line("*another exception occurred*")
+    result.stdout.no_fnmatch_line("All traceback entries are hidden*")
     assert "set up" not in result.stdout.str()
 
 
@@ -155,6 +157,8 @@ def test_other():
     [
         ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
         ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
+        ("npcs=1.5", "*npcs: expected a whole number, received 1.5*"),
+        ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0, received 0*"),
         ("ego_lane='left'", "*ego_lane*"),
         ("ego_lane=7", "*ego_lane*"),
         ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
@@ -168,6 +172,7 @@ def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(projec
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([message])
     result.stdout.no_fnmatch_line("*another exception occurred*")
+    result.stdout.no_fnmatch_line("*ended before its time*")
 
 
 def test_a_missing_ads_fixture_says_what_to_write(project):

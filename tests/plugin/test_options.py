@@ -88,6 +88,7 @@ def test_native_toml_takes_native_types(project):
             r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1",
         ),
         ({"marker": {"population": 1}}, "at least 2, received 1"),
+        ({"marker": {"seed": 2**80}}, rf"at least 0 and less than \d+, received {2**80}"),
         ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
         ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
         ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),

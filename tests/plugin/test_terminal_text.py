@@ -76,6 +76,13 @@ def test_progress_is_one_line_that_is_cut_at_the_left_of_the_name():
     assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
 
 
+def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines():
+    progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
+    line = terminal.progress_line(progress, 39)
+    assert len(line) == 39
+    assert line.endswith("xxx 3/100 generations, ")
+
+
 @pytest.mark.parametrize(
     ("flags", "remark"),
     [

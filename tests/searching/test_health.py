@@ -78,6 +78,14 @@ def test_invalid_runs_do_not_count_as_runs_without_interaction(make_evaluation):
     assert (health.no_interaction, health.outran, health.valid) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("outcome", [Outcome.ADS_ERROR, Outcome.HANG])
+def test_runs_that_a_fault_of_the_ads_cut_short_say_nothing_of_the_traffic(make_evaluation, outcome):
+    fields = {"outcome": outcome, "failing": True, "interaction": False, "barely_moved": True, "outran": True}
+    health = health_of(make_evaluation, (4, fields | {"genes_reached": 0}))
+    assert health.warnings() == []
+    assert (health.valid, health.failing, health.no_interaction, health.genes_started) == (4, 4, 0, 0)
+
+
 def test_reused_evaluations_are_not_runs(make_evaluation):
     health = Health().counted(make_evaluation()).counted(make_evaluation(), reused=True)
     assert (health.evaluated, health.simulated, health.unique, health.reused) == (2, 1, 1, 1)
