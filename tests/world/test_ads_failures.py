@@ -111,7 +111,8 @@ PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, rec
 @pytest.mark.parametrize(
     "action",
     [
-        None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", ("1", "2"), b"12", {1: 0, 2: 0},
+        None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
+        ("1", "2"),
         {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
     ],
     ids=repr,
