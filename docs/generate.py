@@ -15,8 +15,9 @@ from typing import Any
 
 from pytest_pafot import criticality, strategies
 from pytest_pafot.findings.emit import text_of
-from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
 from pytest_pafot.findings.run import Moment, Run
+from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.arguments import SearchArguments
@@ -62,9 +63,20 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s].",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.preventable_by": "A list of names, for reference drivers that survive the scenario in the ego's place; "
-    "optional, and never written by this version.",
+    "not there where it is empty.",
+    "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
+    "shrunk.rollouts": "Runs that shrinking took.",
+    "shrunk.is_minimal": "Whether no further simplification was found, rather than the budget or the time being spent.",
+    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
+    "`high` [m/s] at which the scenario still fails, everything else being equal. All that were tried in between fail; "
+    "not all were tried.",
+    "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line once "
+    "the ADS drives a scenario in the same way each time.",
     "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand.",
 }
+
+AT_THE_END = ("original", "shrunk", "flaky", "xfail")
+"""Keys of a file that come after those of dataclasses; all are optional."""
 
 
 def sections() -> dict[str, str]:
@@ -215,11 +227,12 @@ def _file_table() -> str:
     }
     described |= {names: text for names, text in FILE_TEXTS.items() if names in described}
     own = {names: text for names, text in FILE_TEXTS.items() if names not in described}
-    last = {"xfail": own.pop("xfail")}
+    last = {name: own.pop(name) for name in list(own) if name.partition(".")[0] in AT_THE_END}
     return _table(["Field", "Meaning"], [[_code(names), text] for names, text in (own | described | last).items()])
 
 
 def _example() -> Finding:
+    as_found = (PositionInstruction(Cell.FRONT_LEFT, 24.3), PositionInstruction(Cell.FRONT, 7.8))
     cut_in = (PositionInstruction(Cell.FRONT_LEFT, 25.0), PositionInstruction(Cell.FRONT, 8.0))
     return Finding(
         id="front-2-1f3a9c",
@@ -236,6 +249,8 @@ def _example() -> Finding:
             side="front",
             responsibility="ego",
         ),
+        original=Scenario(npcs=(as_found,), seed=7),
+        shrunk=Simplified(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
         found=Found(
             seed=1234,
             generation=17,

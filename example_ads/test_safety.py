@@ -20,10 +20,7 @@ def test_never_at_fault_in_a_collision(run: pafot.Run) -> None:
 
 @pafot.search(ads=blind_lane_change.make)
 def test_never_hit_in_the_side(run: pafot.Run) -> None:
-    """A property of one's own: whoever is to blame, who looks before changing lanes is seldom hit in the side.
-
-    The position rule behind ``blame="ego"`` holds the other car responsible for contacts beside the ego.
-    """
+    """A property of one's own: whoever is to blame, who looks before changing lanes is seldom hit in the side."""
     side = run.collision.side if run.collision else None
     assert side not in {"left", "right"}, run.explain()
 

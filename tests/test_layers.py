@@ -22,6 +22,8 @@ HOMES = {
     "pytest": {"plugin"},
     "_pytest": set(),
     "pluggy": set(),
+    "PIL": {"report"},
+    "pytest_html": {"plugin"},
 }
 """Libraries that only some rooms may know."""
 

@@ -32,6 +32,7 @@ from pytest_pafot.criticality.measures import (
     ttc,
 )
 from pytest_pafot.criticality.rss import (
+    RoadFrame,
     RssRules,
     lateral_gap,
     longitudinal_gap,
@@ -44,6 +45,7 @@ __all__ = [
     "Boxes",
     "Encounters",
     "Pairs",
+    "RoadFrame",
     "RssRules",
     "box_gap",
     "centre_distance",

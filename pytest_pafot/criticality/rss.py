@@ -65,7 +65,7 @@ def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     square takes the sign of the speed; the paper's second formula for oncoming traffic is not part of this.
     """
     rules = rules or RssRules()
-    road = _RoadFrame(trace)
+    road = RoadFrame(trace)
     ego_follows = road.ahead >= 0
     follower = np.where(ego_follows, road.speed[:1], road.speed[1:])
     leader = np.where(ego_follows, road.speed[1:], road.speed[:1])
@@ -85,7 +85,7 @@ def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     formula has the square of that speed without its sign, having in mind vehicles that come closer.
     """
     rules = rules or RssRules()
-    road = _RoadFrame(trace)
+    road = RoadFrame(trace)
     towards_npc = np.where(road.right >= 0, 1.0, -1.0)
     ego_way = _sideways(towards_npc * road.drift[:1], rules.ego_response, rules)
     npc_way = _sideways(-towards_npc * road.drift[1:], rules.npc_response, rules)
@@ -94,17 +94,17 @@ def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
     """Distance between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 while abreast."""
-    road = _RoadFrame(trace)
+    road = RoadFrame(trace)
     return np.maximum(np.abs(road.ahead) - road.half_along[:1] - road.half_along[1:], 0.0).T
 
 
 def lateral_gap(trace: Trace) -> FloatArray:
     """Distance between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
-    road = _RoadFrame(trace)
+    road = RoadFrame(trace)
     return np.maximum(np.abs(road.right) - road.half_across[:1] - road.half_across[1:], 0.0).T
 
 
-class _RoadFrame:
+class RoadFrame:
     """Positions and velocities along and across the road, shape [vehicles or NPCs, ticks + 1].
 
     Attributes:

@@ -6,21 +6,23 @@ The format is in docs/reference; :mod:`pytest_pafot.findings.emit` writes it and
 from __future__ import annotations
 
 import contextlib
-import difflib
 import os
 import re
 import secrets
 import stat
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from pytest_pafot.findings.document import MAX_BYTES, Document, DocumentError, Place, decoded, parse
+from pytest_pafot.findings.document import MAX_BYTES, DocumentError, decoded, parse
 from pytest_pafot.findings.emit import DEFAULT_GENE_SECONDS, VERSION, text_of
-from pytest_pafot.findings.finding import Expect, Finding, Found, check_plain, is_id
+from pytest_pafot.findings.fields import RESTORE, CorpusError, Field
+from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
+from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
 from pytest_pafot.findings.responsibility import Responsibility
+from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.trace import Outcome, Side
@@ -48,27 +50,6 @@ STALE_SECONDS = 600.0
 _RULE = re.compile(r"(?:(?P<field>[a-z_]+(?:\[\d+\])*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S)
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
-_RESTORE = "restore the file from version control, or delete it"
-
-
-class CorpusError(ValueError):
-    """A file of the corpus that cannot be used.
-
-    Attributes:
-        path: of the file.
-        line: counted from 1, or None where the fault has no line.
-        field: such as ``scenario.npcs[0][3].cell``; empty where the fault has no field.
-        expected, received, fix: what should be there, what is, and the way out.
-    """
-
-    def __init__(
-        self, path: Path, *, line: int | None, field: str, expected: str, received: str, fix: str = _RESTORE
-    ) -> None:
-        place = f"{path}:{line}" if line is not None else f"{path}"
-        name = f"{field}: " if field else ""
-        super().__init__(f"{place}: {name}expected {expected}, received {received}; {fix}")
-        self.path, self.line, self.field = path, line, field
-        self.expected, self.received, self.fix = expected, received, fix
 
 
 class CorpusWriteError(RuntimeError):
@@ -101,7 +82,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         raise CorpusError(
             path, line=error.line, field="", expected=error.expected, received=error.received, fix=error.fix
         ) from None
-    return _finding(path, _Field(path, document, (), document.value))
+    return _finding(path, Field(path, document, (), document.value))
 
 
 def write(path: Path, finding: Finding) -> bool:
@@ -138,18 +119,24 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     return kept
 
 
-def free_path(folder: Path, finding: Finding) -> tuple[Path, Finding]:
+def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
     """The path for a new finding, and the finding under the id that this gives it.
 
     The id is the finding's own, with ``-2``, ``-3`` ... appended while a file of that name holds another scenario
     or another failure: a file that was rewritten keeps its name, and what was first found under it can come back.
-    A file that holds this very finding is no obstacle; :func:`write` then leaves it alone.
+    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone.
+
+    Args:
+        folder: of the test.
+        finding: to be written.
+        passed: files whose scenario does not show the failure any more; one of these that was shrunk from the
+            finding's scenario is a guard of its own, and stays as it is.
     """
     number = 1
     while True:
         name = finding.id if number == 1 else f"{finding.id}-{number}"
         path = Path(folder) / f"{name}{SUFFIX}"
-        if not os.path.lexists(path) or _holds(path, finding):
+        if not os.path.lexists(path) or _holds(path, finding, shrunk=path not in passed):
             return path, replace(finding, id=name)
         number += 1
 
@@ -198,105 +185,24 @@ def _content(path: Path) -> bytes:
     raise CorpusError(path, line=None, field="", expected="a file that can be read", received=received)
 
 
-def _holds(path: Path, finding: Finding) -> bool:
+def _holds(path: Path, finding: Finding, *, shrunk: bool = True) -> bool:
+    """Whether a file is of a finding; ``shrunk`` says whether one that was shrunk from it is."""
     try:
         saved = read(path)
     except CorpusError:
         return False
-    return saved.scenario == finding.scenario and saved.signature == finding.signature
+    is_same = finding.scenario == saved.scenario or (shrunk and finding.scenario == saved.original)
+    return is_same and saved.signature == finding.signature
 
 
-@dataclass(frozen=True, slots=True)
-class _Field:
-    """A value of a document with its place; every accessor checks the type or raises the error of that place."""
-
-    path: Path
-    document: Document
-    place: Place
-    value: Any
-
-    @property
-    def name(self) -> str:
-        return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
-
-    def error(self, expected: str, fix: str, received: str | None = None) -> CorpusError:
-        known = next(place for end in range(len(self.place), -1, -1) if (place := self.place[:end]) in self.lines)
-        return CorpusError(
-            self.path,
-            line=self.lines[known],
-            field=self.name,
-            expected=expected,
-            received=received or f"{self.value!r:.80}",
-            fix=fix,
-        )
-
-    @property
-    def lines(self) -> dict[Place, int]:
-        return self.document.lines
-
-    def at(self, *inner: str | int) -> _Field:
-        value = self.value
-        for part in inner:
-            value = value[part]
-        return _Field(self.path, self.document, (*self.place, *inner), value)
-
-    def mapping(self, required: Collection[str], optional: Collection[str] = ()) -> dict[str, _Field]:
-        fields = self.any_mapping()
-        for key in fields:
-            if key not in required and key not in optional:
-                raise fields[key].error(_one_of([*required, *optional]), _guess(key, [*required, *optional]), repr(key))
-        for key in required:
-            if key not in fields:
-                received = f"only {', '.join(fields)}" if fields else "nothing"
-                raise self.error(f"the key '{key}'", "add it, or restore the file from version control", received)
-        return fields
-
-    def any_mapping(self) -> dict[str, _Field]:
-        if not isinstance(self.value, dict):
-            raise self.error("a mapping (key: value)", _RESTORE)
-        return {key: self.at(key) for key in self.value}
-
-    def items(self) -> list[_Field]:
-        if not isinstance(self.value, list):
-            raise self.error("a list", _RESTORE)
-        return [self.at(index) for index in range(len(self.value))]
-
-    def text(self) -> str:
-        if not isinstance(self.value, str):
-            raise self.error("text", "put it in quotes")
-        return self.value
-
-    def some_text(self, fix: str) -> str:
-        if not isinstance(self.value, str) or not self.value.strip():
-            raise self.error("some text", fix)
-        return self.value
-
-    def choice(self, options: Collection[str]) -> Any:
-        if not isinstance(self.value, str) or self.value not in options:
-            raise self.error(_one_of(options), _guess(str(self.value), options))
-        return self.value
-
-    def whole(self, low: int = 0, high: int | None = None) -> int:
-        is_whole = isinstance(self.value, int) and not isinstance(self.value, bool)
-        if not is_whole or self.value < low or (high is not None and self.value > high):
-            top = "" if high is None else f" to {high}"
-            raise self.error(f"a whole number from {low}{top}", "correct it")
-        return int(self.value)
-
-    def number(self) -> float:
-        is_number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
-        if not is_number or not 0 <= self.value <= 1e9:
-            raise self.error("a finite number, at least 0", "correct it")
-        return float(self.value)
-
-
-def _finding(path: Path, top: _Field) -> Finding:
+def _finding(path: Path, top: Field) -> Finding:
     name = path.name.removesuffix(SUFFIX)
     if not path.name.endswith(SUFFIX) or not is_id(name):
         expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
         raise CorpusError(path, line=None, field="", expected=expected, received=path.name, fix="rename the file")
     _check_version(top)
-    fields = top.mapping(("pafot", "test", "world", "scenario", "expect", "found"), ("xfail",))
+    required = ("pafot", "test", "world", "scenario", "expect", "found")
+    fields = top.mapping(required, ("original", "shrunk", "flaky", "xfail"))
     scenario = _scenario(fields["scenario"])
     return Finding(
         id=name,
@@ -305,24 +211,27 @@ def _finding(path: Path, top: _Field) -> Finding:
         scenario=scenario,
         expect=_expect(fields["expect"], len(scenario.npcs)),
         found=_found(fields["found"]),
+        original=_scenario(fields["original"]) if "original" in fields else None,
+        shrunk=_shrunk(fields["shrunk"], scenario) if "shrunk" in fields else None,
+        flaky=fields["flaky"].some_text("say what differed, or remove the line") if "flaky" in fields else None,
         xfail=fields["xfail"].some_text('write the reason in quotes, as in xfail: "issue 12"')
         if "xfail" in fields
         else None,
     )
 
 
-def _check_version(top: _Field) -> None:
+def _check_version(top: Field) -> None:
     """The version comes first: of a newer one, nothing else can be judged."""
     fields = top.any_mapping()
     if "pafot" not in fields:
-        raise top.error(f"the key 'pafot' with the version {VERSION}", _RESTORE, "a document without it")
+        raise top.error(f"the key 'pafot' with the version {VERSION}", RESTORE, "a document without it")
     version = fields["pafot"]
     if isinstance(version.value, bool) or version.value != VERSION or not isinstance(version.value, int):
         fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
         raise version.error(f"the format version {VERSION}", fix)
 
 
-def _world(field: _Field) -> dict[str, Any]:
+def _world(field: Field) -> dict[str, Any]:
     world = {key: inner.value for key, inner in field.any_mapping().items()}
     for key, value in world.items():
         try:
@@ -333,7 +242,7 @@ def _world(field: _Field) -> dict[str, Any]:
     return world
 
 
-def _scenario(field: _Field) -> Scenario:
+def _scenario(field: Field) -> Scenario:
     fields = field.mapping(("seed", "ego", "npcs"), ("gene_seconds",))
     ego = fields["ego"].mapping(("lane", "speed"))
     chains = tuple(tuple(_gene(gene) for gene in chain.items()) for chain in fields["npcs"].items())
@@ -349,7 +258,7 @@ def _scenario(field: _Field) -> Scenario:
         raise _rule_broken(field, error) from None
 
 
-def _gene(field: _Field) -> PositionInstruction:
+def _gene(field: Field) -> PositionInstruction:
     fields = field.mapping(("cell", "speed"))
     cell = Cell(fields["cell"].whole(1, 8))
     try:
@@ -358,7 +267,7 @@ def _gene(field: _Field) -> PositionInstruction:
         raise _rule_broken(field, error) from None
 
 
-def _rule_broken(field: _Field, error: ScenarioError) -> CorpusError:
+def _rule_broken(field: Field, error: ScenarioError) -> CorpusError:
     """A scenario's own error, at the place in the file that it is about."""
     rule = _RULE.fullmatch(str(error))
     if rule is None:
@@ -374,33 +283,36 @@ def _rule_broken(field: _Field, error: ScenarioError) -> CorpusError:
     return field.at(*inner).error(rule["expected"], fix, received)
 
 
-def _expect(field: _Field, npcs: int) -> Expect:
+def _expect(field: Field, npcs: int) -> Expect:
     required = ("failure", "outcome", "time", "responsibility")
-    optional = ("assertion", "message", "npc", "cell", "side", "preventable_by", "traceback")
+    manoeuvres = ("npc_manoeuvre", "ego_manoeuvre")
+    optional = ("assertion", "message", "npc", "cell", "side", *manoeuvres, "preventable_by", "traceback")
     fields = field.mapping(required, optional)
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
         field.mapping((*required, "npc", "cell", "side"), optional)
 
-    def given(key: str, get: Callable[[_Field], Any], default: Any = None) -> Any:
+    def given(key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
         return get(fields[key]) if key in fields else default
 
     return Expect(
         failure=fields["failure"].text(),
-        assertion=given("assertion", _Field.text, ""),
-        message=given("message", _Field.text, ""),
+        assertion=given("assertion", Field.text, ""),
+        message=given("message", Field.text, ""),
         outcome=outcome,
         time=fields["time"].number(),
         npc=given("npc", lambda inner: inner.whole(0, npcs - 1)),
         cell=given("cell", lambda inner: Cell(inner.whole(1, 8))),
         side=given("side", lambda inner: inner.choice(get_args(Side))),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
+        npc_manoeuvre=given("npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
+        ego_manoeuvre=given("ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         preventable_by=given("preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),
-        traceback=given("traceback", _Field.text, ""),
+        traceback=given("traceback", Field.text, ""),
     )
 
 
-def _found(field: _Field) -> Found:
+def _found(field: Field) -> Found:
     fields = field.mapping(("seed", "generation", "algorithm", "versions"))
     return Found(
         seed=fields["seed"].whole(),
@@ -410,13 +322,24 @@ def _found(field: _Field) -> Found:
     )
 
 
-def _one_of(options: Collection[str]) -> str:
-    return f"one of {', '.join(options)}"
+def _shrunk(field: Field, scenario: Scenario) -> Simplified:
+    fields = field.mapping(("rollouts", "is_minimal", "speeds"))
+    return Simplified(
+        rollouts=fields["rollouts"].whole(),
+        is_minimal=fields["is_minimal"].truth(),
+        speeds=tuple(_interval(inner, scenario) for inner in fields["speeds"].items()),
+    )
 
 
-def _guess(word: str, options: Collection[str]) -> str:
-    close = difflib.get_close_matches(word, list(options), n=1)
-    return f"did you mean {close[0]!r}?" if close else "correct or remove it"
+def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
+    fields = field.mapping(("npc", "gene", "low", "high"))
+    npc = fields["npc"].whole(0, len(scenario.npcs) - 1)
+    return SpeedInterval(
+        npc=npc,
+        gene=fields["gene"].whole(0, len(scenario.npcs[npc]) - 1),
+        low=fields["low"].number(),
+        high=fields["high"].number(),
+    )
 
 
 def _through_temporary(path: Path, finding: Finding, finish: Callable[[Path, Path], bool]) -> bool:

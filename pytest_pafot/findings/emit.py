@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from enum import Enum
 from typing import Any
 
@@ -30,7 +30,7 @@ def text_of(finding: Finding) -> str:
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {_block_scalar(finding.test)}",
         *_flow_lines("world", finding.world),
-        *_scenario_lines(finding.scenario),
+        *_scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
         *_flow_lines(
             "found",
@@ -41,13 +41,16 @@ def text_of(finding: Finding) -> str:
                 "versions": found.versions,
             },
         ),
+        *([] if finding.original is None else _scenario_lines("original", finding.original)),
+        *([] if finding.shrunk is None else _flow_lines("shrunk", asdict(finding.shrunk))),
+        *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         '# xfail: "reason"' if finding.xfail is None else f"xfail: {_quoted(finding.xfail)}",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _scenario_lines(scenario: Scenario) -> Iterator[str]:
-    yield "scenario:"
+def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
+    yield f"{key}:"
     yield f"  seed: {scenario.seed}"
     yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:

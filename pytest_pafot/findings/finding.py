@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
 
+from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.responsibility import Responsibility
 from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, of_failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
@@ -38,6 +40,7 @@ class Expect:
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
         side: of the ego that was hit; None without a collision.
         responsibility: who caused the collision.
+        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         preventable_by: reference drivers that survive the scenario in the ego's place.
         traceback: of an ADS that raised; empty otherwise.
     """
@@ -51,6 +54,8 @@ class Expect:
     cell: Cell | None = None
     side: Side | None = None
     responsibility: Responsibility = "none"
+    npc_manoeuvre: Manoeuvre | None = None
+    ego_manoeuvre: Manoeuvre | None = None
     preventable_by: tuple[str, ...] = ()
     traceback: str = ""
 
@@ -64,6 +69,8 @@ class Expect:
             side=self.side,
             cell=self.cell,
             responsibility=self.responsibility,
+            npc_manoeuvre=self.npc_manoeuvre,
+            ego_manoeuvre=self.ego_manoeuvre,
         )
 
     @classmethod
@@ -81,6 +88,8 @@ class Expect:
             cell=signature.cell,
             side=signature.side,
             responsibility=signature.responsibility,
+            npc_manoeuvre=signature.npc_manoeuvre,
+            ego_manoeuvre=signature.ego_manoeuvre,
             preventable_by=preventable_by,
             traceback=_tail(failure.traceback),
         )
@@ -104,6 +113,21 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Simplified:
+    """How the scenario of a finding became simpler than the one that was found.
+
+    Attributes:
+        rollouts: runs that it took.
+        is_minimal: whether no further simplification was found, rather than the budget or the time being spent.
+        speeds: the speeds of each instruction of the scenario at which it still fails.
+    """
+
+    rollouts: int
+    is_minimal: bool = True
+    speeds: tuple[SpeedInterval, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """One file of the corpus.
 
@@ -115,6 +139,9 @@ class Finding:
         world: the world that it fails in, as plain data.
         expect: what running it shows.
         found: how it came about.
+        original: the scenario as first found, where shrinking has put a simpler one in its place.
+        shrunk: how it was shrunk; None where it was not.
+        flaky: what differed when the scenario was run again, or None; it is then never called fixed.
         xfail: the user's reason to accept the failure, or None.
 
     Raises:
@@ -127,13 +154,17 @@ class Finding:
     world: Mapping[str, Any]
     expect: Expect
     found: Found
+    original: Scenario | None = None
+    shrunk: Simplified | None = None
+    flaky: str | None = None
     xfail: str | None = None
 
     def __post_init__(self) -> None:
         if not is_id(self.id):
             raise ValueError(f"id: expected letters, digits, '.', '_' and '-', at most 120, received {self.id!r}")
-        if self.xfail is not None and not self.xfail.strip():
-            raise ValueError("xfail: expected a reason or None, received an empty text")
+        for name, text in (("xfail", self.xfail), ("flaky", self.flaky)):
+            if text is not None and not text.strip():
+                raise ValueError(f"{name}: expected a reason or None, received an empty text")
         check_plain("world", self.world)
 
     @property

@@ -6,11 +6,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature, of_failure
+from pytest_pafot.trace import Collision, Y
 
 Label = Literal["fixed", "still failing", "drifted"]
+
+SAME_PLACE = 0.5
+"""Two runs without contact are the same while no vehicle is further from itself than this [m]."""
 
 SAME_TIME = 0.2
 """Two events are the same when they are no further apart than this [s]."""
@@ -78,6 +84,32 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
     return "fixed" if is_same or not _has_ended_otherwise(run) else "drifted"
+
+
+def disagreement(first: Run, again: Run) -> str:
+    """What differs between two runs of one scenario that were made by different means; empty where they agree.
+
+    They agree when they end in the same way: a collision with the same NPC in the same cell against the same side,
+    or none; and at the same time, to 0.2 s, since numpy rounds some functions otherwise than the C library does on
+    some processors. Where nobody touched, every vehicle must be within half a metre of the other run's, always.
+    """
+    if first.outcome != again.outcome:
+        return f"{first.outcome} after {first.event_time:.1f} s, then {again.outcome} after {again.event_time:.1f} s"
+    if first.collision is not None and again.collision is not None:
+        return _other_collision(first.collision, again.collision)
+    if abs(first.duration - again.duration) > SAME_TIME + 1e-9:
+        return f"{first.outcome} after {first.duration:.1f} s, then after {again.duration:.1f} s"
+    ticks = min(len(first.trace.states), len(again.trace.states))
+    apart = np.abs(first.trace.states[:ticks, :, : Y + 1] - again.trace.states[:ticks, :, : Y + 1]).max(axis=(1, 2))
+    if apart.max() <= SAME_PLACE:
+        return ""
+    tick = int(np.argmax(apart > SAME_PLACE))
+    return f"positions differ by more than {SAME_PLACE:g} m from {tick / first.trace.physics_hz:.1f} s on"
+
+
+def _other_collision(first: Collision, again: Collision) -> str:
+    is_same = (first.npc, first.side, first.cell) == (again.npc, again.side, again.cell)
+    return "" if is_same and abs(first.time - again.time) <= SAME_TIME + 1e-9 else f"{first!r}, then {again!r}"
 
 
 def _same_event(finding: Finding, run: Run) -> bool:

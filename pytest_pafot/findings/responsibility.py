@@ -1,27 +1,128 @@
 """Who caused a collision, by written rules over the trace.
 
-Source of the position rule: the fault rule in the code that the authors of PAFOT released; the paper itself
-counts collisions without a split.
+:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation.md tells both with their
+sources.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
-from pytest_pafot.trace import Collision, Trace
+import numpy as np
+import numpy.typing as npt
 
-Responsibility = Literal["ego", "npc", "none"]
+from pytest_pafot.criticality import (
+    RoadFrame,
+    RssRules,
+    lateral_gap,
+    longitudinal_gap,
+    rss_lateral,
+    rss_longitudinal,
+)
+from pytest_pafot.findings.avoidance import Braking, Chase, Emergency
+from pytest_pafot.trace import ACCELERATION, LANE, Collision, FloatArray, Trace, X, Y
+
+Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
 
 STANDING_SPEED = 0.1
 """Up to this speed [m/s] the ego counts as standing."""
 
+DISTANCES = RssRules(
+    ego_response=1.0,
+    npc_response=1.0,
+    acceleration=0.0,
+    least_braking=6.0,
+    hardest_braking=8.0,
+    lateral_acceleration=0.2,
+    lateral_braking=0.8,
+    fluctuation=0.1,
+)
+"""The safe distances of attribution. The usual two seconds behind a leader of equal speed must never be a fault: with
+these values they are safe up to 48 m/s (v + v^2 / 48 <= 2 v). Speeding up during the response time, which RSS counts
+with, would ask for more than that; a follower that does so has to answer for it through the distance itself. A leader
+brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6 m/s^2, what UN R157 5.2.5.2 takes for
+granted of a system that must avoid. Lateral values are those of :class:`~pytest_pafot.criticality.RssRules`."""
+
+FOLLOWING = Braking(delay=1.0, deceleration=6.0)
+"""The proper response of the one behind in a lane: that of RSS, with the numbers of :data:`DISTANCES`."""
+
+CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4)
+"""The proper response of one that was cut off, unless it is an emergency: no harsh braking (UN R157, 5.2.3.3), but
+what a lane change may ask of others (UN R79, 5.6.4.7: 3 m/s^2). The delay is the careful and competent driver's
+(UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half the time in which
+they build up."""
+
+EMERGENCY = Emergency(
+    time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=6.0)
+)
+"""When the one that was cut off has to brake hard: the careful and competent driver's criteria."""
+
+GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
+"""What a lane change may ask of the one behind in the other lane (UN R79, 5.6.4.7)."""
+
+LEAVING = 0.375
+"""A cut-in can be told from wandering in the lane from this offset to the lane's centre on (UN R157) [m]."""
+
+DRIFTING = 0.3
+"""Lateral speed towards the other, below which a vehicle keeps its place in the lane [m/s]."""
+SPED_UP = 0.3
+"""Gain of speed after a cut-in that the explanation names [m/s]."""
+SHARE = 0.25
+"""Share of the lateral closing speed, below which it is the other's doing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attribution:
+    """Who is responsible, and why.
+
+    Attributes:
+        responsibility: for the collision.
+        tick, time: from which on the situation was dangerous [s]; None without a collision.
+        reason: the end of a sentence that begins with "because".
+    """
+
+    responsibility: Responsibility
+    tick: int | None
+    time: float | None
+    reason: str
+
+
+def rss_rule(trace: Trace) -> Attribution:
+    """Who is responsible by Responsibility-Sensitive Safety: who made it dangerous and did not respond properly.
+
+    1. Nobody without a collision; the NPC where the ego stood (at most 0.1 m/s).
+    2. The danger began at the first tick of the last stretch of time, up to the impact, in which the longitudinal and
+       the lateral distance both were shorter than :data:`DISTANCES` asks for.
+    3. If they were side by side then, or the lateral distance was the last to break, who moved sideways towards the
+       other owes an answer: at least 0.3 m/s and a quarter of the closing speed. Both moved: both are responsible.
+
+       - The ego moved: it is responsible, except where an NPC behind would not have touched it with 3 m/s^2 after
+         0.4 s. Such a lane change is allowed, also while the NPC moves into that lane.
+       - The NPC moved: it is responsible, except where it was ahead, the ego's front hit it, and calm braking with
+         3 m/s^2, in an emergency with 6 m/s^2, would have avoided that, once the cut-in could be seen.
+    4. Otherwise the follower owes an answer. The ego as follower is responsible if the proper response, 6 m/s^2 after
+       1 s, would have avoided the collision. As the leader it is not, except where it braked harder than 8 m/s^2
+       with nothing ahead and the follower had no chance.
+
+    Whether braking would have avoided the collision is computed from the other's motion as recorded. So what was
+    unsafe at the start is never the ego's by that alone: it must have had the time to respond.
+
+    Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
+    arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulation No. 157 (numbers of a careful driver).
+    """
+    if trace.collision is None:
+        return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
+    return _Case(trace, trace.collision).attribution
+
 
 def position_rule(trace: Trace) -> Responsibility:
-    """The authors' rule: by where the NPC was at the impact.
+    """The rule of the authors' released code: by where the NPC was at the impact. A second opinion.
 
     An ego at 0.1 m/s or less is never responsible; otherwise it is when the NPC was ahead of it, in cell 1, 2
-    or 3; an NPC beside or behind the ego is responsible itself.
+    or 3; an NPC beside or behind the ego is responsible itself. The paper itself counts collisions without a split.
     """
     if trace.collision is None:
         return "none"
@@ -42,3 +143,208 @@ def position_reason(trace: Trace) -> str:
 
 def _place(collision: Collision) -> str:
     return {1: "ahead of", 0: "beside", -1: "behind"}[collision.cell.row]
+
+
+class _Case:
+    """One collision; arrays are of the ego and the NPC that collided, shape [ticks + 1]."""
+
+    def __init__(self, trace: Trace, collision: Collision) -> None:
+        npc = collision.npc
+        self._trace = trace
+        self._collision = collision
+        self._name = f"NPC {npc}"
+        self._columns = trace.npcs[:, npc]
+        frame = RoadFrame(trace)
+        self._road = frame.ahead[npc], frame.right[npc]
+        self._speeds = frame.speed[0], frame.speed[npc + 1]
+        self._drifts = frame.drift[0], frame.drift[npc + 1]
+        self._half_lengths = frame.half_along[0] + frame.half_along[npc + 1]
+        self._along = longitudinal_gap(trace)[:, npc]
+        self._across = lateral_gap(trace)[:, npc]
+        self._safe_along = rss_longitudinal(trace, DISTANCES)[:, npc]
+        self._is_close = (self._along < self._safe_along) | (self._along <= 0)
+        self._is_beside = self._across < rss_lateral(trace, DISTANCES)[:, npc]
+
+    @property
+    def attribution(self) -> Attribution:
+        """The verdict, with the reason in words."""
+        responsibility, reason = self._verdict()
+        return Attribution(
+            responsibility=responsibility,
+            tick=self._start,
+            time=self._start / self._trace.physics_hz,
+            reason=reason,
+        )
+
+    @cached_property
+    def _start(self) -> int:
+        """First tick of the danger."""
+        safe = np.flatnonzero(~(self._is_close & self._is_beside)[:-1])
+        return int(safe[-1]) + 1 if safe.size else 0
+
+    @property
+    def _before(self) -> int:
+        """The last safe tick, from which on a response counts; the start of the run if there is none."""
+        return max(self._start - 1, 0)
+
+    def _verdict(self) -> tuple[Responsibility, str]:
+        if self._collision.ego_speed <= STANDING_SPEED:
+            return "npc", f"the ego was standing ({self._collision.ego_speed:.1f} m/s) at the impact"
+        ego_moved, npc_moved = self._movers()
+        if ego_moved and not self._ego_is_behind and self._leaves_room():
+            gap, speed = self._along[self._start], self._towards()[0]
+            return "npc", (
+                f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s) {gap:.1f} m ahead, "
+                f"which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking"
+            )
+        if ego_moved and npc_moved:
+            towards = self._towards()
+            return "both", (
+                f"at {self._when} the ego and {self._name} moved sideways into each other "
+                f"({towards[0]:.1f} and {towards[1]:.1f} m/s)"
+            )
+        if ego_moved:
+            return self._ego_moved()
+        if npc_moved:
+            return self._npc_moved()
+        return self._ego_followed() if self._ego_is_behind else self._npc_followed()
+
+    @property
+    def _when(self) -> str:
+        return f"{self._start / self._trace.physics_hz:.1f} s"
+
+    @property
+    def _ego_is_behind(self) -> bool:
+        return bool(self._road[0][self._start] >= 0)
+
+    def _towards(self) -> tuple[float, float]:
+        """Lateral speeds of the ego and of the NPC towards the other when the danger began [m/s]."""
+        sign = 1.0 if self._road[1][self._start] >= 0 else -1.0
+        ego, npc = self._drifts
+        return max(float(sign * ego[self._start]), 0.0), max(float(-sign * npc[self._start]), 0.0)
+
+    def _movers(self) -> tuple[bool, bool]:
+        """Whether the ego, and whether the NPC, made the danger by moving sideways."""
+        lateral_last = bool(self._start > 0 and not self._is_beside[self._start - 1])
+        if not lateral_last and self._across[self._start] <= 0:
+            return False, False
+        towards = self._towards()
+        ego, npc = (speed >= max(DRIFTING, SHARE * sum(towards)) for speed in towards)
+        return ego, npc
+
+    def _ego_moved(self) -> tuple[Responsibility, str]:
+        speed, gap = self._towards()[0], self._along[self._start]
+        moved = f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s)"
+        if self._ego_is_behind or gap <= 0:
+            return "ego", f"{moved}, {self._along_text()}"
+        return "ego", f"{moved} {gap:.1f} m ahead, where RSS demands {self._safe_along[self._start]:.1f} m"
+
+    def _leaves_room(self) -> bool:
+        """Whether a lane change of the ego asks little of the NPC behind."""
+        return bool(self._along[self._start] > 0) and self._npc_chase.is_avoided(self._start, GIVING_WAY)
+
+    def _npc_moved(self) -> tuple[Responsibility, str]:
+        moved = (
+            f"at {self._when} {self._name} moved sideways towards the ego ({self._towards()[1]:.1f} m/s), "
+            f"{self._along_text()}"
+        )
+        if not self._ego_is_behind or self._collision.side != "front":
+            return "npc", moved
+        seen = self._cut_in_seen()
+        if not self._ego_chase.is_avoided(seen, CUT_OFF, EMERGENCY):
+            return "npc", f"{moved}, too late to avoid it"
+        return "ego", f"{moved}, but {self._braked_text(seen)} would have avoided it"
+
+    def _ego_followed(self) -> tuple[Responsibility, str]:
+        safe = self._safe_along[self._start]
+        close = f"from {self._when} it was closer than the {safe:.1f} m that RSS demands behind {self._name}"
+        if self._ego_chase.is_avoided(self._before, FOLLOWING):
+            return "ego", f"{close} and {self._ego_braking(self._before, FOLLOWING)}"
+        if self._start == 0:
+            return "npc", f"the run began closer than the {safe:.1f} m that RSS demands, with no time to respond"
+        return "npc", f"from {self._when} the {safe:.1f} m of RSS were gone, and no response could avoid {self._name}"
+
+    def _npc_followed(self) -> tuple[Responsibility, str]:
+        safe = self._safe_along[self._start]
+        hardest = float(-self._trace.ego[self._start :, ACCELERATION].min())
+        if (
+            hardest > DISTANCES.hardest_braking
+            and not self._had_reason_to_brake()
+            and not self._npc_chase.is_avoided(self._before, FOLLOWING)
+        ):
+            return "ego", (
+                f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
+                f"and {self._name} behind had no chance"
+            )
+        return "npc", f"from {self._when} {self._name} was closer than the {safe:.1f} m that RSS demands behind the ego"
+
+    def _had_reason_to_brake(self) -> bool:
+        """Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger."""
+        trace = self._trace
+        frame = RoadFrame(trace)
+        ahead = frame.ahead.T > 0
+        close = (longitudinal_gap(trace) < rss_longitudinal(trace, DISTANCES)) & ahead
+        return bool((close & (lateral_gap(trace) < rss_lateral(trace, DISTANCES)))[self._start :].any())
+
+    def _cut_in_seen(self) -> int:
+        """First tick of the danger at which the NPC had left the centre of a lane; the first of all if it never did."""
+        rows = self._columns[self._start :]
+        offset = np.abs(_lane_offset(self._trace, rows))
+        left = np.flatnonzero(offset > LEAVING)
+        return self._start + (int(left[0]) if left.size else 0)
+
+    @cached_property
+    def _ego_chase(self) -> Chase:
+        """The ego behind the NPC."""
+        ego, npc = self._speeds
+        return self._chase(self._road[0], ego, npc, self._columns[:, ACCELERATION])
+
+    @cached_property
+    def _npc_chase(self) -> Chase:
+        """The NPC behind the ego."""
+        ego, npc = self._speeds
+        return self._chase(-self._road[0], npc, ego, self._trace.ego[:, ACCELERATION])
+
+    def _chase(self, ahead: FloatArray, follower: FloatArray, leader: FloatArray, acceleration: FloatArray) -> Chase:
+        return Chase(
+            gap=ahead - self._half_lengths,
+            abreast=self._across <= 0,
+            follower=follower,
+            leader=leader,
+            leader_acceleration=acceleration,
+            hz=self._trace.physics_hz,
+        )
+
+    def _along_text(self) -> str:
+        gap = self._along[self._start]
+        if gap <= 0:
+            return "side by side"
+        return f"{gap:.1f} m {'ahead' if self._ego_is_behind else 'behind'}"
+
+    def _ego_braking(self, since: int, response: Braking) -> str:
+        return f"braked with {self._mean_braking(since, response):.1f} of {response.deceleration:.1f} m/s^2"
+
+    def _braked_text(self, seen: int) -> str:
+        demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
+        perceived = min(seen + round(CUT_OFF.perception * self._trace.physics_hz), self._trace.ticks)
+        speed = self._speeds[0]
+        highest = float(speed[perceived:].max())
+        if highest > speed[perceived] + SPED_UP:
+            return f"{demanded} instead of speeding up to {highest:.1f} m/s"
+        return f"{demanded} instead of {self._mean_braking(seen, CUT_OFF):.1f}"
+
+    def _mean_braking(self, since: int, response: Braking) -> float:
+        """The ego's, from when its response was due to the impact [m/s^2]."""
+        due = min(since + round(response.delay * self._trace.physics_hz), self._trace.ticks - 1)
+        speed = self._speeds[0]
+        seconds = (self._trace.ticks - due) / self._trace.physics_hz
+        return max(float(speed[due] - speed[-1]) / seconds, 0.0)
+
+
+def _lane_offset(trace: Trace, rows: FloatArray) -> npt.NDArray[np.float64]:
+    """Distance of a vehicle to the centre of the lane that it is in, signed [m]; NaN off the road."""
+    lanes = trace.lanes
+    index = rows[:, LANE].astype(int)
+    x, y, heading = (np.array([getattr(lane, name) for lane in lanes])[index] for name in ("x", "y", "heading"))
+    offset = (rows[:, Y] - y) * np.cos(heading) - (rows[:, X] - x) * np.sin(heading)
+    return np.where(rows[:, LANE] < 0, np.nan, offset)

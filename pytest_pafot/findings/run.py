@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from textwrap import wrap
 
 import numpy as np
 
 from pytest_pafot import criticality
-from pytest_pafot.findings.responsibility import position_reason, position_rule
+from pytest_pafot.findings.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.grid import Cell, cell_at
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, LANE, AdsError, Collision, FloatArray, Outcome, Trace, X, Y
@@ -35,6 +37,14 @@ class Moment:
     cell: Cell | None
 
 
+class NoReferenceDriversError(RuntimeError):
+    """The run does not know its world, so that no reference driver can be tried in it."""
+
+
+Prevent = Callable[[Scenario], tuple[str, ...]]
+"""Names of the reference drivers that survive a scenario."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """What happened in one run: a view of its trace, whose measures are computed when first asked for.
@@ -42,10 +52,12 @@ class Run:
     Attributes:
         trace: the record, tick by tick.
         decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
+        prevent: tries the reference drivers in the world of this run; see :attr:`preventable_by`.
     """
 
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
+    prevent: Prevent | None = field(default=None, kw_only=True)
 
     @property
     def scenario(self) -> Scenario:
@@ -117,10 +129,35 @@ class Run:
         return criticality.hardest_brake(self.trace)
 
     @cached_property
+    def attribution(self) -> Attribution:
+        """Who caused the collision, since when it was dangerous, and why."""
+        return rss_rule(self.trace)
+
+    @property
     def responsibility(self) -> str | None:
-        """Who caused the collision, ``"ego"`` or ``"npc"``; None without one."""
+        """Who caused the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
+        verdict = self.attribution.responsibility
+        return None if verdict == "none" else verdict
+
+    @property
+    def second_opinion(self) -> str | None:
+        """Who caused it by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
+
+    @cached_property
+    def preventable_by(self) -> tuple[str, ...]:
+        """Names of the reference drivers that survive the same scenario in the ego's place; simulated when asked for.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.prevent is None:
+            raise NoReferenceDriversError(
+                "run.preventable_by: expected a run that knows its world, such as a search or pafot_simulate gives, "
+                "received one that was made of a trace alone; use Run(trace, prevent=world.preventable_by)"
+            )
+        return self.prevent(self.scenario)
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
@@ -207,7 +244,10 @@ class Run:
     def _responsibility_line(self) -> list[str]:
         if self.responsibility is None:
             return []
-        return [f"  responsible: {self.responsibility}, because {position_reason(self.trace)}"]
+        sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
+        if self.second_opinion != self.responsibility:
+            sentence += f"; by the NPC's position alone: {self.second_opinion}"
+        return wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"

@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 from textwrap import dedent
 
-from pytest_pafot.findings.responsibility import Responsibility, position_rule
+from pytest_pafot.findings.manoeuvre import Manoeuvre, manoeuvre_before
+from pytest_pafot.findings.responsibility import Responsibility
 from pytest_pafot.findings.run import Run
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome, Side
@@ -57,6 +58,7 @@ class Signature:
         cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment,
             and for faults of the ADS itself.
         responsibility: who caused the collision.
+        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
     """
 
     failure: str
@@ -65,6 +67,8 @@ class Signature:
     side: Side | None
     cell: Cell | None
     responsibility: Responsibility
+    npc_manoeuvre: Manoeuvre | None = None
+    ego_manoeuvre: Manoeuvre | None = None
 
     @property
     def slug(self) -> str:
@@ -87,13 +91,16 @@ class Signature:
 
 def of_failure(run: Run, failure: Failure) -> Signature:
     """The signature of a run that failed."""
+    hit = run.collision
     return Signature(
         failure=failure.kind,
         assertion=normalised(failure.assertion, failure.message),
         outcome=run.outcome,
         side=None if run.collision is None else run.collision.side,
         cell=None if run.outcome in _FAULTS else run.event_cell,
-        responsibility=position_rule(run.trace),
+        responsibility=run.attribution.responsibility,
+        npc_manoeuvre=None if hit is None else manoeuvre_before(run.trace, hit.npc + 1, hit.tick),
+        ego_manoeuvre=None if hit is None else manoeuvre_before(run.trace, 0, hit.tick),
     )
 
 

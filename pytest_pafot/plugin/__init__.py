@@ -13,6 +13,7 @@ from pytest_pafot.plugin.collection import Collection, accept_files
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import Unseen
 from pytest_pafot.plugin.options import add_options
+from pytest_pafot.plugin.paging import Pages
 from pytest_pafot.plugin.reporting import Reporter, WorkerReporter
 
 
@@ -40,6 +41,7 @@ def pytest_configure(config: pytest.Config) -> None:
     }
     if not is_worker:
         features["sharing"] = session.Sharing(config)
+        features["pages"] = Pages(config)
     for name, feature in features.items():
         config.pluginmanager.register(feature, f"pafot-{name}")
 

@@ -33,8 +33,11 @@ class SearchArguments(TypedDict, total=False):
     algorithm: str
     max_time: float
     stop_after: int
+    shrink_rollouts: int
+    max_saved: int
     corpus: str
     save: str
+    report: str
     profile: str
     strict_drift: bool
     strict_health: bool

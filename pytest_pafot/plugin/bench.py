@@ -88,7 +88,18 @@ class Bench:
             trace = world.rollout(scenario, self.ads)
         except (WorldError, AdsFactoryError, ScenarioError) as error:
             raise RequestError(f"{self.item.name}: {error}") from None
-        return Run(trace, decision_limit=self.request.decision_limit)
+        prevent = getattr(world, "preventable_by", None)  # A world of the user's own need not have it.
+        return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent)
+
+    def simulate_in_gym(self, scenario: Scenario) -> Run | None:
+        """The same by ``env.step`` of the plain environment; None for a world of the user's own, which has none."""
+        __tracebackhide__ = True
+        from pytest_pafot.world import Highway, World  # noqa: PLC0415
+        from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
+
+        if not isinstance(self.world, (Highway, World)):
+            return None
+        return Run(replay_in_gym(self.world, scenario, self.ads), decision_limit=self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""

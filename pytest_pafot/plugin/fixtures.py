@@ -34,7 +34,8 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     def simulate(scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
-        return Run((pafot_world if world is None else world).rollout(scenario, ads_factory))
+        place = pafot_world if world is None else world
+        return Run(place.rollout(scenario, ads_factory), prevent=getattr(place, "preventable_by", None))
 
     # The first run imports highway-env, about a second, which would look like a slow test to hypothesis.
     still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))

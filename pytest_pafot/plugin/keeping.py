@@ -2,36 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.findings.corpus import CorpusWriteError, free_path, write
+from pytest_pafot.findings.corpus import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
 from pytest_pafot.findings.emit import text_of
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.inflight import Leftover
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import messages, places
-from pytest_pafot.plugin.bench import Bench, is_same_run
+from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.oracle import Verdict, plain_failure
 from pytest_pafot.report import terminal
-from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome
+
+if TYPE_CHECKING:
+    from pytest_pafot.plugin.showing import Showing
 
 NOT_SAVED = "--pafot-save=none"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Kept:
-    """A finding with where it lies, or why it lies nowhere."""
+class Kept:
+    """A finding with where it lies, or why it lies nowhere, and how it is told.
+
+    Attributes:
+        finding: as it lies in its file.
+        find: as the terminal tells it.
+        origin: how it was found, in one line.
+        file: of it, or None.
+        content: of the file that could not be written, or empty.
+    """
 
     finding: Finding
-    path: str = ""
-    problem: str = ""
+    find: terminal.Find
+    origin: str
+    file: Path | None = None
     content: str = ""
 
 
@@ -42,19 +54,35 @@ class Keeper:
     Attributes:
         bench: of the item.
         seed: of the search.
-        rerun: simulates a scenario again.
-        finds: told so far.
+        confirm: says what differs when a run is repeated; empty where nothing does.
+        showing: how finds are shown, where a page is asked for.
+        replayed: files that were there before the search; a find that comes to be kept is not what they show.
+        kept: the finds told so far, by id.
+        unsaved: ids of those that the limit of saved scenarios left out.
         first: the exception of the first find, for a debugger.
     """
 
     bench: Bench
     seed: int
-    rerun: Callable[[Scenario], Run]
-    finds: list[terminal.Find] = field(default_factory=list)
+    confirm: Callable[[Run], str]
+    showing: Showing | None = None
+    replayed: frozenset[Path] = frozenset()
+    kept: dict[str, Kept] = field(default_factory=dict)
+    unsaved: list[str] = field(default_factory=list)
     first: BaseException | None = None
 
+    @property
+    def finds(self) -> list[terminal.Find]:
+        """As the terminal tells them."""
+        return [kept.find for kept in self.kept.values()]
+
+    @property
+    def count(self) -> int:
+        """Distinct finds, whether they were kept or only counted."""
+        return len(self.kept) + len(self.unsaved)
+
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Save a new find, run it once more, and announce it; returns its id.
+        """Save a new find, run it again to confirm it, and announce it; returns its id.
 
         Args:
             run: that failed.
@@ -70,20 +98,72 @@ class Keeper:
             algorithm=self.bench.request.settings.algorithm,
             versions=self.bench.versions,
         )
-        kept = self._saved(self._finding(run, verdict.failure, found))
-        headline = run.explain().splitlines()[0]
-        is_flaky = False
+        finding = self._finding(run, verdict.failure, found)
+        if self._is_full():
+            self.unsaved.append(finding.id)
+            self.first = self.first or verdict.exception
+            return finding.id
+        origin = f"{found.algorithm}, seed {self.seed}, generation {generation}, run {number}"
+        kept = self._saved(finding, what_happened(run, verdict), origin, is_timed=verdict.is_timed)
+        differs = ""
         try:
-            is_flaky = not verdict.is_timed and not is_same_run(run, self.rerun(run.scenario))
-        finally:  # An interrupt in the second run must not keep the find from being told.
-            self._announce(
-                kept,
-                verdict.exception,
-                self._told(kept, _what(run, headline, verdict), is_flaky=is_flaky, is_timed=verdict.is_timed),
-                origin=f"{found.algorithm}, seed {self.seed}, generation {generation}, run {number}",
-                explanation="" if headline in str(verdict.exception) else run.explain(),
-            )
-        return kept.finding.id
+            differs = "" if verdict.is_timed else self.confirm(run)
+        finally:  # An interrupt in these runs must not keep the find from being told.
+            if differs:
+                kept = self.flaky(kept, differs)
+            self.tell(kept, verdict.exception, terminal.found_line(kept.find), run=run)
+        return kept.find.id
+
+    def flaky(self, kept: Kept, difference: str) -> Kept:
+        """The same as a find that does not repeat, in its file too."""
+        marked = self.rewritten(kept, replace(kept.finding, flaky=difference))
+        return replace(marked, find=replace(kept.find, difference=difference))
+
+    def rewritten(self, kept: Kept, finding: Finding) -> Kept:
+        """The same with another finding, in its file too; as it was, with the reason, where that cannot be written."""
+        if kept.file is None:
+            return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
+        try:
+            return replace(kept, finding=rewrite(kept.file, finding))
+        except CorpusWriteError as error:
+            return replace(kept, origin=f"{kept.origin}; its file is as first found: {error}")
+
+    def tell(
+        self,
+        kept: Kept,
+        exception: BaseException,
+        lines: list[str],
+        *,
+        run: Run | None = None,
+        details: Sequence[str] = (),
+        tried: Sequence[str] = (),
+    ) -> None:
+        """Announce a find, or tell more of it: the last report of a find is the one that counts.
+
+        Args:
+            kept: the find.
+            exception: that the test function raised.
+            lines: for the terminal, now.
+            run: of the scenario in the file; None where nobody saw how it ended.
+            details: further lines for its report.
+            tried: reference drivers that were tried in its scenario.
+        """
+        self.kept[kept.find.id] = kept
+        if self.first is None or kept.find.id == next(iter(self.kept)):
+            self.first = exception
+        explanation = "" if run is None else run.explain()
+        section = terminal.find_section(
+            kept.find,
+            scenario=repr(kept.finding.scenario),
+            origin=kept.origin,
+            explanation="" if explanation.partition("\n")[0] in str(exception) else explanation,
+            content=kept.content,
+            details=details,
+        )
+        report = report_of(self.bench.item, kept.find, exception, section)
+        messages.send(self.bench.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
+        if self.showing is not None:
+            self.showing.find(kept.find, kept.finding, None if run is None else run.trace, tried=tried)
 
     def keep_crash(self, leftover: Leftover) -> None:
         """Save what was in flight when a process died, and announce it."""
@@ -104,14 +184,21 @@ class Keeper:
             ),
             found=Found(seed=self.seed, generation=0, algorithm="crash", versions=self.bench.versions),
         )
-        kept = self._saved(finding)
+        headline = "crash: a process died while it ran this scenario"
+        kept = self._saved(finding, headline, "the record of a session that died")
         text = (
             f"a process (pid {leftover.pid}) died while it ran this scenario, by a crash of native code, a lack of "
             "memory or a kill from outside; if it was killed from outside, delete the file"
         )
-        told = self._told(kept, "crash: a process died while it ran this scenario")
-        self._announce(kept, plain_failure(text), told, origin="the record of a session that died")
+        self.tell(kept, plain_failure(text), terminal.found_line(kept.find))
         leftover.discard()
+
+    def _is_full(self) -> bool:
+        """Whether the test has as many saved scenarios as it may have."""
+        files = 0
+        with suppress(CorpusError):  # A folder that cannot be read: the attempt to write says why.
+            files = len(list_files(self.bench.folder))
+        return max(files, len(self.kept)) >= self.bench.request.settings.max_saved
 
     def _finding(self, run: Run, failure: Failure, found: Found) -> Finding:
         test = places.base_id(self.bench.item)
@@ -122,49 +209,22 @@ class Keeper:
             world = {"kind": "unknown", "reason": str(error)}
             return Finding.of(run, failure, test=test, world=world, found=found)
 
-    def _saved(self, finding: Finding) -> _Kept:
-        taken = {find.id for find in self.finds}
-        path, finding = free_path(self.bench.folder, finding)
-        while finding.id in taken:
+    def _saved(self, finding: Finding, headline: str, origin: str, *, is_timed: bool = False) -> Kept:
+        path, finding = free_path(self.bench.folder, finding, self.replayed)
+        while finding.id in self.kept:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.bench.folder / f"{finding.id}{places.SUFFIX}"
+        node_id = places.saved_node_id(self.bench.item, finding.id)
+        find = terminal.Find(id=finding.id, node_id=node_id, headline=headline, is_timed=is_timed)
         if self.bench.request.settings.save == "none":
-            return _Kept(finding=finding, problem=NOT_SAVED)
+            return Kept(finding=finding, find=replace(find, problem=NOT_SAVED), origin=origin)
         try:
             write(path, finding)
         except CorpusWriteError as error:
-            return _Kept(finding=finding, problem=str(error), content=text_of(finding))
-        return _Kept(finding=finding, path=self.bench.relative(Path(path)))
-
-    def _told(self, kept: _Kept, headline: str, *, is_flaky: bool = False, is_timed: bool = False) -> terminal.Find:
-        return terminal.Find(
-            id=kept.finding.id,
-            node_id=places.saved_node_id(self.bench.item, kept.finding.id),
-            headline=headline,
-            path=kept.path,
-            problem=kept.problem,
-            is_flaky=is_flaky,
-            is_timed=is_timed,
-        )
-
-    def _announce(
-        self, kept: _Kept, exception: BaseException, find: terminal.Find, *, origin: str, explanation: str = ""
-    ) -> None:
-        self.finds.append(find)
-        self.first = self.first or exception
-        section = terminal.find_section(
-            find,
-            scenario=repr(kept.finding.scenario),
-            origin=origin,
-            explanation=explanation,
-            content=kept.content,
-        )
-        report = report_of(self.bench.item, find, exception, section)
-        messages.send(
-            self.bench.item,
-            "find",
-            {"node_id": find.node_id, "lines": terminal.found_line(find), "report": report},
-        )
+            find = replace(find, problem=str(error))
+            return Kept(finding=finding, find=find, origin=origin, content=text_of(finding))
+        find = replace(find, path=self.bench.relative(path))
+        return Kept(finding=finding, find=find, origin=origin, file=path)
 
 
 def report_of(item: pytest.Item, find: terminal.Find, exception: BaseException, section: str) -> dict[str, Any]:
@@ -186,10 +246,11 @@ def report_of(item: pytest.Item, find: terminal.Find, exception: BaseException, 
     return data
 
 
-def _what(run: Run, headline: str, verdict: Verdict) -> str:
+def what_happened(run: Run, verdict: Verdict) -> str:
     """One line on a find: what happened in the run, and what the function said where that is not the same."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
+    headline = run.explain().splitlines()[0]
     first = str(verdict.exception).partition("\n")[0].strip()
     is_bare = run.collision is not None and first.startswith("assert ")
     is_told = is_bare or not first or headline.partition(":")[0] in first

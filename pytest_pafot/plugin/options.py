@@ -10,11 +10,12 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Mapping
+from pathlib import PurePath
 from typing import Any, Literal, NamedTuple
 
 import pytest
 
-Kind = Literal["integer", "seconds", "text", "switch"]
+Kind = Literal["integer", "seconds", "text", "page", "switch"]
 Source = Literal["command line", "marker", "environment", "ini"]
 
 SEED_LIMIT = 2**63
@@ -71,7 +72,8 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        return {"integer": "N", "seconds": "SECONDS", "text": self.name.upper(), "switch": ""}[self.kind]
+        shown = {"integer": "N", "seconds": "SECONDS", "text": self.name.upper(), "page": "PATH", "switch": ""}
+        return shown[self.kind]
 
     def read(self, value: object) -> Any:
         """The typed value of a text or of a Python value.
@@ -120,6 +122,19 @@ OPTIONS: tuple[Option, ...] = (
         help="End each search after so many distinct findings that are new.",
     ),
     Option(
+        name="shrink_rollouts",
+        kind="integer",
+        default=300,
+        help="Runs that simplifying each new finding may take; 0 keeps findings as they were found.",
+    ),
+    Option(
+        name="max_saved",
+        kind="integer",
+        default=20,
+        least=1,
+        help="Saved scenarios of each test; further new findings are counted and named, and not saved.",
+    ),
+    Option(
         name="corpus",
         kind="text",
         default="pafot_corpus",
@@ -131,6 +146,12 @@ OPTIONS: tuple[Option, ...] = (
         default="new",
         choices=("new", "none"),
         help="Whether new findings are written to the corpus.",
+    ),
+    Option(
+        name="report",
+        kind="page",
+        default=None,
+        help="Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
     ),
     Option(
         name="prune",
@@ -288,6 +309,18 @@ def _read_text(option: Option, value: object) -> str:
     return str(os.fspath(value))
 
 
+def _read_page(option: Option, value: object) -> str:
+    text = _read_text(option, value)
+    if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
+        return text
+    raise OptionError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
+
+
+def is_page_file(text: str) -> bool:
+    """Whether the option ``report`` names a file, rather than a folder."""
+    return text.lower().endswith((".html", ".htm"))
+
+
 def _read_switch(option: Option, value: object) -> bool:
     if isinstance(value, bool):
         return value
@@ -302,6 +335,7 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "integer": _read_integer,
     "seconds": _read_seconds,
     "text": _read_text,
+    "page": _read_page,
     "switch": _read_switch,
 }
 
@@ -309,5 +343,6 @@ _INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
     "integer": "int",
     "seconds": "float",
     "text": "string",
+    "page": "string",
     "switch": "bool",
 }

@@ -14,6 +14,7 @@ from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.bench import Bench, is_same_run
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.places import Saved
 from pytest_pafot.plugin.request import Request, RequestError
 from pytest_pafot.plugin.session import EXPLICIT
@@ -39,6 +40,9 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     detail = _detail(finding, run, bench.versions) if label in ("drifted", FLAKY) else ""
     messages.send(item, "replay", {"label": label, "detail": detail})
     item.user_properties.append(("pafot", label))
+    showing = showing_of(item, request.settings)
+    if showing is not None:
+        showing.replayed(finding, run, verdict, label=label, path=bench.relative(saved.path))
     if finding.xfail is not None and not verdict.failed:
         item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {bench.relative(saved.path)}")
     _conclude(bench, run, verdict, label, detail)
@@ -99,7 +103,8 @@ def _labelled(bench: Bench, finding: Finding, world: Any, first: tuple[Run, Verd
     again, second = bench.tried(finding.scenario, world, bench.item.nodeid)
     if second.failed:
         return FLAKY, again, second
-    return (label if is_same_run(run, again) else FLAKY), run, verdict
+    is_firm = finding.flaky is None and is_same_run(run, again)
+    return (label if is_firm else FLAKY), run, verdict
 
 
 def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str) -> None:

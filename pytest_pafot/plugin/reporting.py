@@ -13,6 +13,7 @@ import pytest
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import ORPHANS
 from pytest_pafot.plugin.options import BY_NAME
+from pytest_pafot.plugin.paging import LINES
 from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ class Reporter:
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
-        if not (self._searches or self._replays or self._orphans or self._problems or self._running):
+        written = self._config.stash[LINES]
+        if not (self._searches or self._replays or self._orphans or self._problems or self._running or written):
             return
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
@@ -92,7 +94,8 @@ class Reporter:
             replays=self._replays,
             orphans=[(_relative(folder, root), count) for folder, count in self._orphans.items()],
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
-            problems=self._problems,
+            problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
+            written=[line for line, is_problem in written if not is_problem],
             interrupted=list(self._running),
         )
         lines = terminal.session_lines(session, verbose=self._config.get_verbosity() > 0)

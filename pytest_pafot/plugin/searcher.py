@@ -4,26 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pytest_pafot.findings.inflight import InFlight
-from pytest_pafot.findings.responsibility import position_rule
+from pytest_pafot.findings.responsibility import rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.bench import Bench
+from pytest_pafot.plugin.confirming import difference
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.keeping import Keeper
 from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
 from pytest_pafot.plugin.request import RequestError, build_space
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import algorithm_named, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
+
+if TYPE_CHECKING:
+    from pytest_pafot.plugin.showing import Showing
 
 REASONS = {"generations": "all generations done", "time": "--pafot-max-time", "stopped": "enough findings"}
 
@@ -58,6 +65,14 @@ class Watched:
         self.flight.clear()
         return run
 
+    def elsewhere(self, scenario: Scenario) -> Run | None:
+        """One run in highway-env's own environment, where the world has one."""
+        __tracebackhide__ = True
+        self.flight.record(scenario)
+        run = self.bench.simulate_in_gym(scenario)
+        self.flight.clear()
+        return run
+
 
 @dataclass(slots=True)
 class Searching:
@@ -70,6 +85,8 @@ class Searching:
         started: when the search began.
         told_at: when progress was told last.
         notes: to be told once in the summary.
+        shrink_runs: taken to simplify finds.
+        showing: how it shows what happens, where a page is asked for.
     """
 
     bench: Bench
@@ -78,8 +95,11 @@ class Searching:
     started: float = field(init=False)
     told_at: float = field(init=False)
     notes: list[str] = field(default_factory=list)
+    shrink_runs: int = 0
+    showing: Showing | None = field(init=False)
 
     def __post_init__(self) -> None:
+        self.showing = showing_of(self.bench.item, self.bench.request.settings)
         self.started = self.told_at = self.clock()
 
     def run(self) -> None:
@@ -89,14 +109,20 @@ class Searching:
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
             watched = Watched(bench=self.bench, flight=flight)
-            keeper = Keeper(bench=self.bench, seed=self.seed, rerun=watched.rerun)
+            keeper = Keeper(
+                bench=self.bench,
+                seed=self.seed,
+                confirm=lambda run: difference(run, watched.rerun, watched.elsewhere),
+                showing=self.showing,
+            )
             for leftover in left_behind(self.bench.item, self.bench.request):
                 keeper.keep_crash(leftover)
             saved = places.saved_in(self.bench.folder)
+            keeper.replayed = frozenset(each.path for each in saved)
             hunt = Hunt(
                 stage=Stage(
                     run=watched.run,
-                    judge=watched.judge,
+                    judge=watched.judge if self.showing is None else self.showing.judging(watched.judge),
                     fitness=fitness,
                     keep=keeper.keep,
                     lethal=_lethal(saved),
@@ -105,6 +131,7 @@ class Searching:
             reason = "interrupted"
             try:
                 reason = self._hunted(hunt, keeper, saved)
+                self._shrunk(hunt, keeper, watched)
             except Exception:
                 reason = "error"
                 raise
@@ -113,6 +140,7 @@ class Searching:
                     self.notes.append(str(flight.error))
                 search = self._summary(hunt, keeper, reason)
                 messages.send(self.bench.item, "search", search.to_plain())
+                self._show(hunt, search)
         self._conclude(hunt, keeper, search)
 
     def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved]) -> str:
@@ -132,15 +160,36 @@ class Searching:
             seed=self.seed,
             max_seconds=settings.max_time,
             clock=self.clock,
-            stop=lambda: limit is not None and len(keeper.finds) >= limit,
+            stop=lambda: limit is not None and keeper.count >= limit,
         )
         try:
-            hunt.follow(events, lambda: self._tick(hunt, keeper))
+            followed = events if self.showing is None else self.showing.noted(events)
+            hunt.follow(followed, lambda: self._tick(hunt, keeper))
         except FitnessError as error:
             raise RequestError(f"{self.bench.item.name}: {error}") from None
         return "interrupted" if hunt.finished is None else REASONS[hunt.finished.reason]
 
-    def _tick(self, hunt: Hunt, keeper: Keeper) -> None:
+    def _shrunk(self, hunt: Hunt, keeper: Keeper, watched: Watched) -> None:
+        """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
+        __tracebackhide__ = True
+        settings = self.bench.request.settings
+        limit = float("inf") if settings.max_time is None else self.started + settings.max_time
+        shrinking = Shrinking(
+            bench=self.bench,
+            keeper=keeper,
+            run=watched.run,
+            judge=watched.judge,
+            lethal=hunt.stage.lethal,
+            rollouts=settings.shrink_rollouts,
+            is_over=lambda: self.clock() > limit,
+            tell=lambda phase: self._tick(hunt, keeper, phase),
+        )
+        shrinking.run_all()
+        self.shrink_runs = shrinking.runs
+        if shrinking.is_cut:
+            self.notes.append("shrinking was cut by --pafot-max-time: the same seed may give other scenarios next time")
+
+    def _tick(self, hunt: Hunt, keeper: Keeper, phase: str = "") -> None:
         now = self.clock()
         if now - self.told_at < self.bench.item.config.stash[SHARED].progress_seconds:
             return
@@ -152,8 +201,9 @@ class Searching:
             generations=generations,
             runs=hunt.runs,
             failing=hunt.verdicts["failed"],
-            finds=len(keeper.finds),
+            finds=keeper.count,
             seconds=now - self.started,
+            phase=phase,
         )
         messages.send(self.bench.item, "progress", asdict(progress))
 
@@ -182,15 +232,24 @@ class Searching:
             no_interaction=health.no_interaction,
             failing=hunt.verdicts["failed"],
             finds=finds,
+            unsaved={id_: 1 + hunt.repeats[id_] for id_ in keeper.unsaved},
+            shrink_runs=self.shrink_runs,
             known=dict(hunt.known),
             warnings=tuple(_warnings(hunt)) if reason in WHOLE else (),
             notes=tuple(self.notes),
             coverage=health.coverage.describe(float(self.bench.world.speed_limit)) if hunt.runs else "",
         )
 
+    def _show(self, hunt: Hunt, search: terminal.Search) -> None:
+        """Show the search on the page, unless it only replayed."""
+        if self.showing is None or not self.showing.events:
+            return
+        known = {places.saved_node_id(self.bench.item, id_): count for id_, count in hunt.known.items()}
+        self.showing.searched(search.finds, known, float(self.bench.world.speed_limit))
+
     def _conclude(self, hunt: Hunt, keeper: Keeper, search: terminal.Search) -> None:
         __tracebackhide__ = True
-        if keeper.finds:
+        if keeper.count:
             if self.bench.item.config.getoption("usepdb", False) and keeper.first is not None:
                 keeper.first.add_note(terminal.search_failure(search))
                 raise keeper.first  # The debugger then stands where the test function failed.
@@ -228,7 +287,7 @@ def checked_fitness(bench: Bench) -> Fitness:
     Raises:
         RequestError: for a fitness that does not exist.
     """
-    by_ego = (lambda trace: position_rule(trace) == "ego") if bench.request.blame == "ego" else None
+    by_ego = (lambda trace: rss_rule(trace).responsibility in ("ego", "both")) if bench.request.blame == "ego" else None
     try:
         return resolve(bench.request.fitness, responsible=by_ego)
     except FitnessError as error:

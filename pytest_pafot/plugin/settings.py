@@ -21,8 +21,11 @@ class Settings:
     algorithm: str
     max_time: float | None
     stop_after: int | None
+    shrink_rollouts: int
+    max_saved: int
     corpus: str
     save: str
+    report: str | None
     profile: str
     strict_drift: bool
     strict_health: bool

@@ -30,6 +30,7 @@ class Progress:
         failing: runs that the test rejected.
         finds: distinct ones that are new.
         seconds: since the search began.
+        phase: what goes on after the generations, such as shrinking; empty while they run.
     """
 
     node_id: str
@@ -39,6 +40,7 @@ class Progress:
     failing: int
     finds: int
     seconds: float
+    phase: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,9 +53,10 @@ class Find:
         headline: one line that says what happened.
         path: of its file, or empty.
         problem: why there is no file, or empty.
-        is_flaky: running it again gave another run.
+        difference: what differed when it was run again, or empty.
         is_timed: it depends on wall-clock time.
         repeats: further runs that failed in the same way.
+        shrunk: the size that the scenario was brought down to, and in how many runs; or empty.
     """
 
     id: str
@@ -61,15 +64,21 @@ class Find:
     headline: str
     path: str = ""
     problem: str = ""
-    is_flaky: bool = False
+    difference: str = ""
     is_timed: bool = False
     repeats: int = 0
+    shrunk: str = ""
+
+    @property
+    def is_flaky(self) -> bool:
+        """Whether running it again gave another run."""
+        return bool(self.difference)
 
     @property
     def remark(self) -> str:
         """What a reader must know besides, in brackets, or nothing."""
         remarks = [
-            "flaky: running it again gave another run" if self.is_flaky else "",
+            f"flaky: {self.difference}" if self.is_flaky else "",
             "depends on wall-clock time" if self.is_timed else "",
         ]
         text = "; ".join(remark for remark in remarks if remark)
@@ -97,6 +106,8 @@ class Search:
         no_interaction: runs in which no NPC came near the ego.
         failing: runs that the test rejected.
         finds: distinct ones that are new.
+        unsaved: further ones that the limit of saved scenarios left out, with their runs.
+        shrink_runs: taken to simplify the finds, beside ``runs``.
         known: failing runs by the id of the saved scenario that covers them.
         warnings: of the search's health.
         notes: anything else to be told once.
@@ -122,6 +133,8 @@ class Search:
     no_interaction: int = 0
     failing: int = 0
     finds: tuple[Find, ...] = ()
+    unsaved: Mapping[str, int] = field(default_factory=dict)
+    shrink_runs: int = 0
     known: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -168,6 +181,7 @@ class Session:
         orphans: folders of saved scenarios whose test is gone, with their number of files.
         pruned: whether those were removed.
         problems: anything that went wrong beside the tests.
+        written: where reports are.
         interrupted: node ids of searches that began and did not end.
     """
 
@@ -176,16 +190,18 @@ class Session:
     orphans: Sequence[tuple[str, int]] = ()
     pruned: bool = False
     problems: Sequence[str] = ()
+    written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
     """One line, cut at the left of the node id, and at the end where even that does not make it fit."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
-    tail = (
-        f" {progress.generation}/{progress.generations} generations, {_plural(progress.runs, 'run')}, "
+    done = (
+        f"{progress.generation}/{progress.generations} generations, {_plural(progress.runs, 'run')}, "
         f"{progress.failing} failing, {progress.finds} new, {speed:.0f}/s"
     )
+    tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
     name = name if len(name) <= room else f"...{name[3 - room :]}"
@@ -202,7 +218,14 @@ def found_line(find: Find) -> list[str]:
     ]
 
 
-def find_section(find: Find, *, scenario: str, origin: str, explanation: str, content: str) -> str:
+def shrunk_line(find: Find) -> list[str]:
+    """Told when a find has become simpler."""
+    return [ascii_text(f"pafot: shrunk {find.node_id}"), ascii_text(f"  {find.headline}"), f"  to {find.shrunk}"]
+
+
+def find_section(
+    find: Find, *, scenario: str, origin: str, explanation: str, content: str, details: Sequence[str] = ()
+) -> str:
     """The section of a find's own report.
 
     Args:
@@ -211,9 +234,10 @@ def find_section(find: Find, *, scenario: str, origin: str, explanation: str, co
         origin: of the find, in one line.
         explanation: of the run, or empty where the failure's message has it.
         content: of the file that could not be written, or empty.
+        details: further lines, each with a title of up to ten letters.
     """
     lines = [explanation.rstrip()] if explanation else []
-    lines += [f"scenario   {scenario}", f"found by   {origin}{find.remark}"]
+    lines += [f"scenario   {scenario}", f"found by   {origin}{find.remark}", *details]
     if find.path:
         lines += [f"saved as   {find.path}", f'run again  pytest "{find.node_id}"']
     else:
@@ -225,9 +249,9 @@ def find_section(find: Find, *, scenario: str, origin: str, explanation: str, co
 
 def search_failure(search: Search) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
-    count = len(search.finds)
+    count = len(search.finds) + len(search.unsaved)
     lines = [f"{_plural(count, 'new finding')} in {_plural(search.runs, 'run')}:"]
-    lines += [*_find_lines(search.finds), *_wrapped(_origin(search))]
+    lines += [*_find_lines(search.finds), *_unsaved_lines(search.unsaved), *_wrapped(_origin(search))]
     return "\n".join(lines)
 
 
@@ -236,7 +260,7 @@ def search_lines(search: Search, *, verbose: bool = False) -> list[str]:
     lines = [ascii_text(search.node_id), *_wrapped(_figures(search)), *_wrapped(_origin(search))]
     if verbose and search.coverage:
         lines += _wrapped(f"covered {search.coverage}")
-    lines += _find_lines(search.finds)
+    lines += [*_find_lines(search.finds), *_unsaved_lines(search.unsaved)]
     lines += [f"  known: {_plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     for warning in search.warnings:
         lines += _wrapped(f"warning: {warning}")
@@ -278,6 +302,7 @@ def session_lines(session: Session, *, verbose: bool = False) -> list[str]:
         lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
     if session.orphans and not session.pruned:
         lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune")
+    lines += [ascii_text(line) for line in session.written]
     for problem in session.problems:
         lines += _wrapped(f"problem: {problem}")
     return [part for line in lines for part in line.splitlines()]
@@ -290,6 +315,8 @@ def ascii_text(text: str) -> str:
 
 def _figures(search: Search) -> str:
     parts = [f"{_plural(search.runs, 'run')} in {search.seconds:.1f} s"]
+    if search.shrink_runs:
+        parts.append(f"{search.shrink_runs} more to shrink")
     if search.known_runs:
         parts.append(f"{search.known_runs} not run again")
     parts.append(f"{search.failing} failing")
@@ -314,11 +341,27 @@ def _origin(search: Search) -> str:
 
 
 def _find_lines(finds: Sequence[Find]) -> list[str]:
+    """The finds; those that do not repeat come last, apart."""
+    flaky = [find for find in finds if find.is_flaky]
+    lines = _listed([find for find in finds if not find.is_flaky])
+    return [*lines, f"  flaky, so never called fixed: {len(flaky)}", *_listed(flaky)] if flaky else lines
+
+
+def _unsaved_lines(unsaved: Mapping[str, int]) -> list[str]:
+    if not unsaved:
+        return []
+    names = ", ".join(f"{id_} ({_plural(count, 'run')})" for id_, count in list(unsaved.items())[:MAX_FINDS])
+    more = f" and {len(unsaved) - MAX_FINDS} more" if len(unsaved) > MAX_FINDS else ""
+    return _wrapped(f"{_plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}{more}")
+
+
+def _listed(finds: Sequence[Find]) -> list[str]:
     lines: list[str] = []
     for find in finds[:MAX_FINDS]:
         again = f", {_plural(find.repeats, 'more run')}" if find.repeats else ""
         lines.append(ascii_text(f"  saved-{find.id}{again}"))
         lines += [f"  {line}" for line in _wrapped(f"{find.headline}{find.remark}")]
+        lines += [f"    shrunk to {find.shrunk}"] if find.shrunk else []
         lines += [f"    not saved: {ascii_text(find.problem)}"] if find.problem else []
     if len(finds) > MAX_FINDS:
         lines.append(f"  ... and {len(finds) - MAX_FINDS} more")

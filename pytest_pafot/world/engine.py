@@ -116,7 +116,7 @@ def _drive(rules: Rules, scenario: Scenario, recorder: Recorder, guard: HangGuar
     vehicles = [driver.vehicle, *npcs]
     for tick in range(rules.ticks(scenario)):
         if tick % driver.every == 0:
-            error = _decide(driver, tick, recorder, guard, clock)
+            error = decide(driver, tick, recorder, guard, clock)
             if error is not None:
                 return recorder.trace(error=error)
         driver.actuate()
@@ -134,9 +134,10 @@ def _drive(rules: Rules, scenario: Scenario, recorder: Recorder, guard: HangGuar
     return recorder.trace()
 
 
-def _decide(
+def decide(
     driver: EgoDriver, tick: int, recorder: Recorder, guard: HangGuard, clock: Callable[[], float]
 ) -> AdsError | None:
+    """Have the ADS decide, under guard; what it did instead of that, or None."""
     started = clock()
     try:
         try:

@@ -118,6 +118,30 @@ class Highway:
 
         return run(self._rules, scenario, road, make_ego)
 
+    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
+        """Simulate a scenario with a reference driver (:mod:`pytest_pafot.world.references`) in the ego's place.
+
+        It drives in SI units on this road, decides at every physics tick, and has no foresight.
+
+        Args:
+            scenario: to run; checked against this world.
+            name: ``"careful-human"``, ``"fuzzy-safety"`` or ``"idm-aeb"``.
+        """
+        from pytest_pafot.world.references import rollout_reference  # noqa: PLC0415
+
+        return rollout_reference(self, scenario, name)
+
+    def preventable_by(self, scenario: Scenario) -> tuple[str, ...]:
+        """Names of the reference drivers that get through a scenario without a collision."""
+        from pytest_pafot.world.references import preventable_by  # noqa: PLC0415
+
+        return preventable_by(self, scenario)
+
+    @property
+    def ground(self) -> tuple[Rules, Any]:
+        """The rules of every run, and the road network as highway-env has it."""
+        return self._rules, self._network
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         return {"kind": "highway", **asdict(self)}

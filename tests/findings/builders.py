@@ -1,8 +1,12 @@
 """Findings for tests: one that is plain, and a strategy for ones that are nasty."""
 
+from typing import get_args
+
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
+from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found, Simplified
+from pytest_pafot.findings.manoeuvre import Manoeuvre
+from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
@@ -91,10 +95,22 @@ def expectations(draw, npcs):
         npc=draw(some(draw(st.integers(0, npcs - 1)))),
         cell=draw(some(draw(st.sampled_from(Cell)))),
         side=draw(some(draw(st.sampled_from(["front", "rear", "left", "right"])))),
-        responsibility=draw(st.sampled_from(["ego", "npc", "none"])),
+        responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
+        npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
+        ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         preventable_by=tuple(draw(st.lists(texts(), max_size=3))),
         traceback=draw(texts()),
     )
+
+
+@st.composite
+def simplifications(draw, scenario):
+    places = [(npc, gene) for npc, chain in enumerate(scenario.npcs) for gene in range(len(chain))]
+    speeds = [
+        SpeedInterval(npc=npc, gene=gene, low=draw(st.floats(0, 1e3)), high=draw(st.floats(0, 1e3)))
+        for npc, gene in draw(st.lists(st.sampled_from(places), max_size=9))
+    ]
+    return Simplified(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
 
 
 @st.composite
@@ -112,5 +128,8 @@ def findings(draw):
             algorithm=draw(texts()),
             versions=draw(st.dictionaries(keys(), texts(), max_size=4)),
         ),
+        original=draw(st.one_of(st.none(), scenarios())),
+        shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
+        flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
         xfail=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
     )

@@ -10,6 +10,9 @@ from hypothesis import strategies as st
 from pytest_pafot.findings import corpus
 from pytest_pafot.findings.corpus import CorpusError
 from pytest_pafot.findings.emit import text_of
+from pytest_pafot.findings.finding import Simplified
+from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.scenario import Scenario
 from tests.findings.builders import plain_finding
 
 NAME = "front-2-1f3a9c.pafot.yaml"
@@ -125,7 +128,7 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ("npc: 0, ", "", 10, "expect"),
         ("npc: 0, ", "npc: 1, ", 10, "expect.npc"),
         ("side: front", "side: top", 11, "expect.side"),
-        ("responsibility: ego", "responsibility: both", 11, "expect.responsibility"),
+        ("responsibility: ego", "responsibility: all", 11, "expect.responsibility"),
         ("[careful-human, idm-aeb]", "careful-human", 11, "expect.preventable_by"),
         ("[careful-human, idm-aeb]", "[careful-human, 2]", 11, "expect.preventable_by[1]"),
         ("generation: 17", "generation: -1", 12, "found.generation"),
@@ -299,3 +302,37 @@ def test_a_file_in_place_of_the_folder_is_an_error(tmp_path):
     (tmp_path / "corpus").write_text("")
     with pytest.raises(CorpusError, match="expected a folder"):
         corpus.list_files(tmp_path / "corpus")
+
+
+SHRUNK = plain_finding(
+    original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
+    shrunk=Simplified(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    flaky="running it again gave another run",
+)
+
+
+def test_how_a_finding_was_shrunk_stands_in_its_file(path):
+    assert "\noriginal:\n  seed: 9\n" in text_of(SHRUNK)
+    assert (
+        "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
+        'flaky: "running it again gave another run"\n'
+    ) in text_of(SHRUNK)
+    path.write_text(text_of(SHRUNK))
+    assert corpus.read(path) == SHRUNK
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("seed: 9", "seed: -9", "original.seed"),
+        ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
+        ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
+        ("npc: 0, gene: 1, low", "npc: 1, gene: 1, low", "shrunk.speeds[0].npc"),
+        ("gene: 1, low", "gene: 2, low", "shrunk.speeds[0].gene"),
+        ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
+        ('flaky: "running it again gave another run"', 'flaky: " "', "flaky"),
+    ],
+)
+def test_a_fault_in_what_shrinking_wrote_is_one_error_at_its_field(path, old, new, field):
+    assert text_of(SHRUNK).count(old) == 1
+    assert fault(path, text_of(SHRUNK).replace(old, new)).field == field

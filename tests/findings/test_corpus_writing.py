@@ -127,6 +127,18 @@ def test_a_finding_that_is_saved_already_keeps_its_path(path):
     assert corpus.free_path(path.parent, plain_finding())[0] == path
 
 
+def test_a_finding_whose_file_was_shrunk_meanwhile_keeps_its_path(path):
+    simpler = plain_finding().scenario.truncated(1)
+    corpus.write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
+    assert corpus.free_path(path.parent, plain_finding())[0] == path
+
+
+def test_a_shrunk_file_that_no_longer_fails_is_a_guard_of_its_own(path):
+    simpler = plain_finding().scenario.truncated(1)
+    corpus.write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
+    assert corpus.free_path(path.parent, plain_finding(), passed=[path])[0] != path
+
+
 def test_a_name_that_holds_another_finding_by_now_is_not_reused(path):
     corpus.write(path, plain_finding(scenario=other_scenario()))
     second, finding = corpus.free_path(path.parent, plain_finding())

@@ -45,6 +45,8 @@ def test_it_expects_what_the_run_showed():
         cell=Cell.FRONT,
         side="front",
         responsibility="ego",
+        npc_manoeuvre="lane-keeping",
+        ego_manoeuvre="lane-keeping",
         preventable_by=("idm-aeb",),
     )
 

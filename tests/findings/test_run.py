@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
-from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.run import NoReferenceDriversError, Run
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import AdsError, Outcome
 from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
@@ -42,6 +42,28 @@ def test_without_a_collision_nobody_is_responsible():
     run = Run(closing())
     assert not run.collision
     assert run.responsibility is None
+
+
+def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
+    run = Run(replace(crash().trace, collision=collision_at(30, cell=Cell.LEFT, side="left")))
+    assert (run.responsibility, run.second_opinion) == ("ego", "npc")
+    assert "by the NPC's position alone: npc" in run.explain()
+    assert crash().second_opinion == "ego"
+    assert "position" not in crash().explain()
+    assert Run(closing()).second_opinion is None
+
+
+def test_the_reference_drivers_are_tried_when_asked_for_and_once():
+    asked = []
+    run = Run(closing(), prevent=lambda scenario: asked.append(scenario) or ("idm-aeb",))
+    assert asked == []
+    assert run.preventable_by == run.preventable_by == ("idm-aeb",)
+    assert asked == [run.scenario]
+
+
+def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
+    with pytest.raises(NoReferenceDriversError, match=r"prevent=world\.preventable_by"):
+        _ = Run(closing()).preventable_by
 
 
 def test_its_measures_are_those_of_the_criticality_functions():
@@ -106,7 +128,8 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
         "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",
         "  closest at 2.0 s: 1.00 m between the boxes; hardest brake of the ego: 0.0 m/s^2",
-        "  responsible: ego, because NPC 0 was ahead of the ego (cell 2) at the impact",
+        "  responsible: ego, because from 0.0 s it was closer than the 47.1 m that RSS demands behind NPC 0",
+        "    and braked with 0.0 of 6.0 m/s^2",
         "  from [s]  NPC 0                         NPC 1",
         "       0.0  1 front-left 20.0 m/s at 0.8  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",

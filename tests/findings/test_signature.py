@@ -28,7 +28,9 @@ def test_a_collision_is_told_by_side_cell_and_responsibility():
         outcome=Outcome.COLLISION,
         side="left",
         cell=Cell.LEFT,
-        responsibility="npc",
+        responsibility="ego",
+        npc_manoeuvre="lane-keeping",
+        ego_manoeuvre="lane-keeping",
     )
 
 

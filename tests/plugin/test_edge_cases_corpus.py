@@ -8,7 +8,11 @@ import pytest
 GARBLED = {
     "an unknown version": (r"^pafot: 1", "pafot: 99", "pafot"),
     "an unknown key": (r"^scenario:", "colour: red\nscenario:", "colour"),
-    "a cell that is no ring neighbour": (r"cell: \d(, speed: [\d.]+\}.*\n.*cell: )\d", r"cell: 1\g<1>5", "cell"),
+    "a cell that is no ring neighbour": (
+        r"- - \{cell: \d(.*\n)",
+        r"- - {cell: 1\g<1>      - {cell: 5, speed: 1.0}\n",
+        "cell",
+    ),
     "cell 0": (r"cell: \d, speed", "cell: 0, speed", "cell"),
     "cell 9": (r"cell: \d, speed", "cell: 9, speed", "cell"),
     "a speed that is no number": (r"speed: [\d.]+\}", "speed: .nan}", "speed"),

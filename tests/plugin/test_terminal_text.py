@@ -1,6 +1,7 @@
 """Texts for the terminal: plain ASCII, 80 columns, and plain data on the way."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -87,7 +88,7 @@ def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines(
     ("flags", "remark"),
     [
         ({}, ""),
-        ({"is_flaky": True}, " (flaky: running it again gave another run)"),
+        ({"difference": "running it again gave another run"}, " (flaky: running it again gave another run)"),
         ({"is_timed": True}, " (depends on wall-clock time)"),
     ],
 )
@@ -125,3 +126,35 @@ def test_orphans_say_what_to_do_and_pruned_ones_that_they_are_gone():
 
 def test_what_is_no_ascii_is_escaped():
     assert terminal.found_line(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
+
+
+def test_finds_that_do_not_repeat_are_listed_apart():
+    flaky = replace(FIND, id="rear-6-222222", difference="running it again gave another run")
+    lines = terminal.search_lines(replace(SEARCH, finds=(flaky, FIND)))
+    apart = lines.index("  flaky, so never called fixed: 1")
+    assert (
+        lines.index("  saved-front-2-1f3a9c, 17 more runs") < apart < lines.index("  saved-rear-6-222222, 17 more runs")
+    )
+
+
+def test_finds_beyond_the_limit_are_counted_and_named():
+    search = replace(SEARCH, unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
+    text = " ".join(" ".join(terminal.search_lines(search)).split())
+    assert "2 further findings not saved (--pafot-max-saved): front-2-aaaaaa (3 runs), rear-6-bbbbbb (1 run)" in text
+    assert terminal.search_failure(search).startswith("3 new findings in 48 runs:")
+
+
+def test_a_find_that_was_shrunk_says_to_what_and_the_search_how_many_runs_that_took():
+    shrunk = replace(FIND, shrunk="1 NPC, 2 instructions, 20 s in 49 runs")
+    lines = terminal.search_lines(replace(SEARCH, finds=(shrunk,), shrink_runs=49))
+    assert "    shrunk to 1 NPC, 2 instructions, 20 s in 49 runs" in lines
+    assert "48 runs in 12.3 s, 49 more to shrink" in lines[1]
+    assert terminal.shrunk_line(shrunk)[2] == "  to 1 NPC, 2 instructions, 20 s in 49 runs"
+
+
+def test_progress_names_what_goes_on_after_the_generations():
+    progress = Progress(
+        node_id="t.py::test_it[search]", generation=10, generations=10, runs=48, failing=3, finds=1, seconds=2.0,
+        phase="shrinking saved-front-2-1f3a9c, run 3 of at most 300",
+    )  # fmt: skip
+    assert terminal.progress_line(progress, 100).endswith("shrinking saved-front-2-1f3a9c, run 3 of at most 300")

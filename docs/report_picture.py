@@ -1,0 +1,120 @@
+"""Make the pictures of report pages in README.md and how-to.md from real searches of two example policies.
+
+It runs both searches, opens their pages in a headless Chromium, light and dark, and stores what it shows. It needs
+Chromium, and Pillow and fiss-planner besides the plugin:
+``python -m pip install ".[report,fiss]" && python docs/report_picture.py``.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+sys.path.insert(0, str(ROOT))
+
+from tests.support.browser import Browser, Page, find_chromium  # noqa: E402
+
+MAX_BYTES = 250_000
+WIDTH, HEIGHT = 1280, 1255
+BEFORE_IMPACT = 0.9
+"""How long before the end of the run the picture is taken [s]: the vehicles are then apart."""
+
+
+class Story(NamedTuple):
+    """One picture and the search behind it."""
+
+    name: str
+    test: str
+    options: tuple[str, ...]
+
+
+STORIES = (
+    Story("constant-speed", "test_never_at_fault_in_a_collision[constant-speed-search]", ("--pafot-generations=20",)),
+    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-generations=20",)),
+)
+
+
+def search(story: Story, folder: Path) -> Path:
+    """The page of a search of an example policy."""
+    page = folder / f"{story.name}.html"
+    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
+    environment["PYTHONPATH"] = str(ROOT)
+    command = [
+        *(sys.executable, "-m", "pytest", f"example_ads/test_safety.py::{story.test}", "-p", "no:randomly", "-q"),
+        *("--tb=no", "--pafot-seed=1", f"--pafot-corpus={folder / 'corpus'}", f"--pafot-report={page}"),
+        *story.options,
+    ]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
+    if not page.is_file():
+        raise SystemExit(f"{story.test}: expected a page, received this:\n{done.stdout}{done.stderr}")
+    return page
+
+
+def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
+    """Suffix and content of each picture of a page."""
+    for scheme in ("light", "dark"):
+        opened = browser.open(page.as_uri(), width=WIDTH, height=HEIGHT, media=[("prefers-color-scheme", scheme)])
+        _prepare(opened)
+        shot = opened.send("Page.captureScreenshot", format="png")
+        opened.close()
+        yield "" if scheme == "light" else "-dark", _small(base64.b64decode(shot["data"]))
+
+
+def _prepare(page: Page) -> None:
+    """Go to the moment before the event, without paths of this machine and of this day."""
+    page.evaluate(
+        "for (const each of document.querySelectorAll('.session .copyline, .session dl div'))"
+        "  if (each.matches('.copyline') || each.textContent.startsWith('written')) each.remove();"
+        "document.querySelector('h1').textContent = document.querySelector('h1').textContent.replace(/^.*: /, '');"
+    )
+    shown = "Number(document.querySelector('article.current .player').dataset.time)"
+    key = page.evaluate("document.querySelector('#list a[aria-current=true]').dataset.key")
+    moment = round(page.evaluate(shown) - BEFORE_IMPACT, 2)
+    page.evaluate(f"location.hash = 'finding={key}&t={moment}'")
+    page.until(f"{shown} === {moment}")
+    time.sleep(0.3)
+
+
+def _small(content: bytes) -> bytes:
+    """The same picture with as many colours as fit into the size."""
+    image = Image.open(io.BytesIO(content)).convert("RGB")
+    for colours in (256, 128, 64, 32):
+        stream = io.BytesIO()
+        image.quantize(colours, dither=Image.Dither.NONE).save(stream, "png", optimize=True)
+        if stream.tell() <= MAX_BYTES:
+            return stream.getvalue()
+    raise SystemExit(f"expected a picture of at most {MAX_BYTES} bytes, received {stream.tell()}")
+
+
+def main() -> None:
+    """Write all pictures."""
+    chromium = find_chromium()
+    if chromium is None:
+        raise SystemExit("expected chromium or google-chrome on PATH, found none")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        browser = Browser(chromium, folder / "profile")
+        try:
+            for story in STORIES:
+                for suffix, content in shots(browser, search(story, folder)):
+                    path = DOCS / f"report-{story.name}{suffix}.png"
+                    path.write_bytes(content)
+                    print(f"{path.name}: {len(content)} bytes")
+        finally:
+            browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Positive controls: highway-env's IDM+MOBIL with exactly one defect each, and one with two of them.
+
+Kind (c): each is a vehicle class that drives itself. ``make("follows-too-close")`` gives the class; importing this
+package does not import highway-env. What the defect is and why it happens in practice stands at each class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+POLICIES: Mapping[str, str] = MappingProxyType(
+    {
+        "healthy": "driver:Driver",
+        "follows-too-close": "following:FollowsTooClose",
+        "brakes-late-above-20": "following:BrakesLateAboveTwenty",
+        "brakes-weakly": "following:BrakesWeakly",
+        "blind-beside-front-wheel": "perception:BlindBesideFrontWheel",
+        "sees-old-speeds": "perception:SeesOldSpeeds",
+        "sees-cut-ins-late": "perception:SeesCutInsLate",
+        "ignores-standing-vehicles": "perception:IgnoresStandingVehicles",
+        "forgets-after-lane-change": "perception:ForgetsAfterLaneChange",
+        "looks-only-ahead": "lane_change:LooksOnlyAhead",
+        "changes-lanes-unchecked": "lane_change:ChangesLanesUnchecked",
+        "two-defects": "combined:IgnoresStandingAndLooksOnlyAhead",
+    }
+)
+"""Name to module and class; ``healthy`` has no defect."""
+
+COMBINED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"two-defects": ("ignores-standing-vehicles", "looks-only-ahead")}
+)
+"""Those with more than one defect, and which."""
+
+
+def make(name: str) -> type[Any]:
+    """The vehicle class of a policy, to give to the world as it is.
+
+    Raises:
+        KeyError: for a name that is not in :data:`POLICIES`.
+    """
+    module, _, class_name = POLICIES[name].partition(":")
+    policy: type[Any] = getattr(import_module(f"example_ads.defects.{module}"), class_name)
+    return policy

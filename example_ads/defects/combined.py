@@ -1,0 +1,13 @@
+"""A driver with two independent defects, which a search has to tell apart."""
+
+from __future__ import annotations
+
+from example_ads.defects.lane_change import LooksOnlyAhead
+from example_ads.defects.perception import IgnoresStandingVehicles
+
+
+class IgnoresStandingAndLooksOnlyAhead(IgnoresStandingVehicles, LooksOnlyAhead):
+    """Takes no notice of vehicles slower than 3 m/s, nor of who follows in the lane that it enters.
+
+    Why it happens: defects do not come alone. The first fails along the lane, the second across it.
+    """

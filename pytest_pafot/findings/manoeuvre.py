@@ -1,0 +1,31 @@
+"""What a vehicle did shortly before an event, in the few words that tell one kind of failure from another."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pytest_pafot.trace import LANE, Trace, X, Y
+
+Manoeuvre = Literal["lane-change", "lane-keeping"]
+
+WINDOW_SECONDS = 4.0
+"""How far back a lane change still belongs to the event [s]; one takes about two seconds at motorway speed."""
+
+DISPLACEMENT = 1.0
+"""How far sideways a vehicle that keeps its lane moves at most in that time [m]; half of the room beside it."""
+
+
+def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
+    """Whether a vehicle changed lanes in the last seconds before a tick, or was doing so.
+
+    Args:
+        trace: of the run.
+        vehicle: 0 for the ego, ``i + 1`` for the NPC ``i``.
+        tick: of the event.
+    """
+    first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
+    states = trace.states[first : tick + 1, vehicle]
+    heading = trace.lanes[max(int(states[-1, LANE]), 0)].heading
+    across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
+    return "lane-change" if float(abs(across - across[-1]).max()) > DISPLACEMENT else "lane-keeping"

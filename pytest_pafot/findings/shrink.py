@@ -1,0 +1,368 @@
+"""Shrinking: the simplest scenario in which the same property fails with the same signature.
+
+After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and
+MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that says what "simpler"
+means, one gate before each run, and passes that are repeated until none of them helps.
+Nothing is simulated here: whether a scenario still fails is asked of a function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from pytest_pafot.grid import is_adjacent
+from pytest_pafot.scenario import (
+    MAX_SPEED,
+    SPEED_STEPS_PER_MPS,
+    Chromosome,
+    PositionInstruction,
+    Scenario,
+    ScenarioError,
+)
+
+Attempt = Callable[[Scenario], Scenario | None]
+"""Runs a scenario: the scenario as driven where the same property fails with the same signature, else None."""
+
+Candidates = Iterator[Scenario | None]
+"""What a pass tries; None stands for a change that gives no valid scenario."""
+
+Key = tuple[int, ...]
+
+FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
+"""Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedInterval:
+    """The target speeds of one instruction at which the scenario still fails, everything else being equal.
+
+    The ends are found by steps that double while the scenario fails and are halved where it does not. All speeds
+    that were tried between them fail; those in between were not all tried.
+
+    Attributes:
+        npc, gene: where the instruction first stands in the scenario.
+        low, high: [m/s].
+    """
+
+    npc: int
+    gene: int
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shrunk:
+    """What shrinking came to.
+
+    Attributes:
+        scenario: the simplest that was found, as driven.
+        rollouts: runs that it took.
+        is_minimal: whether no pass could simplify it any more, rather than the budget being spent.
+        intervals: of the speeds, in the order of NPCs and genes, as far as the budget reached.
+    """
+
+    scenario: Scenario
+    rollouts: int
+    is_minimal: bool
+    intervals: tuple[SpeedInterval, ...] = ()
+
+
+class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is no error)
+    """No runs are left."""
+
+
+def sort_key(scenario: Scenario) -> Key:
+    """The order of "simpler": of two scenarios the one with the smaller key, compared from the left.
+
+    1. NPCs, since each of them is a participant to understand.
+    2. Instructions to read: equal ones that follow each other count once.
+    3. Moves from one cell to another; staying is simpler.
+    4. Genes of the longest chain, which is the length of the run; then genes in total.
+    5. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
+    6. The sum of the speeds of the instructions: slower is simpler.
+    7. The seed of the repair, of which 0 is the plainest.
+
+    Every part is a whole number, at least 0, so that every chain of simplifications ends.
+    """
+    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in _blocks(chain)]
+    return (
+        len(scenario.npcs),
+        len(speeds),
+        sum(a.cell != b.cell for chain in scenario.npcs for a, b in pairwise(chain)),
+        scenario.genes,
+        sum(map(len, scenario.npcs)),
+        sum(map(_roughness, speeds)),
+        sum(speeds),
+        scenario.seed,
+    )
+
+
+def instructions(scenario: Scenario) -> int:
+    """How many instructions there are to read; equal ones that follow each other count once."""
+    return sort_key(scenario)[1]
+
+
+def size_of(scenario: Scenario) -> str:
+    """The size of a scenario in words: ``2 NPCs, 7 instructions, 60 s``."""
+    count, npcs = instructions(scenario), len(scenario.npcs)
+    seconds = scenario.genes * scenario.gene_seconds
+    return f"{npcs} NPC{'' if npcs == 1 else 's'}, {count} instruction{'' if count == 1 else 's'}, {seconds:g} s"
+
+
+def shrink(
+    scenario: Scenario,
+    attempt: Attempt,
+    *,
+    rollouts: int,
+    top_speed: float = MAX_SPEED,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Shrunk:
+    """Simplify a failing scenario.
+
+    Args:
+        scenario: as driven; it fails.
+        attempt: tells whether another one fails in the same way; never asked twice about the same one.
+        rollouts: how often it may be asked.
+        top_speed: that no instruction may exceed [m/s].
+        is_over: asked before each run; whether time is up.
+    """
+    gate = _Gate(scenario, attempt, rollouts=rollouts, top_speed=top_speed, is_over=is_over)
+    intervals: list[SpeedInterval] = []
+    is_minimal = False
+    try:
+        while sum(_exhausted(gate, candidates) for candidates in PASSES):  # Each of them, in every round.
+            pass
+        is_minimal = True
+        intervals.extend(_intervals(gate))
+    except OutOfBudget:
+        pass
+    return Shrunk(scenario=gate.best, rollouts=gate.spent, is_minimal=is_minimal, intervals=tuple(intervals))
+
+
+class _Gate:
+    """The one gate before each run: a candidate must be valid, simpler than the best, and not tried before.
+
+    Scenarios are equal when their canonical texts are: speeds in tenths, cells in 1 to 8.
+    """
+
+    def __init__(
+        self, scenario: Scenario, attempt: Attempt, *, rollouts: int, top_speed: float, is_over: Callable[[], bool]
+    ) -> None:
+        self.best = scenario
+        self.spent = 0
+        self.top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
+        self._attempt = attempt
+        self._rollouts = rollouts
+        self._is_over = is_over
+        self._tried: dict[Scenario, Scenario | None] = {scenario: scenario}
+
+    def simplifies(self, candidate: Scenario | None) -> bool:
+        """Whether a candidate fails likewise and is simpler; it is the best from then on."""
+        if candidate is None or not sort_key(candidate) < sort_key(self.best):
+            return False
+        driven = self.driven(candidate)
+        if driven is None or not sort_key(driven) < sort_key(self.best):
+            return False
+        self.best = driven
+        return True
+
+    def driven(self, candidate: Scenario) -> Scenario | None:
+        """The candidate as driven where it fails likewise.
+
+        Raises:
+            OutOfBudget: when that is not known and no runs are left.
+        """
+        if any(_tenths(gene) > self.top for chain in candidate.npcs for gene in chain):
+            return None
+        if candidate not in self._tried:
+            if self.spent >= self._rollouts or self._is_over():
+                raise OutOfBudget
+            self.spent += 1
+            driven = self._tried[candidate] = self._attempt(candidate)
+            if driven is not None:
+                self._tried[driven] = driven  # A scenario as driven is a fixed point of the repair.
+        return self._tried[candidate]
+
+
+def _exhausted(gate: _Gate, candidates: Callable[[Scenario], Candidates]) -> bool:
+    """Apply a pass until it finds nothing more; whether it found anything."""
+    found = False
+    while any(gate.simplifies(candidate) for candidate in candidates(gate.best)):
+        found = True
+    return found
+
+
+def _fewer_npcs(scenario: Scenario) -> Candidates:
+    """One alone, then all but a run of them, long runs first."""
+    npcs = scenario.npcs
+    for npc in npcs if len(npcs) > 1 else ():
+        yield replace(scenario, npcs=(npc,))
+    for start, end in _slices(len(npcs), most=len(npcs) - 1):
+        yield replace(scenario, npcs=npcs[:start] + npcs[end:])
+
+
+def _shorter(scenario: Scenario) -> Candidates:
+    """Without the tail, then without any other stretch of time, long ones first."""
+    for genes in _growing(scenario.genes - 1):
+        yield scenario.truncated(genes)
+    for start, end in _slices(scenario.genes, most=scenario.genes - 1):
+        yield _valid(scenario, tuple(chain[:start] + chain[end:] for chain in scenario.npcs))
+
+
+def _shorter_chains(scenario: Scenario) -> Candidates:
+    """The same for one NPC, which keeps its lane and speed after its last gene."""
+    for npc, chain in enumerate(scenario.npcs):
+        for start, end in _slices(len(chain), most=len(chain) - 1):
+            yield _with_chain(scenario, npc, chain[:start] + chain[end:])
+
+
+def _merged(scenario: Scenario) -> Candidates:
+    """A whole chain of one instruction, or one that takes over the block before or after it."""
+    for npc, chain in enumerate(scenario.npcs):
+        for instruction in dict.fromkeys(chain):
+            yield _with_chain(scenario, npc, (instruction,) * len(chain))
+        for (start, middle), (_, end) in pairwise(_blocks(chain)):
+            before, after = chain[start], chain[middle]
+            yield _with_chain(scenario, npc, chain[:middle] + (before,) * (end - middle) + chain[end:])
+            yield _with_chain(scenario, npc, chain[:start] + (after,) * (middle - start) + chain[middle:])
+
+
+def _staying(scenario: Scenario) -> Candidates:
+    """From one gene to the end, or to the end of its block, an NPC stays in the cell that it was in before."""
+    for npc, chain in enumerate(scenario.npcs):
+        for (_, gene), (_, end) in pairwise(_blocks(chain)):
+            stays = tuple(replace(instruction, cell=chain[gene - 1].cell) for instruction in chain[gene:])
+            yield _with_chain(scenario, npc, chain[:gene] + stays)
+            yield _with_chain(scenario, npc, chain[:gene] + stays[: end - gene] + chain[end:])
+
+
+def _rounder(scenario: Scenario) -> Candidates:
+    """The multiples of 5 m/s, then of 1 m/s, next to a speed."""
+    for npc, start, end in _places(scenario):
+        speed = _tenths(scenario.npcs[npc][start])
+        for unit in (FIVE, ONE):
+            below = speed // unit * unit
+            yield _with_speed(scenario, npc, start, end, below)
+            yield _with_speed(scenario, npc, start, end, below + unit)
+
+
+def _slower(scenario: Scenario) -> Candidates:
+    """To a standstill, or down by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
+    for npc, start, end in _places(scenario):
+        speed = _tenths(scenario.npcs[npc][start])
+        for lower in (speed, FIVE, ONE, TENTH):
+            yield _with_speed(scenario, npc, start, end, speed - lower)
+
+
+def _plain_seed(scenario: Scenario) -> Candidates:
+    if scenario.seed:
+        yield replace(scenario, seed=0)
+
+
+PASSES: tuple[Callable[[Scenario], Candidates], ...] = (
+    _fewer_npcs,
+    _shorter,
+    _merged,
+    _staying,
+    _shorter_chains,
+    _rounder,
+    _slower,
+    _plain_seed,
+)
+"""What a run saves most comes first; all are repeated until none of them finds anything."""
+
+
+def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
+    """For every instruction, how far its speed can go down and up while the scenario fails."""
+    scenario = gate.best
+    for npc, start, end in _places(scenario):
+        speed = _tenths(scenario.npcs[npc][start])
+
+        def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> bool:
+            candidate = _with_speed(scenario, npc, start, end, speed + change)
+            return candidate is not None and gate.driven(candidate) is not None
+
+        down = _furthest(fails, -1, most=speed)
+        up = _furthest(fails, 1, most=max(gate.top - speed, 0))
+        yield SpeedInterval(npc=npc, gene=start, low=_mps(speed - down), high=_mps(speed + up))
+
+
+def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
+    """The largest number of steps found, at most ``most``, for which something holds; it holds for 0.
+
+    The steps double while it holds and are then halved: the number of questions grows with the logarithm.
+    """
+    good, bad = 0, min(ONE, most)
+    while bad > good and holds(direction * bad):
+        good, bad = bad, min(2 * bad, most)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        good, bad = (middle, bad) if holds(direction * middle) else (good, middle)
+    return good
+
+
+def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
+    """[start, end) of all runs that are ``most`` long, then half as long, and so on down to 1."""
+    for size in _halved(most):
+        yield from ((start, start + size) for start in range(length - size + 1))
+
+
+def _halved(number: int) -> Iterator[int]:
+    """A number and its halves, down to 1."""
+    while number > 0:
+        yield number
+        number //= 2
+
+
+def _growing(most: int) -> list[int]:
+    """1, 2, 4 ... and in the end ``most``."""
+    return sorted({1 << power for power in range(most.bit_length())} | {most}) if most > 0 else []
+
+
+def _places(scenario: Scenario) -> Iterator[tuple[int, int, int]]:
+    """NPC, and [start, end) of each of its blocks."""
+    for npc, chain in enumerate(scenario.npcs):
+        for start, end in _blocks(chain):
+            yield npc, start, end
+
+
+def _blocks(chain: Chromosome) -> list[tuple[int, int]]:
+    """[start, end) of each run of equal instructions."""
+    starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
+    return list(zip(starts, [*starts[1:], len(chain)], strict=True))
+
+
+def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:
+    if tenths < 0:
+        return None
+    chain = scenario.npcs[npc]
+    changed = tuple(PositionInstruction(gene.cell, _mps(tenths)) for gene in chain[start:end])
+    return _with_chain(scenario, npc, chain[:start] + changed + chain[end:])
+
+
+def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | None:
+    return _valid(scenario, (*scenario.npcs[:npc], chain, *scenario.npcs[npc + 1 :]))
+
+
+def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
+    """The scenario with other chains, or None where these break a rule."""
+    if any(not chain or not all(is_adjacent(a.cell, b.cell) for a, b in pairwise(chain)) for chain in npcs):
+        return None
+    try:
+        return replace(scenario, npcs=npcs)
+    except ScenarioError:  # Two NPCs would hold the same cell.
+        return None
+
+
+def _tenths(instruction: PositionInstruction) -> int:
+    return round(instruction.speed * SPEED_STEPS_PER_MPS)
+
+
+def _mps(tenths: int) -> float:
+    return tenths / SPEED_STEPS_PER_MPS
+
+
+def _roughness(tenths: int) -> int:
+    return 0 if tenths % FIVE == 0 else 1 if tenths % ONE == 0 else 2

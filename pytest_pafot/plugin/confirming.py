@@ -1,0 +1,33 @@
+"""Whether a find is what it seems: the same run once more, and once by other means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.run import Run
+from pytest_pafot.plugin.bench import is_same_run
+
+if TYPE_CHECKING:
+    from pytest_pafot.scenario import Scenario
+
+NOT_REPEATED = "running it again gave another run"
+
+
+def difference(run: Run, again: Callable[[Scenario], Run], elsewhere: Callable[[Scenario], Run | None]) -> str:
+    """What differs when a scenario is run again; empty where the find is confirmed.
+
+    Args:
+        run: that is a find.
+        again: the same means; the run must be equal to the last bit.
+        elsewhere: highway-env's own environment, or None; the run must end in the same way.
+    """
+    if not is_same_run(run, again(run.scenario)):
+        return NOT_REPEATED
+    try:
+        other = elsewhere(run.scenario)
+    except Exception as error:  # noqa: BLE001  (whatever an environment or an ADS raises there is what differs)
+        return f"in highway-env's own environment: {type(error).__name__}: {error}"[:200]
+    differs = "" if other is None else disagreement(run, other)
+    return f"in highway-env's own environment: {differs}" if differs else ""

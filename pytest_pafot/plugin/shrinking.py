@@ -1,0 +1,190 @@
+"""After a search: each find becomes as simple as it can be, and is tried with reference drivers.
+
+Nothing that was found depends on it: a find is saved and announced before, and its file and its report are replaced
+when there is something better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from pytest_pafot.findings.finding import Expect, Finding, Simplified
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, shrink, size_of
+from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.plugin import places
+from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
+from pytest_pafot.report import terminal
+from pytest_pafot.scenario import Scenario
+
+if TYPE_CHECKING:
+    from pytest_pafot.plugin.bench import Bench
+    from pytest_pafot.plugin.oracle import Verdict
+
+
+@dataclass(slots=True, kw_only=True)
+class Shrinking:
+    """Simplifies the finds of one search.
+
+    Attributes:
+        bench: of the item.
+        keeper: of the finds.
+        run: simulates a scenario; the scenario is on disk while it does.
+        judge: says what the test function makes of a run; likewise.
+        lethal: scenarios in which a process died; they are not run.
+        rollouts: that each find may take.
+        is_over: whether time is up.
+        tell: is told what goes on, often.
+        runs: taken so far.
+        is_cut: whether time was up before the work was done.
+    """
+
+    bench: Bench
+    keeper: Keeper
+    run: Callable[[Scenario], Run]
+    judge: Callable[[Run], Verdict]
+    lethal: frozenset[Scenario]
+    rollouts: int
+    is_over: Callable[[], bool]
+    tell: Callable[[str], None]
+    runs: int = field(default=0, init=False)
+    is_cut: bool = field(default=False, init=False)
+
+    def run_all(self) -> None:
+        """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""
+        __tracebackhide__ = True
+        for kept in list(self.keeper.kept.values()):
+            is_firm = not (kept.find.is_flaky or kept.find.is_timed or kept.finding.expect.failure == places.CRASH)
+            if is_firm and self.is_over():
+                self.is_cut = True
+            elif is_firm:
+                self._refine(kept)
+
+    def _refine(self, kept: Kept) -> None:
+        """Shrink a find, run the result once more, try reference drivers, and tell."""
+        __tracebackhide__ = True
+        before = kept.finding
+        shrunk = self._shrunk(kept)
+        self.runs += shrunk.rollouts
+        run, verdict = self._tried(shrunk.scenario)
+        differs = self._difference(before, run, verdict)
+        if differs and shrunk.scenario != before.scenario:
+            # The simplification does not hold; what was found does, or is flaky itself.
+            shrunk = Shrunk(scenario=before.scenario, rollouts=shrunk.rollouts, is_minimal=False)
+            run, verdict = self._tried(before.scenario)
+            differs = self._difference(before, run, verdict)
+        if differs:
+            self._call_flaky(kept, differs)
+        elif verdict.failure is not None and verdict.exception is not None:
+            self._conclude(kept, shrunk, run, verdict, verdict.failure, verdict.exception)
+
+    def _shrunk(self, kept: Kept) -> Shrunk:
+        __tracebackhide__ = True
+        signature, spent = kept.finding.signature, 0
+
+        def attempt(candidate: Scenario) -> Scenario | None:
+            nonlocal spent
+            if candidate in self.lethal:
+                return None
+            spent += 1
+            self.tell(f"shrinking saved-{kept.find.id}, run {spent} of at most {self.rollouts}")
+            run, verdict = self._tried(candidate)
+            is_same = verdict.failure is not None and of_failure(run, verdict.failure) == signature
+            return driven(run) if is_same else None
+
+        if self.rollouts == 0:
+            return Shrunk(scenario=kept.finding.scenario, rollouts=0, is_minimal=False)
+        shrunk = shrink(
+            kept.finding.scenario,
+            attempt,
+            rollouts=self.rollouts,
+            top_speed=float(self.bench.world.speed_limit),
+            is_over=self.is_over,
+        )
+        self.is_cut = self.is_cut or (shrunk.rollouts < self.rollouts and self.is_over())
+        return shrunk
+
+    def _tried(self, scenario: Scenario) -> tuple[Run, Verdict]:
+        __tracebackhide__ = True
+        run = self.run(scenario)
+        return run, self.judge(run)
+
+    def _difference(self, finding: Finding, run: Run, verdict: Verdict) -> str:
+        """What differs from the finding, or in a further run by other means."""
+        __tracebackhide__ = True
+        if verdict.failure is None or of_failure(run, verdict.failure) != finding.signature:
+            return f"a later run of it ended otherwise: {run.outcome} after {run.event_time:.1f} s"
+        return "" if run.scenario == finding.scenario else self.keeper.confirm(run)
+
+    def _call_flaky(self, kept: Kept, differs: str) -> None:
+        self.keeper.kept[kept.find.id] = self.keeper.flaky(kept, differs)
+
+    def _conclude(
+        self, kept: Kept, shrunk: Shrunk, run: Run, verdict: Verdict, failure: Failure, exception: BaseException
+    ) -> None:
+        before = kept.finding
+        self.tell(f"trying reference drivers in saved-{kept.find.id}")
+        preventable_by = () if run.prevent is None else run.preventable_by
+        is_simpler = shrunk.scenario != before.scenario
+        how = Simplified(rollouts=shrunk.rollouts, is_minimal=shrunk.is_minimal, speeds=shrunk.intervals)
+        finding = replace(
+            before,
+            scenario=shrunk.scenario,
+            expect=Expect.of(run, failure, preventable_by=preventable_by),
+            original=before.scenario if is_simpler else None,
+            shrunk=how if shrunk.rollouts else None,
+        )
+        if finding == before:
+            return
+        size = f"{size_of(shrunk.scenario)} in {shrunk.rollouts} runs" if is_simpler else ""
+        kept = self.keeper.rewritten(kept, finding)
+        kept = replace(kept, find=replace(kept.find, headline=what_happened(run, verdict), shrunk=size))
+        self.keeper.tell(
+            kept,
+            exception,
+            terminal.shrunk_line(kept.find) if is_simpler else [],
+            run=run,
+            details=_details(finding, before.scenario),
+            tried=self._drivers(),
+        )
+
+    def _drivers(self) -> tuple[str, ...]:
+        """Names of the reference drivers that were tried, where the world is one that is known to try these."""
+        from pytest_pafot.world import Highway, World  # noqa: PLC0415
+        from pytest_pafot.world.references import REFERENCES  # noqa: PLC0415
+
+        return tuple(REFERENCES) if isinstance(self.bench.world, (Highway, World)) else ()
+
+
+def driven(run: Run) -> Scenario:
+    """The scenario of a run without the genes that it did not come to, which changes nothing."""
+    scenario = run.scenario
+    return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
+
+
+def _details(finding: Finding, first: Scenario) -> list[str]:
+    """Lines for the report of a find: its size before and after, speeds that still fail, who would prevent it."""
+    lines: list[str] = []
+    if finding.shrunk is not None:
+        spent = f"{finding.shrunk.rollouts} runs{'' if finding.shrunk.is_minimal else ', and could be simpler'}"
+        after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
+        lines.append(f"shrunk     from {size_of(first)} {after}, in {spent}")
+        lines += [f"still      {sentence}" for sentence in speed_sentences(finding)]
+    names = ", ".join(finding.expect.preventable_by) or "none of the reference drivers"
+    return [*lines, f"preventable by {names}"]
+
+
+def speed_sentences(finding: Finding) -> list[str]:
+    """What is known of the speeds at which the scenario still fails."""
+    return [] if finding.shrunk is None else [_sentence(finding, each) for each in finding.shrunk.speeds]
+
+
+def _sentence(finding: Finding, interval: SpeedInterval) -> str:
+    cell = finding.scenario.npcs[interval.npc][interval.gene].cell
+    from_to = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
+    if interval.low == interval.high:
+        from_to = f"only a speed of {interval.low:.1f} m/s"
+    seconds = interval.gene * finding.scenario.gene_seconds
+    return f"NPC {interval.npc} from {seconds:g} s in cell {int(cell)} ({cell.label}): {from_to} still fails"

@@ -1,0 +1,1 @@
+"""Style and scripts of the report page; read with importlib.resources, never imported."""

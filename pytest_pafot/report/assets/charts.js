@@ -1,0 +1,152 @@
+// The instructions and the curves over one common axis of time, with one cursor.
+
+const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
+
+const CURVES = [
+  { key: "gap", title: "gap to the ego", unit: "m", top: 40, digits: 1 },
+  { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2 },
+  { key: "speed", title: "speed", unit: "m/s", top: null, digits: 1 },
+];
+
+class Charts {
+  constructor(finding, width) {
+    this.finding = finding;
+    this.width = width;
+    this.right = width - CHART.right;
+    this.duration = Math.max(finding.times[finding.times.length - 1], 0.1);
+    this.parts = [];
+    this.dots = [];
+    this.y = 30;
+    this.timeline();
+    for (const curve of CURVES) this.curve(curve);
+    this.axis();
+    this.height = this.y + 24;
+    this.cursor = svg("line", { class: "cursor", y1: 12, y2: px(this.height - 22) });
+    this.root = svg("svg", {
+      viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
+      "aria-label": "Instructions of the NPCs, and gap, time to contact and speed over time.",
+    }, [...this.parts, this.cursor, ...this.dots.map((dot) => dot.mark)]);
+  }
+
+  x(time) { return CHART.left + (time / this.duration) * (this.right - CHART.left); }
+  time(x) { return clamp((x - CHART.left) / (this.right - CHART.left), 0, 1) * this.duration; }
+
+  heading(title, unit, remark = "") {
+    this.parts.push(svg("text", { x: CHART.left, y: px(this.y - 6), class: "label" }, [
+      svg("tspan", { class: "strong" }, title), svg("tspan", { class: "soft" }, (unit ? ` [${unit}]` : "") + remark),
+    ]));
+  }
+
+  timeline() {
+    this.heading("instructions: cell, then speed", "m/s");
+    this.y += 2;
+    this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
+      this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name));
+      for (const row of this.finding.instructions) if (row.npc === npc && row.started) this.block(row, npc);
+      this.y += CHART.timeline;
+    });
+    this.y += CHART.gap;
+  }
+
+  block(row, npc) {
+    const [x0, x1] = [this.x(row.start), this.x(Math.min(row.end, this.duration))];
+    const height = CHART.timeline - 4;
+    const box = { x: px(x0 + 0.5), y: px(this.y), height, rx: 3 };
+    const wide = Math.max(0, x1 - x0 - 1);
+    const what = `NPC ${npc}, ${fixed(row.start, 1)} s: cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s; ` +
+      (row.arrived === null ? "not reached" : `reached at ${fixed(row.arrived, 1)} s`) +
+      (row.requested === row.cell ? "" : `; requested was cell ${cellName(row.requested)}`);
+    this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, what)));
+    if (row.arrived !== null && row.arrived < this.duration) {
+      const x = this.x(row.arrived);
+      this.parts.push(svg("rect", { ...box, x: px(x), width: px(Math.max(0, x1 - x - 0.5)), class: `${fill(npc + 1)} block-held`, "pointer-events": "none" }));
+      this.parts.push(svg("path", { d: `M${px(x - 4)} ${px(this.y)}h8l-4 6Z`, class: fill(npc + 1), "pointer-events": "none" }));
+    }
+    this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
+    const mark = row.requested === row.cell ? "" : "*";
+    const texts = [`${cellName(row.cell)}${mark}, ${fixed(row.speed, 1)}`, `${row.cell}${mark}, ${fixed(row.speed, 1)}`, `${row.cell}${mark}`];
+    const text = texts.find((each) => each.length * 6.4 + 12 <= wide);
+    if (text) this.parts.push(svg("text", { x: px(x0 + 7), y: px(this.y + 14.5), class: "small", "pointer-events": "none" }, text));
+  }
+
+  curve(curve) {
+    const { finding } = this;
+    const tops = finding.vehicles.flatMap((vehicle) => vehicle.speed.filter((value) => value !== null));
+    const top = curve.top || Math.ceil(Math.max(finding.road.speed_limit, ...tops) / 5) * 5;
+    const [y0, y1] = [this.y + CHART.curve, this.y];
+    const y = (value) => y0 - (value / top) * (y0 - y1);
+    const limit = curve.key === "speed" ? `, dotted: limit ${finding.road.speed_limit}` : "";
+    this.heading(curve.title, curve.unit, limit);
+    for (const value of [0, top / 2, top]) {
+      this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(y(value)), y2: px(y(value)), class: "axis" }));
+      const label = curve.top && value === top ? `\u2265${top}` : `${value}`;
+      this.parts.push(svg("text", { x: CHART.left - 6, y: px(y(value) + 4), class: "small soft", "text-anchor": "end" }, label));
+    }
+    if (curve.key === "speed") this.limit(y);
+    const ends = [];
+    finding.vehicles.forEach((vehicle, index) => {
+      const values = vehicle[curve.key];
+      if (!values.length) return;
+      this.track(values, index, (value) => y(Math.min(value, top)), curve.top ? top : Infinity);
+      const last = values[values.length - 1];
+      if (last !== null && last <= top) ends.push({ y: y(last), index, name: vehicle.name });
+    });
+    this.ends(ends);
+    this.y = y0 + CHART.gap;
+  }
+
+  limit(y) {
+    const at = y(this.finding.road.speed_limit);
+    this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(at), y2: px(at), class: "limit" }));
+  }
+
+  track(values, index, y, top) {
+    const { times } = this.finding;
+    const points = values.map((value, frame) => (value === null || value > top ? null : [this.x(times[frame]), y(value)]));
+    this.parts.push(svg("path", {
+      d: linePath(points), class: `curve ${stroke(index)}`, "stroke-dasharray": index ? dashes(index - 1) : null,
+      "stroke-width": index ? null : 3, "stroke-linecap": "round",
+    }));
+    const mark = svg("circle", { r: 4, class: fill(index), visibility: "hidden" });
+    this.dots.push({ mark, values, y, top });
+  }
+
+  ends(ends) {
+    // Labels at the ends of the curves, pushed apart where they would overlap.
+    ends.sort((a, b) => a.y - b.y);
+    ends.forEach((end, place) => { end.label = place ? Math.max(end.y, ends[place - 1].label + 13) : end.y; });
+    for (const { label, index, name } of ends) {
+      this.parts.push(svg("line", { x1: px(this.right + 4), x2: px(this.right + 16), y1: px(label), y2: px(label), class: `curve ${stroke(index)}`, "stroke-dasharray": index ? dashes(index - 1) : null }));
+      this.parts.push(svg("text", { x: px(this.right + 20), y: px(label + 4), class: "small" }, name));
+    }
+  }
+
+  axis() {
+    const y = this.y - CHART.gap;
+    const step = niceStep(this.duration, this.width / 90);
+    for (let time = 0; time <= this.duration + 1e-9; time += step) {
+      const x = px(this.x(time));
+      this.parts.push(svg("line", { x1: x, x2: x, y1: px(y), y2: px(y + 4), class: "axis" }));
+      this.parts.push(svg("text", { x, y: px(y + 17), class: "small soft", "text-anchor": "middle" }, Number(time.toFixed(3)) + (time === 0 ? " s" : "")));
+    }
+    for (const start of new Set(this.finding.instructions.filter((row) => row.started && row.gene).map((row) => row.start))) {
+      if (start < this.duration) this.parts.unshift(svg("line", { x1: px(this.x(start)), x2: px(this.x(start)), y1: 32, y2: px(y), class: "gene" }));
+    }
+    const at = this.x(this.finding.event.time);
+    this.parts.push(svg("line", { x1: px(at), x2: px(at), y1: 10, y2: px(y), class: "event" }));
+    this.parts.push(svg("path", { d: `M${px(at - 5)} 2h10l-5 8Z`, class: "event-mark" }, svg("title", {}, `the event, ${fixed(this.finding.event.time, 2)} s`)));
+    this.y = y;
+  }
+
+  draw(time) {
+    const x = px(this.x(time));
+    change(this.cursor, { x1: x, x2: x });
+    const frame = frameAt(this.finding.times, time);
+    for (const dot of this.dots) {
+      const value = between(dot.values, frame);
+      const isDrawn = value !== null && value <= dot.top;
+      dot.mark.setAttribute("visibility", isDrawn ? "visible" : "hidden");
+      if (isDrawn) change(dot.mark, { cx: x, cy: px(dot.y(value)) });
+    }
+  }
+}

@@ -1,0 +1,168 @@
+// Puts the page together: which finding is shown, links, keys, theme, copying.
+
+const report = JSON.parse(document.getElementById("data").textContent);
+const articles = [...document.querySelectorAll("#articles > article")];
+const links = [...document.querySelectorAll("#list a[data-index]")];
+const keys = links.map((link) => link.dataset.key);
+const status = document.getElementById("status");
+let current = -1;
+let player = null;
+
+document.documentElement.classList.add("js");
+
+const announce = (text) => { status.textContent = text; };
+
+function readLink() {
+  const parameters = new URLSearchParams(location.hash.slice(1));
+  const key = parameters.get("finding");
+  const time = parameters.has("t") ? Number.parseFloat(parameters.get("t")) : null;
+  return { index: keys.indexOf(key), time: Number.isFinite(time) ? time : null };
+}
+
+function writeLink() {
+  const parameters = new URLSearchParams({ finding: keys[current], t: player ? fixed(player.time, 2) : "0" });
+  try {
+    history.replaceState(null, "", `#${parameters}`);
+  } catch (error) {
+    // A page inside a srcdoc frame has no address that could change.
+    if (!(error instanceof DOMException)) throw error;
+  }
+}
+
+function show(index, time) {
+  if (!report.findings.length) return;
+  const chosen = clamp(index, 0, report.findings.length - 1);
+  if (player) player.close();
+  player = null;
+  articles.forEach((article, place) => article.classList.toggle("current", place === chosen));
+  links.forEach((link, place) => link.setAttribute("aria-current", place === chosen ? "true" : "false"));
+  current = chosen;
+  reveal(links[chosen]);
+  const finding = report.findings[chosen];
+  if (finding.times.length) {
+    player = new Player(finding, articles[chosen].querySelector(".player"), time, announce);
+    player.onSettle = writeLink;
+  }
+}
+
+function reveal(link) {
+  // Within the list alone, so that the page itself stays where the reader is.
+  const list = document.getElementById("list");
+  const place = link.getBoundingClientRect();
+  const frame = list.getBoundingClientRect();
+  if (place.top < frame.top) list.scrollTop -= frame.top - place.top;
+  if (place.bottom > frame.bottom) list.scrollTop += place.bottom - frame.bottom;
+}
+
+function step(by) {
+  const next = current + by;
+  if (next < 0 || next >= report.findings.length) return;
+  show(next, null);
+  writeLink();
+  announce(`Finding ${next + 1} of ${report.findings.length}: ${report.findings[next].headline}`);
+}
+
+function onKey(event) {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
+  const target = event.target;
+  const isField = target.matches && target.matches("select, textarea, input:not([type=range])");
+  const isText = target.matches && target.matches("pre");
+  const isPressed = event.key === " " && target.matches && target.matches("button, summary");
+  if (isField || isPressed || (isText && event.key !== "j" && event.key !== "k")) return;
+  const action = keyAction(event);
+  if (!action) return;
+  event.preventDefault();
+  action();
+}
+
+function keyAction(event) {
+  if (event.key === "j") return () => step(1);
+  if (event.key === "k") return () => step(-1);
+  if (event.key === "?") return toggleKeys;
+  if (!player) return null;
+  const small = event.shiftKey ? 1 : 0.1;
+  return {
+    " ": () => player.toggle(),
+    ArrowRight: () => player.jump(player.time + small),
+    ArrowLeft: () => player.jump(player.time - small),
+    Home: () => player.jump(0),
+    End: () => player.jump(player.duration),
+    e: () => player.jump(player.finding.event.time),
+    "+": () => player.zoomBy(1.25),
+    "=": () => player.zoomBy(1.25),
+    "-": () => player.zoomBy(0.8),
+  }[event.key];
+}
+
+function toggleKeys() {
+  const list = document.getElementById("key-list");
+  list.hidden = !list.hidden;
+  document.getElementById("keys").setAttribute("aria-expanded", String(!list.hidden));
+}
+
+const THEMES = ["system", "light", "dark"];
+
+function stored(name, value) {
+  // Pages from files and frames may be refused a store; the choice then lasts as long as the page.
+  try {
+    if (value === undefined) return localStorage.getItem(name);
+    localStorage.setItem(name, value);
+  } catch (error) {
+    if (!(error instanceof DOMException)) throw error;
+  }
+  return null;
+}
+
+function setTheme(theme) {
+  if (theme === "system") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = theme;
+  document.getElementById("theme").textContent = `Theme: ${theme}`;
+}
+
+function nextTheme() {
+  const now = document.documentElement.dataset.theme || "system";
+  const next = THEMES[(THEMES.indexOf(now) + 1) % THEMES.length];
+  setTheme(next);
+  stored("pafot-theme", next);
+}
+
+async function copy(button) {
+  const kind = button.dataset.copy;
+  const source = kind === "pre" ? button.closest(".yaml").querySelector("pre") : button.parentElement.querySelector("code");
+  const label = button.textContent;
+  const isDone = await copied(source);
+  button.textContent = isDone ? "Copied" : "Selected, press Ctrl+C";
+  announce(button.textContent);
+  setTimeout(() => { button.textContent = label; }, 2000);
+}
+
+async function copied(source) {
+  try {
+    await navigator.clipboard.writeText(source.textContent);
+    return true;
+  } catch (error) {
+    // No clipboard for files in some browsers and for frames: select the text and try the old way.
+    const range = document.createRange();
+    range.selectNodeContents(source);
+    getSelection().removeAllRanges();
+    getSelection().addRange(range);
+    return document.execCommand("copy");
+  }
+}
+
+const theme = stored("pafot-theme");
+setTheme(THEMES.includes(theme) ? theme : "system");
+document.getElementById("theme").addEventListener("click", nextTheme);
+document.getElementById("keys").addEventListener("click", toggleKeys);
+document.addEventListener("keydown", onKey);
+for (const button of document.querySelectorAll("button.copy")) button.addEventListener("click", () => copy(button));
+addEventListener("hashchange", () => {
+  const { index, time } = readLink();
+  if (index < 0) return;
+  if (index === current && player && time !== null) { player.pause(); player.seek(time); } else show(index, time);
+});
+const link = readLink();
+show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
+report.campaigns.forEach((campaign, index) => {
+  mountCampaign(campaign, document.querySelector(`article[data-campaign="${index}"] .fitness`));
+});

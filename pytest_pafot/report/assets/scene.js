@@ -1,0 +1,319 @@
+// The bird's-eye view: what is where at a time (pure), and the picture of it. Lengths are metres until drawn.
+
+function frameAt(times, time) {
+  // [index, share]: the frame before a time and how far it is on the way to the next.
+  let low = 0;
+  let high = times.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= time) low = middle; else high = middle;
+  }
+  const span = times[high] - times[low];
+  return [low, span > 0 ? clamp((time - times[low]) / span, 0, 1) : 0];
+}
+
+function between(values, [index, share]) {
+  const a = values[index];
+  const b = index + 1 < values.length ? values[index + 1] : a;
+  return a === null || b === null ? null : a + (b - a) * share;
+}
+
+const held = (values, [index, share]) => values[share > 0.999 && index + 1 < values.length ? index + 1 : index];
+
+function stateAt(finding, vehicle, frame) {
+  const track = finding.vehicles[vehicle];
+  const along = between(track.along, frame);
+  const across = between(track.across, frame);
+  if (along === null || across === null) return null;
+  const [index] = frame;
+  const next = Math.min(index + 1, finding.times.length - 1);
+  const span = finding.times[next] - finding.times[index];
+  const gained = (track.speed[next] || 0) - (track.speed[index] || 0);
+  return {
+    along, across,
+    heading: between(track.heading, frame) || 0,
+    speed: between(track.speed, frame),
+    acceleration: span > 0 ? gained / span : 0,
+    length: track.length,
+    width: track.width,
+    gap: vehicle ? held(track.gap, frame) : null,
+    ttc: vehicle ? held(track.ttc, frame) : null,
+    cell: vehicle ? held(track.cells, frame) : null,
+  };
+}
+
+function nearestLane(road, across) {
+  let best = 0;
+  road.lanes.forEach((centre, lane) => {
+    if (Math.abs(centre - across) < Math.abs(road.lanes[best] - across) - 1e-9) best = lane;
+  });
+  return best;
+}
+
+function instructionAt(finding, npc, time) {
+  const rows = finding.instructions.filter((row) => row.npc === npc);
+  const row = rows.find((each) => time < each.end - 1e-9) || rows[rows.length - 1];
+  if (!row) return null;
+  if (time >= row.end - 1e-9 && finding.times[finding.times.length - 1] > row.end) {
+    return { ...row, phase: "ended" };
+  }
+  return { ...row, phase: row.arrived !== null && time >= row.arrived - 1e-9 ? "arrived" : "approach" };
+}
+
+function cellCentre(finding, ego, cell) {
+  const road = finding.road;
+  const other = finding.vehicles[1] || finding.vehicles[0];
+  const row = (ego.length + other.length) / 2 + road.clearance;
+  const lane = nearestLane(road, ego.across) + COLUMNS[cell];
+  const exists = lane >= 0 && lane < road.lanes.length;
+  const across = exists ? road.lanes[lane] : road.lanes[nearestLane(road, ego.across)] + COLUMNS[cell] * road.lane_width;
+  return { along: ego.along + ROWS[cell] * row, across, exists };
+}
+
+const PHASES = {
+  approach: (row) => `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`,
+  arrived: (row) => `reached cell ${cellName(row.cell)} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
+  ended: () => "keeps its lane and speed, its instructions are over",
+};
+
+const TRAIL_SECONDS = 4;
+const RULER = 24;
+const LANE_NAME = 50;
+const POINTER_ROOM = 210;
+const SHOULDER = 1.4;
+
+class Scene {
+  constructor(finding, width, zoom) {
+    this.finding = finding;
+    this.width = width;
+    this.scale = clamp(width / 96, 6.5, 10) * zoom;
+    const road = finding.road;
+    this.top = Math.min(...road.lanes) - road.lane_width / 2;
+    this.bottom = Math.max(...road.lanes) + road.lane_width / 2;
+    this.height = (this.bottom - this.top + 2 * SHOULDER) * this.scale + RULER;
+    this.middle = width * (width < 600 ? 0.5 : 0.42);
+    this.root = svg("svg", {
+      viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
+      "aria-label": "Bird's-eye view of the ego and the NPCs; the table below says the same in numbers.",
+    });
+    this.egoAlong = 0;
+    this.build();
+  }
+
+  x(along) { return this.middle + (along - this.egoAlong) * this.scale; }
+  y(across) { return (across - this.top + SHOULDER) * this.scale; }
+
+  build() {
+    const road = this.finding.road;
+    const defs = svg("defs");
+    const y0 = this.y(this.top);
+    const y1 = this.y(this.bottom);
+    const ground = [svg("rect", { x: 0, y: px(y0), width: px(this.width), height: px(y1 - y0), class: "road" })];
+    for (const y of [y0, y1]) ground.push(svg("line", { x1: 0, x2: px(this.width), y1: px(y), y2: px(y), class: "edge" }));
+    this.dashes = road.lanes.slice(1).map((centre) => {
+      const y = px(this.y(centre - road.lane_width / 2));
+      return svg("line", {
+        x1: 0, x2: px(this.width), y1: y, y2: y, class: "dash",
+        "stroke-dasharray": `${px(3 * this.scale)} ${px(9 * this.scale)}`,
+      });
+    });
+    const names = road.lanes.map((centre, lane) => svg("text", { x: 6, y: px(this.y(centre) + 4), class: "small soft halo" }, `lane ${lane}`));
+    this.cells = [1, 2, 3, 4, 5, 6, 7, 8].map(() => [svg("rect", { class: "cell", rx: 3 }), svg("text", { class: "cell-number" })]);
+    this.trails = this.finding.vehicles.map((vehicle, index) => svg("path", {
+      class: `trail ${index ? stroke(index) : "ego-trail"}`, "stroke-dasharray": index ? "1 5" : null, "stroke-linecap": "round",
+    }));
+    this.lines = this.finding.vehicles.slice(1).map((vehicle, npc) => [
+      svg("path", { class: `target-line ${stroke(npc + 1)}` }), svg("rect", { class: `target ${stroke(npc + 1)}`, rx: 4 }),
+    ]);
+    this.bodies = this.finding.vehicles.map((vehicle, index) => this.vehicle(vehicle, index, defs));
+    this.pointers = this.finding.vehicles.slice(1).map((vehicle, npc) => svg("g", {}, [
+      svg("path", { class: fill(npc + 1) }), svg("text", { class: "label strong halo" }),
+    ]));
+    this.impact = svg("g", { class: "impact-group" }, [
+      svg("path", { d: "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z", class: "impact" }),
+      svg("text", { class: "impact-label" }, this.impactText()),
+    ]);
+    this.root.append(
+      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...this.lines.flat(), ...names,
+      ...this.bodies.map((body) => body.group), ...this.pointers, this.impact, this.ruler(),
+    );
+  }
+
+  vehicle(vehicle, index, defs) {
+    const length = vehicle.length * this.scale;
+    const width = vehicle.width * this.scale;
+    const box = { x: px(-length / 2), y: px(-width / 2), width: px(length), height: px(width), rx: px(0.35 * this.scale) };
+    const parts = [];
+    if (index === 0) {
+      parts.push(svg("rect", { ...box, class: "ego-body" }));
+    } else {
+      const [pattern, reference] = bodyPattern(index - 1);
+      defs.append(pattern);
+      parts.push(svg("rect", { ...box, class: "glass" }), svg("rect", { ...box, fill: reference }), svg("rect", { ...box, class: `vehicle-edge ${stroke(index)}` }));
+    }
+    // A windscreen shows where the front is.
+    parts.push(svg("path", {
+      class: "glass", d: `M${px(length * 0.2)} ${px(-width * 0.36)}L${px(length * 0.34)} ${px(-width * 0.28)}V${px(width * 0.28)}L${px(length * 0.2)} ${px(width * 0.36)}Z`,
+    }));
+    const brake = svg("g", { visibility: "hidden" }, [-1, 1].map((side) => svg("rect", {
+      class: "brake", x: px(-length / 2 - 3), y: px(side * width * 0.3 - 3), width: 5, height: 6,
+    })));
+    const body = svg("g", {}, [...parts, brake]);
+    const label = svg("text", { class: `vehicle-label ${index ? "npc-label" : "ego-label"}` }, index ? `${index - 1}` : "E");
+    const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, vehicle.name), body, label]);
+    return { group, body, brake };
+  }
+
+  impactText() {
+    const event = this.finding.event;
+    if (event.kind === "collision") return `contact, ${event.side} of the ego`;
+    return event.kind.replace("_", " ");
+  }
+
+  ruler() {
+    const y = this.height - RULER;
+    const marks = [];
+    const reach = this.width / this.scale;
+    const step = niceStep(reach, this.width / 80);
+    for (let metres = Math.ceil(-this.middle / this.scale / step) * step; metres * this.scale + this.middle < this.width; metres += step) {
+      const x = this.middle + metres * this.scale;
+      marks.push(svg("line", { x1: px(x), x2: px(x), y1: px(y), y2: px(y + 5) }));
+      if (x > 22 && x < this.width - 22) {
+        const text = metres === 0 ? "ego" : `${metres > 0 ? "+" : "\u2212"}${Math.abs(metres)} m`;
+        marks.push(svg("text", { x: px(x), y: px(y + 17), class: "small soft", "text-anchor": "middle" }, text));
+      }
+    }
+    return svg("g", { class: "ruler" }, marks);
+  }
+
+  draw(time) {
+    const frame = frameAt(this.finding.times, time);
+    const states = this.finding.vehicles.map((_, index) => stateAt(this.finding, index, frame));
+    const ego = states[0];
+    if (!ego) return states;
+    this.egoAlong = ego.along;
+    const offset = px((this.egoAlong * this.scale - this.middle) % (12 * this.scale));
+    for (const dash of this.dashes) dash.setAttribute("stroke-dashoffset", offset);
+    const wanted = this.drawTargets(states, time);
+    this.drawCells(ego, wanted);
+    this.taken = [];
+    states.forEach((state, index) => this.drawVehicle(state, index));
+    states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
+    this.drawTrails(time, frame, ego);
+    this.drawImpact(states, time);
+    return states;
+  }
+
+  drawCells(ego, wanted) {
+    const [length, width] = [ego.length * this.scale, this.finding.road.lane_width * this.scale - 6];
+    this.cells.forEach(([box, number], index) => {
+      const cell = index + 1;
+      const centre = cellCentre(this.finding, ego, cell);
+      const visibility = centre.exists ? "visible" : "hidden";
+      const [x, y] = [this.x(centre.along), this.y(centre.across)];
+      change(box, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width), visibility });
+      change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
+      number.textContent = cell;
+    });
+  }
+
+  drawTargets(states, time) {
+    const wanted = new Set();
+    this.lines.forEach(([line, ring], npc) => {
+      const state = states[npc + 1];
+      const row = instructionAt(this.finding, npc, time);
+      const isDrawn = state && row && row.phase === "approach";
+      change(line, { visibility: isDrawn ? "visible" : "hidden" });
+      change(ring, { visibility: isDrawn ? "visible" : "hidden" });
+      if (!isDrawn) return;
+      wanted.add(row.cell);
+      const centre = cellCentre(this.finding, states[0], row.cell);
+      const [x, y] = [this.x(centre.along), this.y(centre.across)];
+      const [length, width] = [states[0].length * this.scale + 4, this.finding.road.lane_width * this.scale - 2];
+      line.setAttribute("d", linePath([[this.x(state.along), this.y(state.across)], [x, y]]));
+      change(ring, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width) });
+    });
+    return wanted;
+  }
+
+  drawVehicle(state, index) {
+    const { group, body, brake } = this.bodies[index];
+    const isInside = state && this.isInside(state);
+    group.setAttribute("visibility", isInside ? "visible" : "hidden");
+    if (!state) return;
+    const [x, y] = [this.x(state.along), this.y(state.across)];
+    change(group, { transform: `translate(${px(x)} ${px(y)})`, "data-along": fixed(state.along, 3), "data-across": fixed(state.across, 3) });
+    body.setAttribute("transform", `rotate(${px(state.heading * 180 / Math.PI)})`);
+    brake.setAttribute("visibility", isInside && state.acceleration < -1 ? "inherit" : "hidden");
+    if (isInside && x < POINTER_ROOM) this.taken.push({ isLeft: true, y, room: 20 });
+    if (isInside && x > this.width - POINTER_ROOM) this.taken.push({ isLeft: false, y, room: 20 });
+  }
+
+  isInside(state) {
+    const [x, reach] = [this.x(state.along), state.length * this.scale / 2];
+    return x > -reach && x < this.width + reach;
+  }
+
+  drawPointer(state, index) {
+    // At the edge towards a vehicle that is out of sight, below whatever else is there.
+    const pointer = this.pointers[index - 1];
+    const isInside = this.isInside(state);
+    pointer.setAttribute("visibility", isInside ? "hidden" : "visible");
+    if (isInside) return;
+    const isLeft = this.x(state.along) < 0;
+    const [arrow, label] = pointer.children;
+    let y = this.y(state.across);
+    while (this.taken.some((other) => other.isLeft === isLeft && Math.abs(other.y - y) < other.room)) y += 2;
+    this.taken.push({ isLeft, y, room: 15 });
+    const edge = isLeft ? LANE_NAME : this.width - 4;
+    const inward = isLeft ? 1 : -1;
+    arrow.setAttribute("d", `M${edge} ${px(y)}l${9 * inward} -7v14Z`);
+    change(label, { x: edge + 14 * inward, y: px(y + 4), "text-anchor": isLeft ? "start" : "end" });
+    const away = Math.abs(state.along - this.egoAlong);
+    label.textContent = `NPC ${index - 1}, ${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
+  }
+
+  drawTrails(time, frame, ego) {
+    // The ego's path on the road; the NPCs' paths as the ego saw them, which is what an instruction is about.
+    const from = Math.max(0, time - TRAIL_SECONDS);
+    const moments = [];
+    for (let at = Math.ceil(from * 8) / 8; at < time; at += 0.125) moments.push(frameAt(this.finding.times, at));
+    moments.push(frame);
+    this.trails.forEach((trail, index) => {
+      const points = moments.map((moment) => {
+        const state = stateAt(this.finding, index, moment);
+        const origin = stateAt(this.finding, 0, moment);
+        if (!state || !origin) return null;
+        const along = index ? state.along - origin.along + ego.along : state.along;
+        return [this.x(along), this.y(state.across)];
+      });
+      trail.setAttribute("d", linePath(points));
+    });
+  }
+
+  drawImpact(states, time) {
+    const event = this.finding.event;
+    const other = event.npc === null ? null : states[event.npc + 1];
+    const isDrawn = time >= event.time - 1e-6 && (event.kind === "collision" || event.kind === "ads_error" || event.kind === "hang");
+    this.impact.setAttribute("visibility", isDrawn ? "visible" : "hidden");
+    if (!isDrawn) return;
+    const ego = states[0];
+    const place = event.kind === "collision" && other ? {
+      along: ego.along + clamp(other.along - ego.along, -ego.length / 2, ego.length / 2),
+      across: ego.across + clamp(other.across - ego.across, -ego.width / 2, ego.width / 2),
+    } : ego;
+    const [x, y] = [this.x(place.along), this.y(place.across)];
+    this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
+    change(this.impact.children[1], { x: 0, y: this.labelOffset(states, x, y), "text-anchor": "middle" });
+  }
+
+  // How far from the impact its text is: at the nearest height at which it covers no vehicle.
+  labelOffset(states, x, y) {
+    const half = 3.7 * this.impactText().length;
+    const offsets = y > this.height / 2 ? [-24, 32, -62, 70] : [32, -24, 70, -62];
+    const isFree = (offset) => y + offset > 12 && y + offset < this.height - RULER && states.every((state) => !state
+      || Math.abs(this.x(state.along) - x) > half + (state.length / 2) * this.scale
+      || Math.abs(this.y(state.across) - (y + offset - 4)) > 8 + (state.width / 2) * this.scale);
+    return offsets.find(isFree) ?? offsets[0];
+  }
+}

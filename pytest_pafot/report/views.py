@@ -1,0 +1,270 @@
+"""What the report shows, as plain frozen values: no arrays, no scenarios, nothing that computes.
+
+Positions are in the frame of the road: *along* it [m], and *across* it from the centre of lane 0, to the right
+[m]. Times are seconds since the start of the run. Where a number is None there is none, such as a time to contact
+of vehicles that never touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Numbers = tuple[float | None, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadView:
+    """The world as far as a picture needs it.
+
+    Attributes:
+        lanes: how far across the road the centre of each lane is, from the left [m].
+        lane_width: [m].
+        speed_limit: [m/s].
+        clearance: gap between the ego and the cells ahead and behind [m].
+    """
+
+    lanes: tuple[float, ...]
+    lane_width: float
+    speed_limit: float
+    clearance: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleView:
+    """One vehicle, a value per frame.
+
+    Attributes:
+        name: ``ego``, or ``NPC 0`` and so on.
+        length, width: [m].
+        along, across: of its centre [m].
+        heading: relative to the road, positive to the right [rad].
+        speed: [m/s].
+        gap: between its box and the ego's [m]; empty for the ego.
+        ttc: constant-velocity time to contact with the ego [s]; empty for the ego.
+        cells: of the grid that its centre is in, 0 for the ego's own; empty for the ego.
+    """
+
+    name: str
+    length: float
+    width: float
+    along: Numbers
+    across: Numbers
+    heading: Numbers
+    speed: Numbers
+    gap: Numbers = ()
+    ttc: Numbers = ()
+    cells: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstructionView:
+    """One Position-Instruction of one NPC.
+
+    Attributes:
+        npc: index in the scenario.
+        gene: position in the chain.
+        start, end: of the gene's time [s].
+        requested: cell asked for; another one than ``cell`` where the repair inside the run changed it.
+        cell: as driven.
+        speed: [m/s].
+        started: whether the run came to it.
+        arrived: when the cell was reached [s]; None if it was not.
+    """
+
+    npc: int
+    gene: int
+    start: float
+    end: float
+    requested: int
+    cell: int
+    speed: float
+    started: bool
+    arrived: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventView:
+    """The moment that a finding is about.
+
+    Attributes:
+        kind: the outcome of the run, such as ``collision``.
+        time: [s].
+        npc: that takes part; None if there is none.
+        side: of the ego that was hit; empty without a collision.
+        cell: that the NPC was in; None if unknown.
+    """
+
+    kind: str
+    time: float
+    npc: int | None = None
+    side: str = ""
+    cell: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShrinkView:
+    """What shrinking came to.
+
+    Attributes:
+        original, shrunk: the chains before and after, one line per NPC.
+        original_npcs, shrunk_npcs: NPCs before and after.
+        original_instructions, shrunk_instructions: instructions that differ from the one before in their chain.
+        rollouts: runs that it took.
+        notes: sentences such as "any speed from 3 to 11 m/s still collides".
+    """
+
+    original: tuple[str, ...]
+    shrunk: tuple[str, ...]
+    original_npcs: int
+    shrunk_npcs: int
+    original_instructions: int
+    shrunk_instructions: int
+    rollouts: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingView:
+    """One finding.
+
+    Attributes:
+        id: of the finding; unique within a report together with the node id.
+        node_id: of the item that replays it.
+        test: node id of the test.
+        headline: one line that says what happened.
+        explanation: several lines of text.
+        responsibility: ``ego``, ``npc``, ``both`` or ``none``.
+        runs: of the search that failed in this way.
+        generation: in which it was first found, from 0; None where no search found it.
+        label: ``new``, ``still failing``, ``flaky`` and so on; may be empty.
+        road, vehicles: the picture; the ego is the first vehicle. No frames where nobody saw a run.
+        times: of the frames [s].
+        instructions: of all NPCs, ordered by NPC and gene.
+        event: the moment that it is about.
+        yaml: the text of its file.
+        path: of its file; may be empty.
+        command: that runs it again.
+        preventable_by: reference drivers that survive the scenario in the ego's place.
+        preventable_tried: reference drivers that were tried.
+        shrink: what shrinking came to; None if it was not shrunk.
+    """
+
+    id: str
+    node_id: str
+    test: str
+    headline: str
+    explanation: str
+    responsibility: str
+    road: RoadView
+    vehicles: tuple[VehicleView, ...]
+    times: tuple[float, ...]
+    instructions: tuple[InstructionView, ...]
+    event: EventView
+    yaml: str
+    command: str
+    runs: int = 1
+    generation: int | None = None
+    label: str = ""
+    path: str = ""
+    preventable_by: tuple[str, ...] = ()
+    preventable_tried: tuple[str, ...] = ()
+    shrink: ShrinkView | None = None
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame [s]; 0 without frames."""
+        return self.times[-1] if self.times else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerationView:
+    """One generation of the main search.
+
+    Attributes:
+        generation: from 0.
+        best, mean: fitness over the population's eligible runs; None if there are none.
+        failing: runs of the population that the test rejected.
+        population: its size.
+        restarted: whether its population was random again.
+        local_best: fitness of the best of a local search after it; None without one.
+        local_replaced: whether that took the incumbent's place.
+    """
+
+    generation: int
+    best: float | None
+    mean: float | None
+    failing: int
+    population: int
+    restarted: bool = False
+    local_best: float | None = None
+    local_replaced: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoverageRow:
+    """How often something occurred in the simulated scenarios of a search.
+
+    Attributes:
+        label: what it is.
+        requested: in the scenarios as asked for.
+        driven: in the scenarios as driven, as far as the runs came.
+        reached: of those driven, how many had their cell reached; None where that is not known.
+    """
+
+    label: str
+    requested: int
+    driven: int
+    reached: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignView:
+    """How a search went.
+
+    Attributes:
+        node_id: of the search.
+        algorithm, seed: of the search.
+        generations: finished, in order.
+        asked: generations asked for.
+        reason: why it ended; empty if it is not known.
+        simulated, reused: scenarios that were run, and that were known from an earlier run.
+        outcomes, responsibilities: counts of simulated runs by name.
+        cells: eight rows, cell 1 first.
+        steps: twenty-four rows: from each cell, holding it, then one step clockwise, then one anticlockwise.
+        speeds: a row per bin of target speeds, slowest first.
+        warnings: of the search's health.
+    """
+
+    node_id: str
+    algorithm: str
+    seed: int
+    generations: tuple[GenerationView, ...]
+    asked: int
+    reason: str
+    simulated: int
+    reused: int
+    outcomes: tuple[tuple[str, int], ...]
+    responsibilities: tuple[tuple[str, int], ...]
+    cells: tuple[CoverageRow, ...]
+    steps: tuple[CoverageRow, ...]
+    speeds: tuple[CoverageRow, ...]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """Everything on a page.
+
+    Attributes:
+        title: of the page.
+        facts: of the session, such as versions and seeds: name and value.
+        command: by which the session was started; may be empty.
+        findings: in the order in which they are listed.
+        campaigns: likewise.
+    """
+
+    title: str
+    facts: tuple[tuple[str, str], ...] = ()
+    command: str = ""
+    findings: tuple[FindingView, ...] = ()
+    campaigns: tuple[CampaignView, ...] = ()

@@ -1,0 +1,242 @@
+"""A run a second time, by other means: ``env.step`` of the plain registered highway-env environment.
+
+A find rests on this package's own road, vehicles and loop. Here the same scenario is driven by highway-env's own: the
+environment that ``gymnasium.make`` gives, its road and vehicle classes as they are, its observation, its action types
+and its division of decisions into frames. Of this package there are only what belongs to the question: the NPCs'
+driver, called from the road's ``act``; the contact oracle, called after each of the road's steps; and the record.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
+import numpy as np
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
+from pytest_pafot.world.director import Director, Pose
+from pytest_pafot.world.engine import Recorder, Rules, decide, start_positions
+from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.gym_world import World
+from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.policy import View, checked_action
+
+
+class StockVehicle(Vehicle):  # type: ignore[misc]
+    """highway-env's vehicle with names for its state; its physics, lane search and shape are untouched.
+
+    ``target_speed`` is what highway-env's IDM assumes of a vehicle ahead: that it likes its speed.
+    """
+
+    @property
+    def x(self) -> float:
+        """[m]."""
+        return float(self.position[0])
+
+    @property
+    def y(self) -> float:
+        """[m]."""
+        return float(self.position[1])
+
+    @property
+    def target_speed(self) -> float:
+        """[m/s]."""
+        return float(self.speed)
+
+    @property
+    def acceleration(self) -> float:
+        """[m/s^2]."""
+        return float(self.action["acceleration"])
+
+    @acceleration.setter
+    def acceleration(self, value: float) -> None:
+        self.control(value, self.steering)
+
+    @property
+    def steering(self) -> float:
+        """[rad]."""
+        return float(self.action["steering"])
+
+    def control(self, acceleration: float, steering: float) -> None:
+        """What the vehicle's own ``act`` does with an action."""
+        super().act({"steering": steering, "acceleration": acceleration})
+
+
+class StockPolicy:
+    """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action."""
+
+    def __init__(self, ads: Callable[[Any], Any], env: Any, every: int, view: View | None) -> None:
+        self.vehicle = env.vehicle
+        self.every = every
+        self.seen: Any = None
+        self.action: Any = None
+        self._ads = ads
+        self._env = env
+        self._view = view
+
+    def decide(self, tick: int) -> Any:
+        """Ask and check; the environment applies the action."""
+        if tick == 0:  # As a reset returns it, with the NPCs in their places.
+            self.seen = self._env.observation_type.observe()
+        if self._view is not None:
+            self._view.show(tick)
+        self.action = checked_action(self._ads(self.seen), self._env.action_space)
+        return self.action
+
+    def actuate(self) -> None:
+        """Low-level control of highway-env's controlled vehicles."""
+        self.vehicle.act()
+
+
+Driver = Planner | SelfDriving | StockPolicy
+
+
+def replay_in_gym(
+    world: Highway | World,
+    scenario: Scenario,
+    ads_factory: AdsFactory,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Trace:
+    """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-env's own environment.
+
+    Args:
+        world: whose environment is made; a Highway is highway-v0 with its lanes, length and speed limit.
+        scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
+        ads_factory: called once, gives the ADS.
+        clock: seconds; only for the duration of decisions.
+    """
+    rules, _ = world.ground
+    env = _environment(world)
+    env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
+    driver = _driver(world, env, scenario, ads_factory)
+    loop = _Loop(rules, scenario, env, driver)
+    with HangGuard(rules.hang_limit) as guard:
+        return loop.run(guard, clock)
+
+
+class _Loop:
+    """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
+
+    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
+        ego_length = float(driver.vehicle.LENGTH)
+        director = Director(
+            scenario,
+            rules.road,
+            rules.limits,
+            clearance=rules.clearance,
+            ego_length=ego_length,
+            length=StockVehicle.LENGTH,
+            width=StockVehicle.WIDTH,
+            physics_hz=rules.physics_hz,
+        )
+        _, *starts = start_positions(rules, scenario, director.first_cells(), ego_length)
+        self._npcs = [StockVehicle(env.road, [x, y], heading, scenario.ego_speed) for x, y, heading in starts]
+        for npc in self._npcs:
+            npc.check_collisions = False
+        env.road.vehicles = [driver.vehicle, *self._npcs]
+        self._rules, self._env, self._driver, self._director = rules, env, driver, director
+        self._recorder = Recorder(rules, scenario, driver, self._npcs, director)
+        self._ticks = self._left = rules.ticks(scenario)
+        self._ended: Trace | None = None
+        self._road_step = env.road.step
+        env.road.act, env.road.step = self._act, self._step
+
+    def run(self, guard: HangGuard, clock: Callable[[], float]) -> Trace:
+        """Decide and step until the run ends."""
+        driver = self._driver
+        for tick in range(0, self._ticks, driver.every):
+            error = decide(driver, tick, self._recorder, guard, clock)
+            if error is not None:
+                return self._recorder.trace(error=error)
+            if isinstance(driver, StockPolicy):
+                driver.seen, *_ = self._env.step(driver.action)
+            else:
+                self._env.step(None)  # The driver has set the ego's controls; the environment leaves them.
+            if self._ended is not None:
+                return self._ended
+        return self._recorder.trace()
+
+    def _act(self) -> None:
+        """In the place of ``Road.act``, which asks each vehicle in turn: the ego, then the NPCs."""
+        self._driver.actuate()
+        if self._is_over:
+            return
+        project = self._rules.road.project
+        x, y, heading, speed = self._recorder.ego_state()
+        ego = Pose(*project(x, y, heading), speed)
+        poses = [Pose(*project(npc.x, npc.y, float(npc.heading)), float(npc.speed)) for npc in self._npcs]
+        for npc, (acceleration, steering) in zip(self._npcs, self._director.command(ego, poses), strict=True):
+            npc.control(acceleration, steering)
+
+    def _step(self, dt: float) -> None:
+        """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
+        self._road_step(dt)
+        if not self._is_over:
+            self._left -= 1
+            self._recorder.record()
+            self._ended = self._recorder.contact()
+
+    @property
+    def _is_over(self) -> bool:
+        return self._ended is not None or self._left == 0
+
+
+def _environment(world: Highway | World) -> Any:
+    """The environment after its reset, without traffic, on the world's road."""
+    if isinstance(world, World):
+        env = world._make_env()
+    else:
+        config = {
+            "lanes_count": world.lanes,
+            "vehicles_count": 0,
+            "simulation_frequency": world.physics_hz,
+            "policy_frequency": world.ads_hz,
+            "action": {"type": "ContinuousAction"},
+        }
+        env = gymnasium.make("highway-v0", config=config, disable_env_checker=True).unwrapped
+    env.reset(seed=0)
+    if isinstance(world, Highway):
+        lane = world.road.lanes[0]
+        env.road.network = RoadNetwork.straight_road_network(
+            world.lanes, length=lane.length, speed_limit=lane.speed_limit
+        )
+    return env
+
+
+def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
+    """The ego at its start, in one of highway-env's vehicle classes, and who drives it."""
+    rules, _ = world.ground
+    start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
+    every = rules.physics_hz // rules.ads_hz
+    is_policy = isinstance(world, World) and not is_vehicle_class(ads_factory)
+    vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
+    _put_ego(env, vehicle_class(env.road, [x, y], heading, scenario.ego_speed))
+    view = View(world._make_env(), env) if is_policy and isinstance(world, World) and wants_env(ads_factory) else None
+    ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
+    if is_policy and not is_vehicle_class(ads):
+        return StockPolicy(ads, env, every, view)
+    driver: Driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
+    if is_vehicle_class(ads):
+        env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
+        driver = SelfDriving(ads, env.road, start, scenario.ego_speed)
+        _put_ego(env, driver.vehicle)
+    env.observation_type.observe = _unseen
+    return driver
+
+
+def _put_ego(env: Any, ego: Vehicle) -> None:
+    ego.check_collisions = False
+    env.road.vehicles = [ego]
+    env.controlled_vehicles = [ego]
+    env.define_spaces()
+
+
+def _unseen() -> None:
+    """In the place of an observation that nobody looks at, which would cost more than all the rest."""

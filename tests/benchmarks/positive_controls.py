@@ -1,0 +1,219 @@
+"""Is every known defect found? The policies of ``example_ads.defects``, searched with ``blame="ego"``.
+
+    python -m tests.benchmarks.positive_controls [--seeds 10] [--generations 20] [--workers 2] [--policies NAME ...]
+        [--until-first]
+
+Prints for each policy on how many seeds the search found a collision that the ego is responsible for, in which
+generation first, how many distinct signatures the finds have and which, what the attribution blames the ego for, and
+the explanation of the most frequent signature with the mechanism that it should point at. ``healthy`` is IDM+MOBIL
+without a defect, searched once in each of the settings that the others are searched in. ``--until-first`` ends each
+search at its first find. The algorithm is the default; settings that differ from the default are in ``SETTINGS``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from example_ads import defects
+from pytest_pafot import Highway, Run, Scenario
+from pytest_pafot.findings.signature import Failure, Signature, of_failure
+from pytest_pafot.searching import Evaluation, PafotSearch, SearchSpace, run_campaign
+from pytest_pafot.searching.events import GenerationFinished
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.trace import Outcome, Trace
+
+NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What a policy is searched in.
+
+    Attributes:
+        world: the road; a larger ``clearance`` has the cells ahead and behind where a policy lets others come.
+        space: of the scenarios.
+    """
+
+    world: Highway = field(default_factory=Highway)
+    space: SearchSpace = field(default_factory=SearchSpace)
+
+
+DEFAULT = Setting()
+FAST_AND_FAR = Setting(world=Highway(clearance=20.0, speed_limit=30.0), space=SearchSpace(ego_speed=28.0))
+"""The defect shows above 20 m/s and at gaps of 10 m and more."""
+FAST_AND_CROWDED = Setting(
+    world=Highway(lanes=3, clearance=5.0, speed_limit=30.0), space=SearchSpace(npcs=3, ego_speed=28.0)
+)
+"""MOBIL steers round a leader that brakes, so that the gap matters only where no other lane is free."""
+CROWDED = Setting(world=Highway(lanes=3, clearance=10.0), space=SearchSpace(npcs=3))
+"""Likewise; and IDM never lets anybody come as near ahead as the default clearance, so that genes are not reached."""
+
+SETTINGS: Mapping[str, Setting] = MappingProxyType(
+    {
+        "brakes-late-above-20": FAST_AND_FAR,
+        "brakes-weakly": CROWDED,
+        "follows-too-close": FAST_AND_CROWDED,
+        "sees-old-speeds": CROWDED,
+    }
+)
+"""Those that are not searched in the default setting."""
+
+MECHANISM: Mapping[str, str] = MappingProxyType(
+    {
+        "healthy": "none",
+        "follows-too-close": "front: no longer able to stop behind a leader that brakes",
+        "brakes-late-above-20": "front: no response to a leader",
+        "brakes-weakly": "front: response too weak",
+        "blind-beside-front-wheel": "side: moves into a vehicle beside it; front: no response to its cut-in",
+        "sees-old-speeds": "front: response too late; rear or side: enters a lane before somebody fast",
+        "sees-cut-ins-late": "front: no response to a cut-in",
+        "ignores-standing-vehicles": "front: speeds up into a slow or standing leader",
+        "forgets-after-lane-change": "front: no response to a leader after the own lane change",
+        "looks-only-ahead": "side or rear: enters a lane in which somebody follows",
+        "changes-lanes-unchecked": "side or rear: enters a lane that is taken",
+        "two-defects": "two kinds: no answer to a slow leader; enters a lane in which somebody follows",
+    }
+)
+"""What an explanation should point at."""
+
+
+def by_ego(trace: Trace) -> bool:
+    """Whether a collision counts under ``blame="ego"``."""
+    return trace.outcome is Outcome.COLLISION and Run(trace).responsibility in ("ego", "both")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Find:
+    """A colliding run that the ego is responsible for."""
+
+    generation: int
+    signature: Signature
+    fault: str
+    explanation: str
+
+
+@dataclass
+class Search:
+    """One search of a policy, and what it found."""
+
+    policy: str
+    seed: int
+    setting: Setting
+    generation: int = 0
+    runs: int = 0
+    finds: list[Find] = field(default_factory=list)
+
+    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        """Simulate and judge."""
+        return [self._one(scenario) for scenario in scenarios]
+
+    def _one(self, scenario: Scenario) -> Evaluation:
+        trace = self.setting.world.rollout(scenario, defects.make(self.policy))
+        self.runs += 1
+        failing = by_ego(trace)
+        if failing:
+            run = Run(trace)
+            signature = of_failure(run, NOT_RUN_COLLISION)
+            self.finds.append(
+                Find(
+                    generation=self.generation,
+                    signature=signature,
+                    fault=fault(run.attribution.reason),
+                    explanation=run.explain(),
+                )
+            )
+        fitness = resolve("default", responsible=by_ego)(trace)
+        return Evaluation.of(trace, fitness=fitness, failing=failing)
+
+
+def searched(policy: str, seed: int, setting: Setting, generations: int, until_first: bool) -> Search:
+    """One search from start to end."""
+    search = Search(policy=policy, seed=seed, setting=setting)
+    algorithm = PafotSearch(setting.space)
+    stop = (lambda: bool(search.finds)) if until_first else None
+    for event in run_campaign(algorithm, search.evaluate, generations=generations, seed=seed, stop=stop):
+        if isinstance(event, GenerationFinished) and event.local_generation == 0:
+            search.generation = event.generation + 1
+    return search
+
+
+def fault(reason: str) -> str:
+    """What the sentence of attribution blames the ego for, without who, when and how much."""
+    if "the ego moved sideways" in reason or "the ego and NPC" in reason:
+        return "entered a lane"
+    return "no answer to a cut-in" if "moved sideways" in reason else "no answer to a leader"
+
+
+def kind(signature: Signature) -> str:
+    """The kind of failure in a few words."""
+    cell = "" if signature.cell is None else f"-{int(signature.cell)}"
+    manoeuvres = f"ego {signature.ego_manoeuvre}, npc {signature.npc_manoeuvre}"
+    return f"{signature.side}{cell}, {manoeuvres}, responsible {signature.responsibility}"
+
+
+def report(title: str, mechanism: str, searches: Sequence[Search]) -> str:
+    """What the searches of one policy found."""
+    firsts = [search.finds[0].generation if search.finds else None for search in searches]
+    finds = [find for search in searches for find in search.finds]
+    kinds = Counter(find.signature for find in finds)
+    per_seed = [len({find.signature for find in search.finds}) for search in searches]
+    lines = [
+        f"{title}: found on {sum(first is not None for first in firsts)} of {len(searches)} seeds, first in "
+        f"generations {' '.join('-' if first is None else str(first) for first in firsts)}; {len(finds)} finds in "
+        f"{sum(search.runs for search in searches)} runs; signatures per seed {per_seed}, {len(kinds)} in all",
+        *(f"    {count:4} x {kind(signature)}" for signature, count in kinds.most_common(6)),
+    ]
+    if kinds:
+        lines.append(f"    faults: {dict(Counter(find.fault for find in finds).most_common())}")
+        usual = kinds.most_common(1)[0][0]
+        explanation = next(find.explanation for find in finds if find.signature == usual)
+        lines += [f"    expected: {mechanism}", *(f"    said: {line}" for line in _sentence(explanation))]
+    return "\n".join(lines)
+
+
+def _sentence(explanation: str) -> list[str]:
+    """The lines of an explanation that say what happened and who is responsible."""
+    lines = explanation.splitlines()
+    end = next(number for number, line in enumerate(lines) if line.startswith("  from [s]"))
+    return [line.strip() for line in (lines[0], *lines[3:end])]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--generations", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--policies", nargs="*", choices=list(defects.POLICIES), default=list(defects.POLICIES))
+    parser.add_argument("--until-first", action="store_true")
+    arguments = parser.parse_args()
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        jobs = [
+            (title, policy, [
+                pool.submit(searched, policy, seed, setting, arguments.generations, arguments.until_first)
+                for seed in range(arguments.seeds)
+            ])
+            for title, policy, setting in rows(arguments.policies)
+        ]  # fmt: skip
+        for title, policy, futures in jobs:
+            print(report(title, MECHANISM[policy], [future.result() for future in futures]), flush=True)
+
+
+def rows(policies: Iterable[str]) -> Iterable[tuple[str, str, Setting]]:
+    """Title, policy and setting of each row; the healthy one has a row for each setting."""
+    for policy in policies:
+        if policy != "healthy":
+            yield policy, policy, SETTINGS.get(policy, DEFAULT)
+            continue
+        yield "healthy", policy, DEFAULT
+        for setting in dict.fromkeys(map(id, SETTINGS.values())):
+            names = [name for name in SETTINGS if id(SETTINGS[name]) == setting]
+            yield f"healthy, where {' and '.join(names)} are searched", policy, SETTINGS[names[0]]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""Each positive control is IDM+MOBIL but for one defect, which shows in its own situation and in no other."""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from example_ads import defects
+from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario
+
+LANE = 4.0
+HZ = 15
+ROAD = Highway(duration=20.0)
+DEFECTIVE = [name for name in defects.POLICIES if name != "healthy"]
+
+
+@dataclass(frozen=True)
+class Other:
+    """A vehicle: centre ahead of the ego's [m], lane, speed [m/s], and the speed and lane that it had at first."""
+
+    ahead: float
+    lane: int
+    speed: float = 22.0
+    before: float | None = None
+    lane_before: int | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The ego in lane 1 and others around it.
+
+    Attributes:
+        others: as they are when the ego decides.
+        speed: of the ego [m/s].
+        since: how long the ego has seen the others [s].
+        lane_before: that the ego was in until now.
+    """
+
+    others: tuple[Other, ...]
+    speed: float = 22.0
+    since: float = 0.0
+    lane_before: int = 1
+
+
+def decision(policy, scene):
+    """Acceleration [m/s^2] and target lane of a driver that may change lanes now."""
+    road = Road(RoadNetwork.straight_road_network(4, speed_limit=26.8), np_random=np.random.default_rng(0))
+    driver = policy(road, [500.0, LANE * scene.lane_before], 0.0, scene.speed)
+    others = [Vehicle(road, [500.0 + o.ahead, LANE * o.lane], 0.0, o.speed) for o in scene.others]
+    road.vehicles = [driver, *others]
+    driver.enable_lane_change = False
+    for tick in range(round(scene.since * HZ)):
+        for vehicle, other in zip(others, scene.others, strict=True):
+            vehicle.speed = other.speed if other.before is None or tick else other.before
+            lane = other.lane if other.lane_before is None or tick else other.lane_before
+            vehicle.position[1] = LANE * lane
+            vehicle.lane_index = (*vehicle.lane_index[:2], lane)
+        driver.act()
+        driver.clock = (tick + 1) / HZ
+    _put_in_lane_one(driver)
+    driver.enable_lane_change = True
+    driver.timer = 2 * driver.LANE_CHANGE_DELAY
+    driver.act()
+    return float(driver.action["acceleration"]), driver.target_lane_index[2]
+
+
+def _put_in_lane_one(driver):
+    driver.position = np.array([500.0, LANE])
+    driver.lane_index = driver.target_lane_index = (*driver.lane_index[:2], 1)
+    driver.lane = driver.road.network.get_lane(driver.lane_index)
+
+
+LEADER = Scene((Other(40.0, 1, 20.0), Other(40.0, 0, 20.0), Other(40.0, 2, 20.0)))
+SLOW_LEADER = Other(30.0, 1, 15.0)
+TAKEN = (SLOW_LEADER, Other(30.0, 0, 15.0))
+"""The own lane and the left one are slow; the right one is faster, and what stands there decides."""
+
+SITUATIONS = {
+    "follows-too-close": [LEADER],
+    "brakes-late-above-20": [LEADER],
+    "brakes-weakly": [Scene((Other(20.0, 1, 15.0), Other(20.0, 0, 15.0), Other(20.0, 2, 15.0)))],
+    "blind-beside-front-wheel": [Scene((*TAKEN, Other(2.0, 2, 22.0)))],
+    "sees-old-speeds": [Scene((Other(40.0, 1, 15.0, before=22.0), Other(40.0, 0), Other(40.0, 2)), since=1.0)],
+    "sees-cut-ins-late": [Scene((Other(20.0, 1, 15.0, lane_before=0),), since=1.0)],
+    "ignores-standing-vehicles": [Scene((Other(40.0, 1, 2.0), Other(30.0, 0, 10.0), Other(30.0, 2, 10.0)))],
+    "forgets-after-lane-change": [Scene((SLOW_LEADER,), since=0.5, lane_before=2)],
+    "looks-only-ahead": [Scene((*TAKEN, Other(-4.0, 2, 22.0))), Scene((*TAKEN, Other(-12.0, 2, 26.0)))],
+    "changes-lanes-unchecked": [Scene((Other(0.0, 0), Other(0.0, 2)), since=8.1)],
+}
+"""Where the defect shows."""
+
+HARMLESS = {
+    "an empty road": Scene(()),
+    "a vehicle far ahead in another lane": Scene((Other(60.0, 2),)),
+    "a vehicle behind": Scene((Other(-30.0, 1),)),
+}
+LIKE_HEALTHY = {
+    "follows-too-close": [Scene((Other(-10.0, 1),))],
+    "brakes-late-above-20": [Scene(LEADER.others, speed=19.0), Scene((Other(12.0, 1, 15.0),))],
+    "brakes-weakly": [Scene((Other(60.0, 1, 22.0),))],
+    "blind-beside-front-wheel": [LEADER, Scene((*TAKEN, Other(12.0, 2, 22.0))), Scene((*TAKEN, Other(-4.0, 2, 22.0)))],
+    "sees-old-speeds": [Scene(LEADER.others, since=1.0), Scene(LEADER.others, since=3.0)],
+    "sees-cut-ins-late": [LEADER, Scene((Other(20.0, 1, 15.0, lane_before=0),), since=3.0)],
+    "ignores-standing-vehicles": [LEADER, Scene((Other(40.0, 1, 4.0),))],
+    "forgets-after-lane-change": [LEADER, Scene((SLOW_LEADER,), since=3.0)],
+    "looks-only-ahead": [LEADER, Scene((*TAKEN, Other(2.0, 2, 22.0)))],
+    "changes-lanes-unchecked": [LEADER, Scene((*TAKEN, Other(0.0, 2)), since=7.5)],
+}
+"""Close to the situation, but not in it."""
+
+
+def cases(table):
+    return [pytest.param(name, scene, id=f"{name}-{n}") for name in table for n, scene in enumerate(table[name])]
+
+
+@pytest.mark.parametrize(("name", "scene"), cases(SITUATIONS))
+def test_a_defect_shows_in_its_own_situation(name, scene):
+    assert decision(defects.make(name), scene) != decision(defects.make("healthy"), scene)
+
+
+@pytest.mark.parametrize(("name", "scene"), cases(LIKE_HEALTHY))
+def test_outside_of_it_the_driver_decides_as_the_healthy_one(name, scene):
+    assert decision(defects.make(name), scene) == decision(defects.make("healthy"), scene)
+
+
+@pytest.mark.parametrize("scene", HARMLESS.values(), ids=HARMLESS)
+@pytest.mark.parametrize("name", DEFECTIVE)
+def test_where_nothing_is_in_the_way_all_drive_alike(name, scene):
+    assert decision(defects.make(name), scene) == decision(defects.make("healthy"), scene)
+
+
+def test_every_defect_has_its_situation():
+    assert set(SITUATIONS) == set(LIKE_HEALTHY) == set(DEFECTIVE) - set(defects.COMBINED)
+
+
+def chain(*genes):
+    return tuple(PositionInstruction(cell, speed) for cell, speed in genes)
+
+
+PASSES_BY = Scenario(npcs=(chain((Cell.FRONT_LEFT, 26.0), (Cell.FRONT_LEFT, 26.0)),), gene_seconds=10.0)
+STEADY_LEADER = Scenario(npcs=(chain((Cell.FRONT, 21.0), (Cell.FRONT_RIGHT, 24.0)),), gene_seconds=10.0)
+BRAKES_AHEAD = Scenario(npcs=(chain((Cell.FRONT, 10.0), (Cell.FRONT, 10.0)),), gene_seconds=10.0)
+
+
+@pytest.mark.parametrize("scenario", [PASSES_BY, STEADY_LEADER], ids=["passes-by", "steady-leader"])
+@pytest.mark.parametrize("name", defects.POLICIES)
+def test_in_benign_traffic_nobody_collides(name, scenario):
+    trace = ROAD.rollout(scenario, defects.make(name))
+    assert trace.outcome is Outcome.SAFE, trace.error
+    assert trace.duration == 20.0
+
+
+@pytest.mark.parametrize("name", defects.POLICIES)
+def test_the_same_scenario_gives_the_same_trace(name):
+    first, second = (ROAD.rollout(BRAKES_AHEAD, defects.make(name)) for _ in range(2))
+    assert (first.states == second.states).all()
+
+
+@pytest.mark.parametrize("scenario", [PASSES_BY, STEADY_LEADER, BRAKES_AHEAD])
+def test_the_healthy_one_drives_as_highway_envs_own(scenario):
+    healthy, stock = (ROAD.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
+    assert (healthy.states == stock.states).all()
+
+
+@pytest.mark.parametrize("name", DEFECTIVE)
+def test_each_says_what_its_defect_is_and_why_it_happens(name):
+    text = defects.make(name).__doc__
+    assert len(text.splitlines()[0]) > 30
+    assert "Why it happens:" in text
+
+
+def test_importing_the_package_does_not_import_highway_env():
+    code = "import sys, example_ads.defects; print('highway_env' in sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "False"

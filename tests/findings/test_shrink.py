@@ -1,0 +1,269 @@
+"""Shrinking with predicates in the place of runs: what goes in, what still fails, and the exact minimal answer."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, size_of, sort_key
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.strategies import scenarios
+
+
+def scenario(*chains, **fields):
+    """From texts such as "4@22 3@24.5": cell and speed of each gene."""
+    npcs = [
+        [
+            PositionInstruction(Cell(int(cell)), float(speed))
+            for cell, speed in (gene.split("@") for gene in text.split())
+        ]
+        for text in chains
+    ]
+    return Scenario(npcs=tuple(map(tuple, npcs)), **fields)
+
+
+def written(given):
+    """The inverse of `scenario`."""
+    return tuple(" ".join(f"{int(gene.cell)}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
+
+
+def shrunk(given, fails, *, rollouts=2000, **arguments):
+    """Shrink by a predicate, and check on the way what holds for every result."""
+    asked = []
+
+    def attempt(candidate):
+        asked.append(candidate)
+        return candidate if fails(candidate) else None
+
+    result = shrink(given, attempt, rollouts=rollouts, top_speed=26.8, **arguments)
+    assert len(asked) == len(set(asked)) == result.rollouts <= rollouts, "asked twice, or more often than allowed"
+    assert fails(result.scenario), "the result does not fail"
+    assert sort_key(result.scenario) <= sort_key(given), "the result is larger"
+    return result
+
+
+def minimal(given, fails):
+    """The chains of the result, which must be minimal."""
+    result = shrunk(given, fails)
+    assert result.is_minimal
+    return written(result.scenario)
+
+
+BUSY = scenario("4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.8 7@5 6@2.5", seed=77)
+"""Two NPCs with six genes each."""
+
+
+def has(cell, at_least=0.0, at_most=100.0):
+    """Whether some NPC is told to drive in a cell at a speed in a range."""
+    return lambda each: any(
+        gene.cell == cell and at_least <= gene.speed <= at_most for chain in each.npcs for gene in chain
+    )
+
+
+def test_what_always_fails_becomes_one_npc_with_one_gene_at_no_speed():
+    (chain,) = minimal(BUSY, lambda each: True)
+    assert chain.endswith("@0")
+
+
+def test_npcs_that_do_not_matter_are_dropped():
+    assert minimal(BUSY, has(Cell.FRONT)) == ("2@0",)
+
+
+def test_an_npc_that_matters_stays():
+    assert len(minimal(BUSY, lambda each: len(each.npcs) == 2)) == 2
+
+
+def test_of_many_npcs_those_that_matter_together_stay():
+    given = scenario("1@20", "2@20", "3@20", "4@20", "5@20", "6@20", "7@20", "8@20")
+    needed = {Cell(2), Cell(7)}
+    assert minimal(given, lambda each: needed <= {chain[0].cell for chain in each.npcs}) == ("2@0", "7@0")
+
+
+def test_the_tail_is_cut():
+    assert minimal(scenario("4@20 3@20 2@20 3@20 4@20"), lambda each: written(each)[0][:1] == "4") == ("4@0",)
+
+
+def test_a_run_that_must_be_long_is_filled_with_one_instruction():
+    assert minimal(BUSY, lambda each: each.genes >= 4 and has(Cell.FRONT)(each)) == ("2@0 2@0 2@0 2@0",)
+
+
+def test_a_move_that_matters_stays_and_all_others_become_staying():
+    def cuts_in(each):
+        return any("3@" in chain and "2@" in chain.partition("3@")[2] for chain in written(each))
+
+    assert minimal(BUSY, cuts_in) == ("3@0 2@0",)
+
+
+def test_an_order_of_moves_is_kept_where_it_matters():
+    def all_around(each):
+        return any([int(gene.cell) for gene in chain][-1] == 6 and chain[0].cell == 8 for chain in each.npcs)
+
+    assert minimal(BUSY, all_around) == ("8@0 7@0 6@0",)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "answer"),
+    [(0, 100, "0"), (3, 12, "5"), (6, 14, "10"), (6, 9, "6"), (7.3, 7.9, "7.3"), (7.7, 7.7, "7.7"), (7.5, 30, "10")],
+)
+def test_speeds_become_round_and_then_low(low, high, answer):
+    assert minimal(BUSY, has(Cell.FRONT, low, high)) == (f"2@{answer}",)
+
+
+def test_a_limit_of_speed_is_not_exceeded_by_rounding():
+    given = scenario("2@26.4")
+    assert minimal(given, has(Cell.FRONT, 25.5)) == ("2@26",)
+    assert minimal(given, has(Cell.FRONT, 26.2)) == ("2@26.2",)
+
+
+def test_the_seed_becomes_plain_where_it_does_not_matter():
+    assert shrunk(BUSY, lambda each: True).scenario.seed == 0
+    assert shrunk(BUSY, lambda each: each.seed == 77).scenario.seed == 77
+
+
+def test_start_and_length_of_the_genes_are_not_touched():
+    given = scenario("2@20 2@20", ego_lane=2, ego_speed=17.5, gene_seconds=4.0)
+    result = shrunk(given, lambda each: True).scenario
+    assert (result.ego_lane, result.ego_speed, result.gene_seconds) == (2, 17.5, 4.0)
+
+
+def test_what_is_minimal_is_tried_and_stays():
+    given = scenario("2@0")
+    result = shrunk(given, lambda each: each == given)
+    assert result.scenario == given
+    assert result.is_minimal
+
+
+def test_the_scenario_as_driven_is_what_comes_out():
+    driven = scenario("1@10")
+
+    def attempt(candidate):
+        return driven if candidate.npcs[0][0].cell == Cell.FRONT else None
+
+    assert shrink(scenario("2@10 2@20"), attempt, rollouts=100).scenario == driven
+
+
+def test_a_run_that_turns_out_no_simpler_is_not_taken():
+    given = scenario("2@10 2@10 3@10")
+
+    def attempt(candidate):
+        return given
+
+    result = shrink(given, attempt, rollouts=100)
+    assert result.scenario == given
+    assert result.is_minimal
+
+
+def test_without_rollouts_nothing_is_tried():
+    result = shrunk(BUSY, lambda each: True, rollouts=0)
+    assert (result.scenario, result.rollouts, result.is_minimal) == (BUSY, 0, False)
+
+
+def test_a_budget_that_is_spent_leaves_the_best_so_far():
+    result = shrunk(BUSY, has(Cell.FRONT), rollouts=2)
+    assert result.rollouts == 2
+    assert not result.is_minimal
+    assert len(result.scenario.npcs) == 1
+
+
+def test_shrinking_ends_when_time_is_up():
+    left = iter([False, False, False, True])
+    result = shrunk(BUSY, has(Cell.FRONT), is_over=lambda: next(left))
+    assert result.rollouts == 3
+    assert not result.is_minimal
+
+
+def test_the_interval_of_a_speed_reaches_to_where_it_no_longer_fails():
+    result = shrunk(BUSY, has(Cell.FRONT, 3.0, 11.2))
+    assert result.intervals == (SpeedInterval(npc=0, gene=0, low=3.0, high=11.2),)
+
+
+def test_the_interval_of_a_speed_that_does_not_matter_is_everything_up_to_the_limit():
+    result = shrunk(BUSY, has(Cell.FRONT))
+    assert result.intervals == (SpeedInterval(npc=0, gene=0, low=0.0, high=26.8),)
+
+
+def test_each_instruction_has_an_interval_of_its_own():
+    def fails(each):
+        first, second = each.npcs[0][0], each.npcs[0][-1]
+        is_move = (first.cell, second.cell) == (Cell.FRONT_RIGHT, Cell.FRONT)
+        return is_move and first.speed <= 20 and 4 <= second.speed <= 6
+
+    result = shrunk(scenario("3@14.2 2@5.5"), fails)
+    assert written(result.scenario) == ("3@0 2@5",)
+    assert result.intervals == (
+        SpeedInterval(npc=0, gene=0, low=0.0, high=20.0),
+        SpeedInterval(npc=0, gene=1, low=4.0, high=6.0),
+    )
+
+
+def test_intervals_are_cut_by_the_budget_and_the_scenario_stays_minimal():
+    needed = shrunk(BUSY, has(Cell.FRONT)).rollouts
+    result = shrunk(BUSY, has(Cell.FRONT), rollouts=needed - 1)
+    assert result.is_minimal
+    assert result.intervals == ()
+
+
+def test_sizes_read_as_words():
+    assert size_of(BUSY) == "2 NPCs, 10 instructions, 60 s"
+    assert size_of(scenario("2@0", gene_seconds=2.5)) == "1 NPC, 1 instruction, 2.5 s"
+
+
+@pytest.mark.parametrize(
+    ("simpler", "other"),
+    [
+        (scenario("4@22 3@20 2@10"), scenario("2@0", "4@0")),
+        (scenario("4@20 4@20 4@20"), scenario("4@20 4@0")),
+        (scenario("4@20 4@0"), scenario("4@0 3@0")),
+        (scenario("4@20"), scenario("4@20 4@20")),
+        (scenario("4@20"), scenario("4@19")),
+        (scenario("4@19"), scenario("4@18.5")),
+        (scenario("4@15"), scenario("4@20")),
+        (scenario("4@15"), scenario("4@15", seed=1)),
+    ],
+    ids=["NPCs", "instructions", "moves", "length", "multiples of five", "whole", "slower", "seed"],
+)
+def test_the_order_of_simpler(simpler, other):
+    assert sort_key(simpler) < sort_key(other)
+
+
+needs = st.builds(
+    lambda cells, npcs, genes, speed: (
+        lambda each: (
+            len(each.npcs) >= npcs
+            and each.genes >= genes
+            and cells <= {gene.cell for chain in each.npcs for gene in chain}
+            and all(gene.speed <= speed for chain in each.npcs for gene in chain if gene.cell in cells)
+        )
+    ),
+    st.sets(st.sampled_from(Cell), max_size=3),
+    st.integers(1, 3),
+    st.integers(1, 4),
+    st.integers(0, 30),
+)
+
+
+@given(scenarios(max_npcs=3), needs, st.integers(0, 400))
+def test_a_result_fails_is_never_larger_and_costs_no_more_than_allowed(given, fails, rollouts):
+    if fails(given):
+        shrunk(given, fails, rollouts=rollouts)
+
+
+@given(scenarios(max_npcs=3), needs)
+def test_shrinking_gives_the_same_again(given, fails):
+    if fails(given):
+        assert shrunk(given, fails) == shrunk(given, fails)
+
+
+@given(scenarios(max_npcs=3), needs)
+def test_no_npc_and_no_gene_can_be_left_out_of_a_minimal_result(given, fails):
+    if not fails(given):
+        return
+    result = shrunk(given, fails, rollouts=10_000)
+    assert result.is_minimal
+    best = result.scenario
+    smaller = [best.truncated(genes) for genes in range(1, best.genes)]
+    if len(best.npcs) > 1:
+        chains = [best.npcs[:npc] + best.npcs[npc + 1 :] for npc in range(len(best.npcs))]
+        smaller += [Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains]
+    assert not any(fails(each) for each in smaller)
+    assert instructions(best) <= instructions(given)

@@ -1,0 +1,311 @@
+"""``--pafot-report`` and the row in the report of pytest-html."""
+
+import html
+import json
+import re
+import stat
+import sys
+
+import pytest
+
+import pytest_pafot.plugin.showing
+import pytest_pafot.report.folder
+import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
+from pytest_pafot.findings.corpus import read
+from pytest_pafot.plugin import paging
+from pytest_pafot.world.references import REFERENCES
+
+DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
+
+TWO = """
+@pafot.search(SHORT, stop_after=1)
+def test_a(run):
+    assert run.duration < 1
+
+@pafot.search(SHORT, stop_after=1)
+def test_b(run):
+    assert run.duration < 2
+"""
+
+INTERRUPTED = """
+seen = []
+
+@pafot.search(SHORT)
+def test_interrupted(run):
+    seen.append(run)
+    if len(seen) > 2:
+        raise KeyboardInterrupt
+    assert run.scenario.id == ""
+"""
+
+
+def data_of(path):
+    """What a page shows."""
+    return json.loads(DATA.search(path.read_text(encoding="utf-8"))[1])
+
+
+def labels_of(data):
+    return [finding["label"] for finding in data["findings"]]
+
+
+@pytest.fixture
+def page(project):
+    return project.path / "report.html"
+
+
+def test_the_page_has_the_find_and_its_search(failing, page):
+    result = failing.run("--pafot-report=report.html")
+    data = data_of(page)
+    (finding,), (campaign,) = data["findings"], data["campaigns"]
+    assert finding["id"] == failing.only_id
+    assert finding["node_id"] == f"test_it.py::test_fails[saved-{failing.only_id}]"
+    assert finding["path"] == failing.files[0]
+    assert finding["label"] == "new"
+    assert finding["times"][0] == 0
+    assert campaign["node_id"] == "test_it.py::test_fails[search]"
+    assert (campaign["simulated"], campaign["reason"]) == (1, "stopped")
+    assert sum(row["reached"] for row in campaign["cells"]) > 0
+    result.stdout.fnmatch_lines(["report: report.html (1 finding)"])
+
+
+def test_the_page_counts_the_runs_of_a_find(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
+    project.run("--pafot-report=report.html", generations=2)
+    data = data_of(page)
+    assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
+
+
+def test_the_text_of_the_file_is_on_the_page(failing, page):
+    failing.run("--pafot-report=report.html")
+    assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
+
+
+def test_pages_are_the_same_with_workers(project, page):
+    project.write(TWO)
+    project.run("--pafot-report=report.html", "--pafot-save=none")
+    serial = data_of(page)
+    result = project.run("--pafot-report=report.html", "--pafot-save=none", "-n", "2", subprocess=True)
+    parallel = data_of(page)
+    assert len(serial["findings"]) == 2
+    assert parallel["findings"] == serial["findings"]
+    assert parallel["campaigns"] == serial["campaigns"]
+    result.stdout.fnmatch_lines(["report: report.html (2 findings)"])
+
+
+def test_a_saved_scenario_that_still_fails_is_on_the_page(failing, page):
+    failing.run()
+    failing.run("--pafot-report=report.html", generations=0)
+    data = data_of(page)
+    assert labels_of(data) == ["still failing"]
+    assert data["findings"][0]["id"] == failing.only_id
+    assert data["campaigns"] == []
+    assert "1 saved scenario: 1 still failing" in page.read_text(encoding="utf-8")
+
+
+def test_a_known_failure_has_the_number_of_runs_that_it_covers(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
+    project.run(generations=2)
+    project.run("--pafot-report=report.html", generations=2)
+    data = data_of(page)
+    assert set(labels_of(data)) == {"still failing"}
+    assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
+
+
+def test_an_accepted_failure_is_on_the_page_with_its_reason(failing, page):
+    failing.run()
+    with failing.only_file.open("a") as file:
+        file.write('xfail: "planner issue 12"\n')
+    failing.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
+    assert labels_of(data_of(page)) == ["still failing, accepted: planner issue 12"]
+
+
+def test_a_fixed_scenario_is_counted_and_not_shown(failing, page):
+    failing.run()
+    failing.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
+    failing.run("--pafot-report=report.html", generations=0)
+    assert data_of(page)["findings"] == []
+    assert "1 saved scenario: 1 fixed" in page.read_text(encoding="utf-8")
+
+
+def test_a_find_that_is_not_saved_has_the_command_of_its_search(failing, page):
+    failing.run("--pafot-report=report.html", "--pafot-save=none")
+    (finding,) = data_of(page)["findings"]
+    assert finding["path"] == ""
+    assert finding["command"] == "pytest 'test_it.py::test_fails[search]' --pafot-generations=1 --pafot-seed=1"
+
+
+def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
+    project.leave_behind("test_it.py::test_a")
+    project.run("--pafot-report=report/")
+    (finding,) = data_of(project.path / "report" / "index.html")["findings"]
+    assert finding["id"].startswith("crash-")
+    assert finding["times"] == []
+    assert [path.name for path in (project.path / "report").iterdir()] == ["index.html"]
+
+
+def test_a_folder_gets_the_page_and_a_moving_picture_of_each_finding(failing):
+    result = failing.run("--pafot-report=out/report/")
+    folder = failing.path / "out" / "report"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"index.html", f"{failing.only_id}.png"}
+    assert (folder / f"{failing.only_id}.png").read_bytes().startswith(b"\x89PNG")
+    result.stdout.fnmatch_lines(["report: out/report/index.html (1 finding, 1 moving picture)"])
+
+
+def test_without_pillow_the_page_is_written_and_the_summary_says_what_is_missing(failing, monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    result = failing.run("--pafot-report=report/")
+    assert (failing.path / "report" / "index.html").is_file()
+    result.stdout.re_match_lines([r"report: report/index.html \(1 finding\)", r".*problem: --pafot-report=report/: .*"])
+
+
+def test_parent_folders_are_made(failing):
+    failing.run("--pafot-report=a/b/report.html")
+    assert (failing.path / "a" / "b" / "report.html").is_file()
+
+
+def test_a_page_that_cannot_be_written_is_one_line_and_changes_no_result(failing):
+    (failing.path / "taken").write_text("a file")
+    result = failing.run("--pafot-report=taken/report.html")
+    result.assert_outcomes(failed=2)
+    text = " ".join(result.stdout.str().split())
+    assert "problem: --pafot-report=taken/report.html: not written: " in text
+    assert "name another place" in text
+    assert "Traceback" not in text
+
+
+def test_a_folder_in_the_place_of_the_page_is_a_problem_and_stays(failing, page):
+    page.mkdir()
+    result = failing.run("--pafot-report=report.html")
+    assert "not written" in result.stdout.str()
+    assert list(failing.path.glob("**/*.part")) == []
+    assert page.is_dir()
+
+
+def test_an_interrupted_session_writes_what_it_has(project, page):
+    project.write(INTERRUPTED)
+    result = project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    data = data_of(page)
+    assert {finding["id"] for finding in data["findings"]} == {name.split("/")[-1][:-11] for name in project.files}
+    assert (data["campaigns"][0]["reason"], data["campaigns"][0]["simulated"]) == ("", 2)
+    assert "interrupted" in page.read_text(encoding="utf-8")
+
+
+def test_the_mark_the_environment_and_the_ini_file_name_a_page_too(project, monkeypatch):
+    project.write(
+        '@pafot.search(SHORT, report="a.html")\ndef test_a(run):\n    pass\n\n'
+        "@pafot.search(SHORT)\ndef test_b(run):\n    pass\n"
+    )
+    project.pytester.makeini("[pytest]\npafot_report = ini.html\n")
+    project.run()
+    assert sorted(path.name for path in project.path.glob("*.html")) == ["a.html", "ini.html"]
+    monkeypatch.setenv("PAFOT_REPORT", "environment.html")
+    project.run()
+    assert (project.path / "environment.html").is_file()
+    for path in project.path.glob("*.html"):
+        path.unlink()
+    project.run("--pafot-report=line.html")
+    assert [path.name for path in project.path.glob("*.html")] == ["line.html"]
+
+
+def test_a_name_that_is_neither_a_page_nor_a_folder_is_refused(failing):
+    result = failing.run("--pafot-report=report.pdf")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--pafot-report: expected the name of a page FILE.html, or of a folder DIR/*"])
+
+
+def test_a_session_without_search_and_replay_writes_nothing_and_says_so(project, page):
+    project.write("def test_b():\n    pass\n")
+    result = project.run("--pafot-report=report.html")
+    assert not page.exists()
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: nothing was written*"])
+
+
+def test_without_the_option_nothing_of_the_page_is_imported(project):
+    project.write(
+        """
+import atexit, json, sys
+
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    assert run.duration < 1
+
+def dump():
+    with open("modules.json", "w") as file:
+        json.dump(sorted(sys.modules), file)
+
+atexit.register(dump)
+"""
+    )
+    project.run(subprocess=True).assert_outcomes(failed=2)
+    names = set(json.loads((project.path / "modules.json").read_text()))
+    own = {name for name in names if name.startswith("pytest_pafot.report")}
+    assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal"}
+    assert "pytest_pafot.plugin.showing" not in names
+
+
+def rows_of(project, *options, **more):
+    """The frames in a report of pytest-html."""
+    project.run("--html=out.html", "--self-contained-html", *options, plugins=("html", "metadata"), **more)
+    text = html.unescape((project.path / "out.html").read_text(encoding="utf-8"))
+    return re.findall(r'<iframe class=\\"pafot-finding\\" title=\\"(.*?)\\"', text)
+
+
+def test_rows_of_pytest_html_show_finds_and_failing_replays(failing, page):
+    (title,) = rows_of(failing, "--pafot-report=report.html")
+    (finding,) = data_of(page)["findings"]
+    assert html.unescape(title) == finding["headline"]
+    assert rows_of(failing, generations=0) == [title]
+
+
+def test_rows_of_pytest_html_come_from_workers_too(failing):
+    assert len(rows_of(failing, "-n", "1", subprocess=True)) == 1
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "report.html"
+    paging.write(path, b"old")
+
+    def fail(self, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(type(path), "replace", fail)
+    with pytest.raises(OSError, match="No space"):
+        paging.write(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_page_has_the_rights_of_any_new_file(tmp_path):
+    (tmp_path / "plain").write_bytes(b"")
+    paging.write(tmp_path / "report.html", b"page")
+    assert stat.S_IMODE((tmp_path / "report.html").stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
+
+
+def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
+    project.run("--pafot-report=report.html", generations=6)
+    (finding, *_) = [each for each in data_of(page)["findings"] if each["event"]["side"] == "front"]
+    saved = read(project.path / finding["path"])
+    assert finding["shrink"]["shrunk_npcs"] == len(saved.scenario.npcs) == 1
+    assert finding["shrink"]["original_npcs"] == len(saved.original.npcs) == 2
+    assert finding["shrink"]["rollouts"] == saved.shrunk.rollouts > 0
+    assert any(note.endswith("still fails") for note in finding["shrink"]["notes"])
+    assert tuple(finding["preventable_by"]) == saved.expect.preventable_by
+    assert set(finding["preventable_tried"]) == set(REFERENCES)
+    assert finding["responsibility"] == saved.expect.responsibility
+    assert len(finding["vehicles"]) == 2
+    project.run("--pafot-report=report.html", generations=0)
+    (again,) = [each for each in data_of(page)["findings"] if each["id"] == finding["id"]]
+    for same in ("shrink", "preventable_by", "vehicles", "times", "event", "headline"):
+        assert again[same] == finding[same]
+
+
+def test_shrinking_that_is_switched_off_says_nothing_on_the_page(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
+    project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", generations=4)
+    findings = data_of(page)["findings"]
+    assert findings
+    assert {finding["shrink"] for finding in findings} == {None}

@@ -1,0 +1,260 @@
+"""After a search: finds are confirmed, shrunk and limited, and nothing that was found is lost on the way."""
+
+import re
+
+import pytest
+
+import pytest_pafot.plugin.shrinking
+import pytest_pafot.world.confirm  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
+from pytest_pafot.findings.corpus import read
+from pytest_pafot.findings.shrink import sort_key
+
+COLLIDES = """
+@pafot.search(SHORT, stop_after=1)
+def test_collides(run):
+    assert not run.collision
+"""
+
+
+@pytest.fixture
+def collides(project):
+    project.write(COLLIDES)
+    return project
+
+
+def run(project, *args, **kwargs):
+    return project.run(*args, **{"generations": 10, **kwargs})
+
+
+def test_a_find_is_announced_and_saved_as_found_and_then_told_again_as_shrunk(collides):
+    result = run(collides)
+    result.assert_outcomes(failed=2)
+    lines = result.stdout.str().splitlines()
+    node_id = f"test_it.py::test_collides[saved-{collides.only_id}]"
+    found, shrunk = lines.index(f"pafot: found {node_id}"), lines.index(f"pafot: shrunk {node_id}")
+    assert found < shrunk
+    assert re.fullmatch(r"  to 1 NPC, \d instructions?, \d+ s in \d+ runs", lines[shrunk + 2])
+
+
+def test_the_file_keeps_its_name_and_the_scenario_as_found(collides):
+    run(collides, "--pafot-shrink-rollouts=0")
+    as_found, name = read(collides.only_file), collides.only_file
+    name.unlink()
+    run(collides)
+    assert collides.only_file == name
+    finding = read(name)
+    assert finding.original == as_found.scenario
+    assert finding.signature == as_found.signature
+    assert finding.id.endswith(as_found.scenario.id)
+    assert sort_key(finding.scenario) < sort_key(finding.original)
+    assert finding.shrunk.is_minimal
+    assert 0 < finding.shrunk.rollouts <= 300
+    assert all(interval.low <= interval.high for interval in finding.shrunk.speeds)
+
+
+def test_without_rollouts_a_find_stays_as_it_was_found(collides):
+    result = run(collides, "--pafot-shrink-rollouts=0")
+    result.assert_outcomes(failed=2)
+    finding = read(collides.only_file)
+    assert finding.original is None
+    assert finding.shrunk is None
+    assert "shrunk" not in result.stdout.str()
+
+
+@pytest.mark.parametrize("source", ["marker", "ini", "environment"])
+def test_the_number_of_rollouts_comes_from_any_source_of_options(project, monkeypatch, source):
+    argument = ", shrink_rollouts=3" if source == "marker" else ""
+    project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
+    if source == "ini":
+        project.pytester.makeini("[pytest]\npafot_shrink_rollouts = 3\n")
+    if source == "environment":
+        monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "3")
+    run(project)
+    shrunk = read(project.only_file).shrunk
+    assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
+
+
+def test_the_report_has_the_shrunk_run_and_the_sizes_before_and_after(collides):
+    result = run(collides)
+    finding = read(collides.only_file)
+    result.stdout.fnmatch_lines(
+        [
+            f"run = <Run collision after *, scenario {finding.scenario.id}>",
+            f"scenario   <Scenario {finding.scenario.id}: *",
+            "shrunk     from 2 NPCs, 4 instructions, 10 s to 1 NPC, *, in * runs",
+            "still      NPC 0 from 0 s in cell *: any speed from * to * m/s still fails",
+        ]
+    )
+    result.stdout.fnmatch_lines(["  * runs in *, * more to shrink*", "    shrunk to 1 NPC, *"])
+
+
+def test_the_shrunk_file_is_replayed_as_still_failing_and_covers_the_find(collides):
+    run(collides)
+    files = collides.contents
+    result = run(collides)
+    result.stdout.fnmatch_lines(["replay: still failing"])
+    assert collides.contents.items() >= files.items()
+
+
+def test_a_file_that_holds_the_shrunk_find_is_no_other_find(collides):
+    """As when two processes search the same item: the second finds the file of the first, which is shrunk by now."""
+    run(collides)
+    first = collides.contents
+    collides.only_file.rename(collides.path / "kept")
+    run(collides)
+    assert collides.contents == first
+
+
+def test_the_same_seed_gives_the_same_files_in_workers(project):
+    project.write(COLLIDES + COLLIDES.replace("test_collides", "test_again"))
+    run(project)
+    serial = project.contents
+    assert len(serial) == 2
+    for name in serial:
+        (project.path / name).unlink()
+    run(project, "-n", "2", subprocess=True)
+    assert project.contents == serial
+
+
+INTERRUPTED = """
+seen = []
+
+@pafot.search(SHORT, stop_after=1)
+def test_interrupted(run):
+    seen.append(run)
+    if len(seen) == LIMIT:
+        STOP
+    assert run.scenario.id == ''
+"""
+
+
+def test_an_interrupt_while_shrinking_loses_nothing(project):
+    project.write(INTERRUPTED.replace("LIMIT", "4").replace("STOP", "raise KeyboardInterrupt"))
+    result = run(project, no_reraise_ctrlc=True)
+    result.stdout.fnmatch_lines(["pafot: found test_it.py::test_interrupted*", "*KeyboardInterrupt*"])
+    result.stdout.fnmatch_lines([f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"])
+    assert read(project.only_file).original is None
+
+
+def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
+    project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
+    run(project, subprocess=True)
+    assert read(project.only_file).original is None
+    project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
+    result = run(project, "--pafot-stop-after=1")
+    result.stdout.fnmatch_lines(["*crash: a process died while it ran this scenario*"])
+
+
+def test_max_time_leaves_a_find_as_it_was_found(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    result = run(project, "--pafot-max-time=0")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*note: shrinking was cut by --pafot-max-time*"])
+    assert read(project.only_file).original is None
+
+
+def test_a_find_that_does_not_repeat_is_marked_and_not_shrunk(project):
+    project.write(
+        """
+calls = []
+
+def flaky():
+    calls.append(1)
+    brake = -3.0 if len(calls) % 2 else 0.0
+    return lambda observation: (brake, 0.0)
+
+@pafot.search(SHORT, ads=flaky, stop_after=1)
+def test_brakes(run):
+    assert run.hardest_brake < 1
+"""
+    )
+    result = run(project)
+    result.stdout.fnmatch_lines(["  flaky, so never called fixed: 1", "  saved-hardest-brake*", "*(flaky: running it*"])
+    finding = read(project.only_file)
+    assert finding.flaky == "running it again gave another run"
+    assert finding.shrunk is None
+
+
+def test_a_find_that_the_plain_environment_does_not_show_is_flaky(project):
+    project.write(
+        """
+import sys
+
+def ads():
+    frame, names = sys._getframe(), []
+    while frame is not None:
+        names.append(frame.f_globals["__name__"])
+        frame = frame.f_back
+    brake = 0.0 if "pytest_pafot.world.confirm" in names else -3.0
+    return lambda observation: (brake, 0.0)
+
+@pafot.search(SHORT, ads=ads, stop_after=1)
+def test_brakes(run):
+    assert run.hardest_brake < 1
+"""
+    )
+    result = run(project)
+    assert read(project.only_file).flaky.startswith("in highway-env's own environment: ")
+    result.stdout.fnmatch_lines(["  flaky, so never called fixed: 1"])
+
+
+def test_a_flaky_file_that_passes_is_called_flaky(collides):
+    run(collides)
+    file = collides.only_file
+    file.write_text(file.read_text().replace("# xfail", 'flaky: "in highway-env: safe"\n# xfail'))
+    collides.write(COLLIDES.replace("assert not run.collision", "pass"))
+    result = run(collides, "-v", generations=0)
+    result.stdout.fnmatch_lines(["*PASSED (flaky)*", "replayed 1 saved scenario: 1 flaky"])
+
+
+def test_a_shrunk_xfail_reason_stays(collides):
+    run(collides)
+    file = collides.only_file
+    file.write_text(file.read_text().replace("# xfail:", "xfail:"))
+    assert read(file).xfail == "reason"
+    run(collides, generations=0).assert_outcomes(xfailed=1, skipped=1)
+
+
+def test_a_limit_of_saved_scenarios_counts_and_names_the_rest(project):
+    project.write(
+        """
+@pafot.search(SHORT)
+def test_many(run):
+    raise type(f"Error{run.scenario.id}", (Exception,), {})
+"""
+    )
+    result = run(project, "--pafot-max-saved=2", "--pafot-shrink-rollouts=1", generations=2)
+    assert len(project.files) == 2
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(["* new findings in *", "* further findings not saved (--pafot-max-saved): *(1 run)*"])
+
+
+def test_a_test_with_as_many_files_as_it_may_have_still_fails_for_a_new_find(project):
+    project.write(
+        """
+@pafot.search(SHORT, max_saved=1)
+def test_one(run):
+    raise type(f"Error{run.scenario.id}", (Exception,), {})
+"""
+    )
+    run(project, "--pafot-stop-after=1")
+    first = project.contents
+    result = run(project, seed=2, generations=1)
+    assert project.contents == first
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*further findings not saved (--pafot-max-saved): *"])
+
+
+def test_progress_says_that_it_shrinks(collides):
+    collides.pytester.makeconftest(
+        """
+import pytest
+from pytest_pafot.plugin.session import SHARED
+
+@pytest.fixture
+def ads(pytestconfig):
+    pytestconfig.stash[SHARED].progress_seconds = 0.0
+    return lambda: lambda observation: (0.0, 0.0)
+"""
+    )
+    run(collides).stdout.fnmatch_lines(["pafot: *collides* shrinking saved-*, run 1 of at most 300"])

@@ -1,0 +1,133 @@
+"""Reports for tests: real runs, runs made by hand, and strategies for views that nobody would expect."""
+
+import math
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Union, get_args, get_origin, get_type_hints
+
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot.findings.emit import text_of
+from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.report.campaign_views import campaign_view
+from pytest_pafot.report.finding_views import finding_view
+from pytest_pafot.report.views import Report
+from pytest_pafot.searching.campaign import run_campaign
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.genetic import PafotSearch
+
+TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
+
+HOSTILE = (
+    "</script><script>window.hacked = 1</script>",
+    "<!--<script>",
+    "<img src=x onerror='window.hacked=1'>",
+    "\"'><svg onload=window.hacked=1>",
+    "]]>",
+    "line\u2028separator\u2029",
+    "$title ${script} $$",
+    "nul\x00 bell\x07 escape\x1b[31m",
+    "lone \ud800 surrogate",
+    "&lt;b&gt; &amp;",
+    "na\u00efve \U0001f697 \u202egnirts",
+)
+
+
+def constant_speed():
+    return lambda observation: (0.0, 0.0)
+
+
+def scenario(*chains, **more):
+    genes = [[pafot.PositionInstruction(cell, speed) for cell, speed in chain] for chain in chains]
+    return pafot.Scenario(npcs=genes, **more)
+
+
+CUT_IN = scenario([(1, 25.0), (2, 8.0)], [(4, 20.0), (4, 20.0)], seed=7)
+"""NPC 0 comes from the front left, cuts in and brakes; NPC 1 stays at the right."""
+
+
+def finding_of(trace, **more):
+    failure = Failure(kind="AssertionError", assertion="assert not run.collision")
+    found = Found(seed=1, generation=3, algorithm="pafot", versions={"pytest-pafot": "0.1.0"})
+    return Finding.of(Run(trace), failure, test=TEST, world=more.pop("world", {"kind": "highway"}), found=found)
+
+
+def view_of(trace, **more):
+    finding = finding_of(trace)
+    fields = {"node_id": f"{TEST}[saved-{finding.id}]", "yaml": text_of(finding)} | more
+    return finding_view(trace, finding, **fields)
+
+
+@cache
+def cut_in_trace():
+    return pafot.Highway().rollout(CUT_IN, constant_speed)
+
+
+@cache
+def rear_trace():
+    """An NPC drives into the ego from behind; another one falls far behind."""
+    return pafot.Highway().rollout(scenario([(6, 26.8)] * 3, [(7, 2.0)] * 3, ego_speed=15.0), constant_speed)
+
+
+@cache
+def campaign_parts():
+    """A real search of the constant-speed policy: (events, arrivals by scenario as driven)."""
+    world, fitness, arrivals = pafot.Highway(duration=30.0), resolve("default"), {}
+
+    def evaluate(scenarios):
+        evaluations = []
+        for each in scenarios:
+            trace = world.rollout(each, constant_speed)
+            arrivals[trace.executed] = trace.arrivals
+            evaluations.append(Evaluation.of(trace, fitness=fitness(trace), failing=trace.collision is not None))
+        return evaluations
+
+    return tuple(run_campaign(PafotSearch(restart_after=2), evaluate, generations=8, seed=5)), arrivals
+
+
+@cache
+def real_report():
+    events, arrivals = campaign_parts()
+    campaign = campaign_view(f"{TEST}[search]", events, arrivals=arrivals, responsibilities={"ego": 3, "npc": 2})
+    return Report(
+        title="Constant speed",
+        facts=(("pytest-pafot", "0.1.0"), ("base seed", "5")),
+        command="pytest --pafot-generations=8",
+        findings=(view_of(cut_in_trace()), view_of(rear_trace())),
+        campaigns=(campaign,),
+    )
+
+
+def texts():
+    return st.one_of(st.sampled_from(HOSTILE), st.text(max_size=20))
+
+
+def values_of(kind, leaves=None):
+    """A strategy for any dataclass of views, from its annotations; ``leaves`` replaces those of types by name."""
+    leaves = {
+        str: texts(),
+        float: st.floats(-1e6, 1e6).map(lambda value: round(value, 3)),
+        int: st.integers(-1000, 1000),
+        bool: st.booleans(),
+    } | (leaves or {})
+    if kind in leaves:
+        return leaves[kind]
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return st.builds(kind, **{field.name: values_of(hints[field.name], leaves) for field in fields(kind)})
+    arguments = get_args(kind)
+    if get_origin(kind) is tuple:
+        if len(arguments) == 2 and arguments[1] is ...:
+            return st.lists(values_of(arguments[0], leaves), max_size=2).map(tuple)
+        return st.tuples(*(values_of(argument, leaves) for argument in arguments))
+    if get_origin(kind) is Union or type(kind).__name__ == "UnionType":
+        return st.none() | values_of(next(each for each in arguments if each is not type(None)), leaves)
+    raise TypeError(kind)
+
+
+def is_close(a, b, tolerance=0.006):
+    return (a is None and b is None) or math.isclose(a, b, abs_tol=tolerance)

@@ -1,0 +1,140 @@
+"""What a search's view says of its events."""
+
+import math
+
+import pytest
+
+from pytest_pafot.report.campaign_views import campaign_view
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import (
+    CampaignFinished,
+    CampaignStarted,
+    Evaluated,
+    GenerationFinished,
+    LocalSearchFinished,
+    Restarted,
+)
+from pytest_pafot.trace import Outcome
+from tests.report.builders import campaign_parts, scenario
+
+
+def evaluation(fitness=1.0, *, asked=None, driven=None, **more):
+    asked = asked or scenario([(1, 20.0), (2, 8.0)])
+    driven = driven or asked
+    fields = {"failing": False, "outcome": Outcome.SAFE, "duration": 20.0, "genes_reached": 0, "interaction": True}
+    fields["genes_started"] = sum(map(len, driven.npcs))
+    return Evaluation(scenario=asked, executed=driven, fitness=fitness, **(fields | more))
+
+
+def generation(number, *population, local=0):
+    return GenerationFinished(generation=number, local_generation=local, population=population, elites=0)
+
+
+def evaluated(each, *, reused=False):
+    return Evaluated(generation=0, local_generation=0, index=0, evaluation=each, reused=reused)
+
+
+def view(*events, **more):
+    return campaign_view("n", events, **more)
+
+
+def row_of(rows, label):
+    return next(row for row in rows if row.label == label)
+
+
+def test_best_and_mean_are_over_the_eligible_runs_of_a_population():
+    population = (
+        evaluation(2.0),
+        evaluation(1.0, failing=True),
+        evaluation(math.nan),
+        evaluation(9.0, outcome=Outcome.INVALID),
+    )
+    (row,) = view(generation(0, *population)).generations
+    assert (row.best, row.mean, row.failing, row.population) == (2.0, 1.5, 1, 4)
+
+
+def test_a_generation_without_an_eligible_run_has_no_best():
+    (row,) = view(generation(0, evaluation(math.nan), evaluation(math.inf))).generations
+    assert row.best is row.mean is None
+
+
+def test_local_searches_and_restarts_are_marked_at_their_generations():
+    best, better = evaluation(1.0), evaluation(3.0)
+    rows = view(
+        generation(0, best),
+        generation(0, better, local=1),
+        LocalSearchFinished(generation=0, incumbent=best, best=better, replaced=True),
+        Restarted(generation=1, stagnant=5),
+        generation(1, best),
+    ).generations
+    assert [row.local_best for row in rows] == [3.0, None]
+    assert [row.local_replaced for row in rows] == [True, False]
+    assert [row.restarted for row in rows] == [False, True]
+
+
+def test_coverage_tells_requested_from_driven_from_reached():
+    asked, driven = scenario([(1, 20.0), (2, 8.0), (3, 4.0)]), scenario([(1, 20.0), (1, 8.0), (2, 4.0)])
+    shown = view(evaluated(evaluation(asked=asked, driven=driven, genes_started=2)), arrivals={driven: ((15, None),)})
+    one, two, three = shown.cells[:3]
+    assert (one.requested, one.driven, one.reached) == (1, 2, 1)
+    assert (two.requested, two.driven, two.reached) == (1, 0, 0)
+    assert (three.requested, three.driven) == (1, 0)
+    held, stepped = row_of(shown.steps, "1 to 1"), row_of(shown.steps, "1 to 2")
+    assert (held.requested, held.driven, held.reached) == (0, 1, 0)
+    assert (stepped.requested, stepped.driven) == (1, 0)
+
+
+def test_speeds_are_counted_in_bins_up_to_the_limit():
+    asked = scenario([(1, 0.0), (1, 4.9), (1, 5.0), (1, 26.8)])
+    shown = view(evaluated(evaluation(asked=asked)), speed_limit=26.8)
+    assert [row.label for row in shown.speeds][-1] == "25 to 26.8 m/s"
+    assert [row.requested for row in shown.speeds] == [2, 1, 0, 0, 0, 1]
+
+
+def test_without_arrivals_nothing_is_said_of_reached_cells():
+    assert all(row.reached is None for row in view(evaluated(evaluation())).cells)
+
+
+def test_scenarios_that_were_not_run_again_count_nowhere_but_as_reused():
+    shown = view(evaluated(evaluation()), evaluated(evaluation(), reused=True))
+    assert (shown.simulated, shown.reused) == (1, 1)
+    assert shown.outcomes == (("safe", 1),)
+
+
+def test_counts_come_the_most_frequent_first():
+    shown = view(responsibilities={"npc": 2, "ego": 7, "none": 2})
+    assert shown.responsibilities == (("ego", 7), ("none", 2), ("npc", 2))
+
+
+def test_a_search_that_was_cut_short_is_shown_as_far_as_it_came():
+    shown = view(CampaignStarted(algorithm="pafot", generations=9, seed=4), generation(0, evaluation()))
+    assert (shown.algorithm, shown.seed, shown.asked, shown.reason, len(shown.generations)) == ("pafot", 4, 9, "", 1)
+
+
+def test_warnings_are_those_of_the_searchs_health():
+    assert view().warnings[0].startswith("no scenario was simulated")
+
+
+@pytest.fixture(scope="module")
+def real():
+    events, arrivals = campaign_parts()
+    return events, campaign_view("n", iter(events), arrivals=arrivals)
+
+
+def test_a_real_search_adds_up(real):
+    events, shown = real
+    finished = next(event for event in events if isinstance(event, CampaignFinished))
+    assert shown.simulated == finished.simulated == sum(count for _, count in shown.outcomes)
+    assert len(shown.generations) == finished.generations == shown.asked
+    assert len(shown.cells) == 8
+    assert len({row.label for row in shown.steps}) == 24
+    cells, speeds = (sum(row.driven for row in rows) for rows in (shown.cells, shown.speeds))
+    assert cells == speeds > 0
+    assert all(row.reached <= row.driven <= row.requested for row in shown.speeds)
+
+
+def test_a_real_search_shows_its_restarts(real):
+    events, shown = real
+    restarts = {event.generation for event in events if isinstance(event, Restarted)}
+    assert restarts
+    assert {row.generation for row in shown.generations if row.restarted} == restarts

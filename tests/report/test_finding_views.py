@@ -1,0 +1,148 @@
+"""What a finding's view says of its run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot.criticality import Encounters
+from pytest_pafot.findings.emit import text_of
+from pytest_pafot.grid import Cell
+from pytest_pafot.report.finding_views import finding_view, frame_ticks, shrink_view
+from pytest_pafot.trace import Outcome
+from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
+from tests.support.traces import collision_at, straight_lanes, trace_of, vehicle
+
+
+def braking_ahead(**more):
+    """An NPC 40 m ahead in the ego's lane at 10 m/s; the ego comes with 20 m/s and hits it after 3.5 s."""
+    ticks = 52
+    npc = vehicle(40.0, 4.0, speed=10.0, ticks=ticks)
+    return trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=ticks), npc, outcome=Outcome.COLLISION, **more)
+
+
+@pytest.mark.parametrize("physics_hz", [5, 10, 15, 20, 50, 100])
+def test_frames_are_about_seven_a_second_at_any_frequency(physics_hz):
+    ticks = 20 * physics_hz
+    trace = trace_of(
+        vehicle(0.0, speed=20.0, ticks=ticks), vehicle(50.0, speed=20.0, ticks=ticks), physics_hz=physics_hz
+    )
+    rate = (len(frame_ticks(trace)) - 1) / trace.duration
+    assert 5 <= rate <= 10
+
+
+def test_the_first_frame_the_last_one_and_the_collision_are_always_shown():
+    trace = trace_of(
+        vehicle(0.0, speed=20.0, ticks=60), vehicle(20.0, speed=20.0, ticks=60),
+        outcome=Outcome.COLLISION, collision=collision_at(57),
+    )  # fmt: skip
+    ticks = frame_ticks(trace)
+    assert {0, 57, 60} <= set(ticks)
+    assert ticks == sorted(set(ticks))
+
+
+def test_positions_and_measures_are_those_of_the_trace_at_the_frames():
+    trace = cut_in_trace()
+    view, encounters = view_of(trace), Encounters(trace)
+    for frame, time in enumerate(view.times):
+        tick = round(time * trace.physics_hz)
+        for index, shown in enumerate(view.vehicles):
+            x, y, _, speed, *_ = trace.states[tick, index]
+            assert is_close(shown.along[frame], x)
+            assert is_close(shown.across[frame], y)
+            assert is_close(shown.speed[frame], speed)
+        for npc, shown in enumerate(view.vehicles[1:]):
+            assert is_close(shown.gap[frame], encounters.gap[npc, tick])
+            ttc = encounters.ttc[npc, tick]
+            assert is_close(shown.ttc[frame], ttc if np.isfinite(ttc) else None)
+
+
+def test_a_time_to_contact_that_never_comes_is_none_and_no_infinity():
+    view = view_of(trace_of(vehicle(0.0, speed=20.0, ticks=30), vehicle(40.0, speed=20.0, ticks=30)))
+    assert set(view.vehicles[1].ttc) == {None}
+
+
+def test_the_gap_ends_at_zero_in_a_collision():
+    assert view_of(cut_in_trace()).vehicles[1].gap[-1] == 0.0
+
+
+@pytest.mark.parametrize("heading", [0.5, -2.0, np.pi / 2])
+def test_a_road_in_any_direction_gives_the_picture_of_a_straight_one(heading):
+    def driving(offset, lane, speed):
+        x = offset * np.cos(heading) - lane * 4.0 * np.sin(heading)
+        y = offset * np.sin(heading) + lane * 4.0 * np.cos(heading)
+        return vehicle(x, y, heading=heading, speed=speed, lane=lane, ticks=30)
+
+    turned = trace_of(driving(0, 1, 20.0), driving(30, 2, 18.0), lanes=straight_lanes(heading=heading))
+    straight = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(30.0, 8.0, speed=18.0, ticks=30))
+    one, other = view_of(turned), view_of(straight)
+    assert one.road == other.road
+    for a, b in zip(one.vehicles, other.vehicles, strict=True):
+        assert a.cells == b.cells
+        for name in ("along", "across", "heading", "speed"):
+            assert all(is_close(x, y, 0.011) for x, y in zip(getattr(a, name), getattr(b, name), strict=True))
+
+
+def test_the_cell_of_an_npc_is_told_at_every_frame_and_the_egos_own_is_zero():
+    assert set(view_of(braking_ahead()).vehicles[1].cells) == {int(Cell.FRONT)}
+    beside = trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(1.0, 4.5, speed=20.0, ticks=9))
+    assert set(view_of(beside).vehicles[1].cells) == {0}
+
+
+def test_instructions_tell_what_was_requested_and_what_was_driven():
+    asked, driven = scenario([(1, 20.0), (2, 8.0)]), scenario([(1, 20.0), (1, 8.0)])
+    trace = replace(braking_ahead(), scenario=asked, executed=driven, arrivals=((30, None),))
+    first, second = view_of(trace).instructions
+    assert (first.requested, first.cell, first.speed, first.start, first.end) == (1, 1, 20.0, 0.0, 10.0)
+    assert first.arrived == 2.0
+    assert (second.requested, second.cell, second.started, second.arrived) == (2, 1, True, None)
+
+
+def test_genes_that_the_run_did_not_come_to_are_marked():
+    trace = replace(braking_ahead(), scenario=CUT_IN, executed=CUT_IN, arrivals=((15,), (3,)))
+    assert [row.started for row in view_of(trace).instructions] == [True, False, True, False]
+
+
+def test_the_event_is_the_collision():
+    event = view_of(cut_in_trace()).event
+    hit = cut_in_trace().collision
+    assert (event.kind, event.npc, event.side, event.cell) == ("collision", hit.npc, hit.side, int(hit.cell))
+    assert event.time == pytest.approx(hit.time, abs=0.001)
+
+
+def test_headline_and_explanation_are_those_of_the_run_unless_given():
+    view = view_of(rear_trace())
+    assert view.headline.startswith("collision after ")
+    assert "at the impact" in view.explanation
+    assert view_of(rear_trace(), headline="H", explanation="E").explanation == "E"
+
+
+def test_reference_drivers_that_survived_count_as_tried():
+    trace = cut_in_trace()
+    finding = finding_of(trace)
+    finding = replace(finding, expect=replace(finding.expect, preventable_by=("idm-aeb",)))
+    view = finding_view(trace, finding, node_id="n", yaml="", preventable_tried=("careful-human", "idm-aeb"))
+    assert view.preventable_by == ("idm-aeb",)
+    assert view.preventable_tried == ("idm-aeb", "careful-human")
+
+
+def test_the_command_survives_a_shell():
+    assert view_of(cut_in_trace(), node_id=f"{TEST}[a b'c]").command == f"""pytest '{TEST}[a b'"'"'c]'"""
+
+
+def test_a_finding_that_nobody_saw_has_instructions_and_no_frames():
+    finding = finding_of(cut_in_trace())
+    view = finding_view(None, finding, node_id="n", yaml=text_of(finding))
+    assert view.times == view.vehicles == ()
+    assert view.duration == 0
+    assert view.headline
+    assert len(view.instructions) == 4
+    assert not any(row.started for row in view.instructions)
+
+
+def test_a_shrunk_scenario_is_told_beside_the_original():
+    shrunk = shrink_view(CUT_IN, scenario([(2, 8.0), (2, 8.0)]), rollouts=41, notes=["any speed from 3 to 11 m/s"])
+    assert (shrunk.original_npcs, shrunk.shrunk_npcs) == (2, 1)
+    assert (shrunk.original_instructions, shrunk.shrunk_instructions) == (3, 1)
+    assert shrunk.original == ("1 front-left 25.0 m/s, 2 front 8.0 m/s", "4 right 20.0 m/s x2")
+    assert shrunk.shrunk == ("2 front 8.0 m/s x2",)

@@ -1,0 +1,223 @@
+"""The page as text: complete, safe, the same every time, and small."""
+
+import base64
+import hashlib
+import html
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.report.finding_views import shrink_view
+from pytest_pafot.report.page import data_json, render_frame, render_page
+from pytest_pafot.report.plain import from_plain
+from pytest_pafot.report.views import CampaignView, FindingView, Report
+from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
+from tests.support.traces import trace_of, vehicle
+
+
+class Reader(HTMLParser):
+    """Elements, the text of scripts and styles, and all other text."""
+
+    def __init__(self, page):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.words, self.raw, self._open = [], [], {}, None
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag in ("script", "style"):
+            self._open = f"{tag}:{dict(attrs).get('type', '')}"
+            self.raw[self._open] = ""
+
+    def handle_endtag(self, tag):
+        self._open = None
+
+    def handle_data(self, data):
+        if self._open is None:
+            self.words.append(data)
+        else:
+            self.raw[self._open] += data
+
+
+@pytest.fixture(scope="module")
+def page():
+    return render_page(real_report())
+
+
+def test_the_same_report_gives_the_same_page(page):
+    assert render_page(real_report()) == page
+
+
+def test_the_page_refers_to_nothing_outside_itself(page):
+    reader = Reader(page)
+    assert not {"link", "img", "iframe", "object", "embed", "base"} & {tag for tag, _ in reader.tags}
+    addresses = [
+        value for _, attrs in reader.tags for name, value in attrs.items() if name in ("src", "href", "action")
+    ]
+    assert all(address.startswith("#") for address in addresses)
+    outside = set(re.findall(r"https?://[^\s\"'<]+", page)) - {"http://www.w3.org/2000/svg"}
+    assert not outside
+    assert "@import" not in page
+
+
+def test_the_page_allows_its_own_style_and_script_and_no_connection(page):
+    reader = Reader(page)
+    policy = next(
+        attrs["content"] for tag, attrs in reader.tags if attrs.get("http-equiv") == "Content-Security-Policy"
+    )
+
+    def hash_of(text):
+        return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+    assert "default-src 'none'" in policy
+    assert f"style-src {hash_of(reader.raw['style:'])};" in policy
+    assert f"script-src {hash_of(reader.raw['script:'])};" in policy
+
+
+def test_everything_in_words_is_there_without_scripts(page):
+    words = " ".join(Reader(page).words)
+    for finding in real_report().findings:
+        for part in (finding.id, finding.headline, finding.yaml, finding.command, finding.node_id):
+            assert part in words
+    assert "Steps on the ring" in words
+    assert "ego responsible" in words
+
+
+def test_the_data_is_the_report_but_for_texts_that_the_page_holds(page):
+    data = json.loads(Reader(page).raw["script:application/json"])
+    back = from_plain(Report, data)
+    slim = tuple(replace(finding, yaml="", explanation="") for finding in real_report().findings)
+    assert back == replace(real_report(), findings=slim)
+
+
+def page_that_says(text):
+    """A page that holds a text wherever a report can."""
+    finding = replace(
+        real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, node_id=text, command=text,
+        label=text, path=text, responsibility=text, preventable_by=(text,), test=text,
+    )  # fmt: skip
+    campaign = replace(real_report().campaigns[0], node_id=text, warnings=(text,), outcomes=((text, 1),))
+    return render_page(
+        Report(title=text, facts=((text, text),), command=text, findings=(finding,), campaigns=(campaign,))
+    )
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_text_stays_text_wherever_it_stands(text):
+    hostile, harmless = Reader(page_that_says(text)), Reader(page_that_says("harmless"))
+    assert [(tag, list(attrs)) for tag, attrs in hostile.tags] == [(tag, list(attrs)) for tag, attrs in harmless.tags]
+    assert hostile.raw["script:"] == harmless.raw["script:"]
+    page_that_says(text).encode("utf-8")
+
+
+@given(values_of(Report))
+@settings(max_examples=20)
+def test_data_survives_its_script_element(report):
+    data = data_json(report)
+    assert data.isascii()
+    assert not set("<>&") & set(data)
+    assert json.loads(data)["title"] == report.title
+
+
+def test_a_view_with_numbers_that_json_lacks_is_refused():
+    finding = real_report().findings[0]
+    with pytest.raises(ValueError, match="JSON"):
+        render_page(Report(title="t", findings=(replace(finding, times=(float("nan"),)),)))
+
+
+def test_an_empty_report_says_that_nothing_was_found():
+    page = render_page(Report(title="Nothing"))
+    assert "No findings" in page
+    assert "Searches" not in " ".join(Reader(page).words)
+
+
+def test_a_finding_without_frames_says_so():
+    finding = replace(real_report().findings[0], times=(), vehicles=())
+    assert "Nobody saw a run" in render_page(Report(title="t", findings=(finding,)))
+
+
+def test_reference_drivers_are_told_whether_they_survive_or_not():
+    finding = real_report().findings[0]
+    survived = replace(finding, preventable_by=("idm-aeb",), preventable_tried=("idm-aeb", "careful-human"))
+    assert "preventable by idm-aeb" in render_page(Report(title="t", findings=(survived,)))
+    none = replace(finding, preventable_tried=("idm-aeb",))
+    assert "no reference driver prevents it (tried: idm-aeb)" in render_page(Report(title="t", findings=(none,)))
+
+
+def test_the_page_itself_is_below_100_kilobytes():
+    assert len(render_page(Report(title="t")).encode()) < 100_000
+
+
+def test_a_minute_with_two_npcs_takes_below_60_kilobytes():
+    ticks = 900
+    lanes = [vehicle(x, y, speed=21.37, ticks=ticks) for x, y in ((0.123, 4.0), (31.77, 0.0), (-52.3, 8.0))]
+    trace = trace_of(*lanes, scenario=scenario([(1, 20.3)] * 6, [(4, 7.7)] * 6))
+    assert trace.duration == 60
+    one, two = (len(render_page(Report(title="t", findings=(view_of(trace),) * count)).encode()) for count in (1, 2))
+    assert two - one < 60_000
+
+
+def test_a_frame_holds_the_page_of_one_finding_and_may_only_run_scripts():
+    finding = view_of(cut_in_trace())
+    ((tag, attrs),) = Reader(render_frame(finding)).tags
+    assert tag == "iframe"
+    assert attrs["sandbox"] == "allow-scripts"
+    inner = Reader(attrs["srcdoc"])
+    assert ("html", {"lang": "en", "class": "embedded"}) in inner.tags
+    assert finding.headline in " ".join(inner.words)
+    assert attrs["title"] == finding.headline
+
+
+def test_a_frame_of_hostile_text_is_one_element():
+    finding = replace(view_of(cut_in_trace()), headline='"></iframe><script>hacked</script>')
+    assert [tag for tag, _ in Reader(render_frame(finding)).tags] == ["iframe"]
+
+
+def test_positions_are_rounded_so_that_pages_stay_small():
+    rng = np.random.default_rng(3)
+    states = vehicle(np.cumsum(rng.uniform(1, 2, 90)), 4.0, speed=20.0)
+    view = view_of(trace_of(states, states + 0.123456))
+    assert all(len(str(value)) <= 8 for value in view.vehicles[1].along)
+
+
+def test_the_frame_survives_being_read_as_an_attribute():
+    finding = view_of(cut_in_trace())
+    frame = render_frame(finding)
+    srcdoc = frame.split('srcdoc="')[1].rsplit('">', 1)[0]
+    assert '"' not in srcdoc
+    assert html.unescape(srcdoc).startswith("<!doctype html>")
+
+
+def test_every_kind_of_view_renders_whatever_it_holds():
+    cells = {int: st.integers(1, 8)}
+
+    @given(values_of(FindingView, cells), values_of(CampaignView, cells))
+    @settings(max_examples=15)
+    def check(finding, campaign):
+        render_page(Report(title="t", findings=(finding,), campaigns=(campaign,)))
+
+    check()
+
+
+def test_a_finding_that_nothing_could_simplify_says_so_without_a_table():
+    same = shrink_view(CUT_IN, CUT_IN, rollouts=41, notes=["any speed from 3 to 11 m/s still fails"])
+    page = render_page(Report(title="t", findings=(view_of(cut_in_trace(), shrink=same),)))
+    assert "Nothing simpler found in 41 runs" in page
+    assert "any speed from 3 to 11 m/s still fails" in page
+    assert "as found" not in page
+
+
+def test_the_list_names_the_test_of_each_finding_where_there_are_several():
+    view = view_of(cut_in_trace())
+    other = replace(view, id="other", test="tests/test_b.py::test_other")
+    one, several = (render_page(Report(title="t", findings=views)) for views in ((view,), (view, other)))
+    assert '<span class="meta">test_other</span>' in several
+    assert '<span class="meta">test_never_at_fault_in_a_collision</span>' in several
+    assert '<span class="meta">test_never_at_fault_in_a_collision</span>' not in one

@@ -1,0 +1,364 @@
+"""The page in headless Chromium: it draws, listens to keys, follows links and asks nobody for anything."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from pytest_pafot.report.page import render_frame, render_page
+from pytest_pafot.report.scene import scene_at
+from pytest_pafot.report.views import Report
+from tests.report.builders import HOSTILE, real_report
+from tests.support.browser import Browser, find_chromium
+
+CHROMIUM = find_chromium()
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
+
+ALL = "[...document.querySelectorAll({selector!r})].map(each => {what})"
+TIME = "Number(document.querySelector('article.current .player').dataset.time)"
+CURRENT = "Number(document.querySelector('article.current').dataset.index)"
+IS_PLAYING = "document.querySelector('article.current .play').textContent === 'Pause'"
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    browser = Browser(CHROMIUM, tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(render_page(real_report()), encoding="utf-8")
+    return path.as_uri()
+
+
+@pytest.fixture
+def opened(browser, address):
+    pages = []
+
+    def opened(fragment="", **more):
+        pages.append(browser.open(address + fragment, **more))
+        return pages[-1]
+
+    yield opened
+    for page in pages:
+        assert page.complaints == []
+        page.close()
+
+
+@pytest.fixture
+def page(opened):
+    return opened()
+
+
+def test_the_page_draws_everything_and_asks_the_network_for_nothing(page, address):
+    assert page.evaluate("document.title") == "Constant speed"
+    assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3
+    assert page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
+    assert page.evaluate("document.querySelectorAll('.fitness svg .best-dot title').length") == 8
+    assert page.evaluate("document.querySelectorAll('.fitness svg .restart').length") > 1
+    assert page.asked == [address]
+
+
+def test_the_first_finding_is_shown_at_its_event(page):
+    assert page.evaluate(CURRENT) == 0
+    assert page.evaluate(TIME) == pytest.approx(real_report().findings[0].event.time, abs=0.001)
+    assert (
+        page.evaluate("document.querySelector('article.current .impact-group').getAttribute('visibility')") == "visible"
+    )
+
+
+def test_a_link_leads_to_a_moment_of_a_finding(opened):
+    finding = real_report().findings[1]
+    page = opened(f"#finding={finding.id}&t=2.5")
+    assert page.evaluate(CURRENT) == 1
+    assert page.evaluate(TIME) == 2.5
+    assert page.evaluate("document.querySelector('#list a[aria-current=true] .id').textContent") == finding.id
+
+
+def test_following_a_link_within_the_page_changes_finding_and_time(page):
+    first, second = real_report().findings
+    page.evaluate(f"location.hash = 'finding={second.id}&t=1.25'")
+    page.until(f"{CURRENT} === 1 && {TIME} === 1.25")
+    page.evaluate(f"document.querySelector('#list a[href=\"#finding={first.id}\"]').click()")
+    page.until(f"{CURRENT} === 0")
+
+
+def test_the_address_follows_what_is_shown(page):
+    page.press("Home")
+    assert page.evaluate("location.hash") == f"#finding={real_report().findings[0].id}&t=0.00"
+
+
+@pytest.mark.parametrize("fragment", ["#finding=unknown&t=3", "#t=nonsense", "#%E0%A4%A", "#finding="])
+def test_a_link_to_nothing_shows_the_first_finding(opened, fragment):
+    assert opened(fragment).evaluate(CURRENT) == 0
+
+
+@pytest.mark.parametrize("time", ["-5", "1e9", "NaN", "Infinity"])
+def test_a_time_outside_of_the_run_is_brought_into_it(opened, time):
+    finding = real_report().findings[0]
+    shown = opened(f"#finding={finding.id}&t={time}").evaluate(TIME)
+    assert 0 <= shown <= finding.duration + 0.001
+
+
+def test_keys_move_through_time(page):
+    end = real_report().findings[0].duration
+    page.press("Home")
+    assert page.evaluate(TIME) == 0
+    page.press("ArrowRight")
+    page.press("ArrowRight")
+    assert page.evaluate(TIME) == pytest.approx(0.2)
+    page.press("ArrowRight", shift=True)
+    assert page.evaluate(TIME) == pytest.approx(1.2)
+    page.press("ArrowLeft")
+    assert page.evaluate(TIME) == pytest.approx(1.1)
+    page.press("End")
+    assert page.evaluate(TIME) == pytest.approx(end, abs=0.001)
+    page.press("Home")
+    page.press("e")
+    assert page.evaluate(TIME) == pytest.approx(real_report().findings[0].event.time, abs=0.001)
+
+
+def test_space_plays_and_pauses(page):
+    page.press("Home")
+    page.press(" ")
+    assert page.evaluate(IS_PLAYING)
+    page.until(f"{TIME} > 0.05")
+    page.press(" ")
+    assert not page.evaluate(IS_PLAYING)
+    stopped = page.evaluate(TIME)
+    assert stopped > 0.05
+    assert page.evaluate(f"new Promise(done => setTimeout(() => done({TIME}), 150))") == stopped
+
+
+def test_space_on_a_button_presses_the_button_alone(page):
+    page.press("Home")
+    page.evaluate("document.querySelector('article.current .play').focus()")
+    page.press(" ")
+    assert page.evaluate(IS_PLAYING)
+
+
+def test_space_plays_after_a_finding_was_chosen_with_the_mouse(page):
+    page.evaluate("(link => { link.focus(); link.click(); })(document.querySelectorAll('#list a')[1])")
+    page.until(f"{CURRENT} === 1")
+    page.press(" ")
+    assert page.evaluate(IS_PLAYING)
+
+
+def test_j_and_k_go_through_the_findings_and_stop_at_the_ends(page):
+    for key, index in (("k", 0), ("j", 1), ("j", 1), ("k", 0)):
+        page.press(key)
+        assert page.evaluate(CURRENT) == index
+
+
+def test_keys_do_nothing_while_a_field_has_them(page):
+    before = page.evaluate(TIME)
+    page.evaluate("document.querySelector('article.current select').focus()")
+    page.press("Home")
+    assert page.evaluate(TIME) == before
+
+
+def test_the_scrubber_says_where_it_is(page):
+    page.press("Home")
+    text = page.evaluate("document.querySelector('article.current input[type=range]').getAttribute('aria-valuetext')")
+    assert text == f"0.00 s of {real_report().findings[0].duration:.2f} s"
+
+
+def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
+    for finding in real_report().findings:
+        page = opened(f"#finding={finding.id}")
+        for time in (0.0, 0.777, 2.0, finding.duration):
+            page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
+            page.until(f"Math.abs({TIME} - {time}) < 0.0011")
+            scene = scene_at(finding, page.evaluate(TIME))
+            drawn = page.evaluate(
+                "[...document.querySelectorAll('article.current [data-vehicle]')]"
+                ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
+            )
+            for (along, across), box in zip(drawn, scene.boxes, strict=True):
+                assert along == pytest.approx(box.along, abs=0.02)
+                assert across == pytest.approx(box.across, abs=0.02)
+            rings = (
+                "[...document.querySelectorAll('article.current .target')].map(each => each.getAttribute('visibility'))"
+            )
+            assert page.evaluate(rings) == ["hidden" if target is None else "visible" for target in scene.targets]
+
+
+def test_hostile_text_is_shown_and_never_run(browser, tmp_path):
+    findings = tuple(
+        replace(real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, label=text)
+        for text in HOSTILE
+    )
+    path = tmp_path / "hostile.html"
+    path.write_text(render_page(Report(title=HOSTILE[0], findings=findings)), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    for _ in HOSTILE:
+        page.press("j")
+    assert page.evaluate(CURRENT) == len(HOSTILE) - 1
+    assert page.evaluate("typeof window.hacked") == "undefined"
+    assert page.evaluate("document.title") == HOSTILE[0]
+    assert page.evaluate("document.querySelectorAll('img, script').length") == 2
+    assert page.complaints == []
+    page.close()
+
+
+@pytest.mark.parametrize("width", [320, 360, 600, 900, 1360, 2200])
+def test_nothing_is_wider_than_the_window(opened, width):
+    page = opened(width=width)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.querySelector('.stage svg').getBoundingClientRect().width") <= width
+
+
+def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
+    word = "x" * 300
+    finding = replace(
+        real_report().findings[0], headline=word, node_id=word, label=word, explanation=word, yaml=word, path=word,
+        command=word, preventable_by=(word,),
+    )  # fmt: skip
+    campaign = replace(real_report().campaigns[0], node_id=word, warnings=(word,), outcomes=((word, 1),))
+    report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), campaigns=(campaign,))
+    path = tmp_path / "long.html"
+    path.write_text(render_page(report), encoding="utf-8")
+    page = browser.open(path.as_uri(), width=360)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.close()
+
+
+def test_two_findings_of_one_id_have_links_of_their_own(browser, tmp_path):
+    finding = real_report().findings[0]
+    path = tmp_path / "twins.html"
+    path.write_text(render_page(Report(title="t", findings=(finding, finding))), encoding="utf-8")
+    page = browser.open(f"{path.as_uri()}#finding={finding.id}-2&t=1")
+    assert page.evaluate(CURRENT) == 1
+    page.press("Home")
+    assert page.evaluate("location.hash") == f"#finding={finding.id}-2&t=0.00"
+    page.close()
+
+
+def test_the_picture_is_drawn_anew_when_the_window_changes(opened):
+    page = opened(width=1360)
+    page.resize(400)
+    page.until("document.querySelector('.stage svg').viewBox.baseVal.width < 400")
+
+
+def luminance(colour):
+    channels = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(a, b):
+    low, high = sorted((luminance(a), luminance(b)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_is_readable_in_the_scheme_that_the_reader_prefers(opened, scheme):
+    page = opened(media=[("prefers-color-scheme", scheme)])
+    probe = """(ground, ink) => { const each = document.createElement('p'); document.body.append(each);
+        each.style.background = `var(--${ground})`; each.style.color = `var(--${ink})`;
+        const style = getComputedStyle(each); const both = [style.backgroundColor, style.color];
+        each.remove(); return both; }"""
+    paper = page.evaluate(f"({probe})('paper', 'ink')[0]")
+    assert (luminance(paper) < 0.1) == (scheme == "dark")
+    pairs = [(ground, ink) for ground in ("paper", "panel", "sunk", "accent-soft") for ink in ("ink", "soft")]
+    pairs += [("warn-soft", "ink"), ("panel", "danger"), ("ego", "ego-ink"), ("road", "soft"), ("road", "danger")]
+    poor = {pair: round(contrast(*page.evaluate(f"({probe})(...{list(pair)})")), 2) for pair in pairs}
+    assert {pair: value for pair, value in poor.items() if value < 4.5} == {}
+    marks = {f"npc{npc}": contrast(*page.evaluate(f"({probe})('road', 'npc{npc}')")) for npc in range(8)}
+    assert {name: value for name, value in marks.items() if value < 3} == {}
+
+
+def test_the_theme_button_overrides_the_preference(opened):
+    page = opened(media=[("prefers-color-scheme", "light")])
+    themes = []
+    for _ in range(3):
+        page.evaluate("document.getElementById('theme').click()")
+        themes.append((page.evaluate("document.documentElement.dataset.theme || 'system'"),
+                       luminance(page.evaluate("getComputedStyle(document.body).backgroundColor")) < 0.1))  # fmt: skip
+    assert themes == [("light", False), ("dark", True), ("system", False)]
+
+
+def test_with_reduced_motion_play_moves_in_steps(opened):
+    page = opened(media=[("prefers-reduced-motion", "reduce")])
+    page.press("Home")
+    page.press(" ")
+    page.until(f"{TIME} > 0")
+    page.press(" ")
+    assert page.evaluate(TIME) % 0.5 == 0
+
+
+def test_everything_that_can_be_focused_has_a_name_and_shows_its_focus(page):
+    nameless = page.evaluate(
+        "[...document.querySelectorAll('button, select, input, a')].filter(each =>"
+        " !(each.textContent.trim() || each.getAttribute('aria-label'))).length"
+    )
+    assert nameless == 0
+    page.press("Tab")
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+def test_npcs_are_told_apart_without_colour(page):
+    def every(selector, what):
+        return page.evaluate(ALL.format(selector=f"article.current {selector}", what=what))
+
+    patterns = every(".stage pattern", "[...each.children].map(part => part.tagName + part.getAttribute('d')).join()")
+    assert len(patterns) == len(set(patterns)) == 2
+    assert every(".vehicle-label", "each.textContent") == ["E", "0", "1"]
+    assert {None, "8 4"} <= set(every(".charts path.curve", "each.getAttribute('stroke-dasharray')"))
+
+
+def test_the_copy_button_tells_what_it_did(page):
+    page.evaluate("document.querySelector('article.current .yaml .copy').click()")
+    page.until("/Copied|Selected/.test(document.querySelector('article.current .yaml .copy').textContent)")
+
+
+def test_the_list_of_keys_opens_and_closes(page):
+    page.press("?")
+    assert page.evaluate("!document.getElementById('key-list').hidden")
+    assert page.evaluate("document.getElementById('keys').getAttribute('aria-expanded')") == "true"
+    page.press("?")
+    assert page.evaluate("document.getElementById('key-list').hidden")
+
+
+def test_a_page_without_findings_has_no_errors(browser, tmp_path):
+    path = tmp_path / "empty.html"
+    path.write_text(render_page(Report(title="Nothing")), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    page.press("j")
+    page.press(" ")
+    assert page.complaints == []
+    page.close()
+
+
+def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
+    first, second = real_report().findings
+    unseen = replace(first, id="crash-1", times=(), vehicles=())
+    path = tmp_path / "unseen.html"
+    path.write_text(render_page(Report(title="t", findings=(unseen, second))), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    page.press(" ")
+    page.press("j")
+    assert page.evaluate(CURRENT) == 1
+    assert page.evaluate(TIME) > 0
+    page.press("k")
+    assert page.complaints == []
+    page.close()
+
+
+def test_a_frame_inside_another_page_draws_its_finding_and_listens(browser, tmp_path):
+    finding = real_report().findings[0]
+    path = tmp_path / "outer.html"
+    path.write_text(f"<!doctype html><meta charset=utf-8><title>t</title>{render_frame(finding)}", encoding="utf-8")
+    page = browser.open(path.as_uri())
+    page.until("document.querySelector('iframe') !== null")
+    inner = page.contexts()[-1]
+    page.until("document.querySelector('.player svg') !== null", context=inner)
+    assert page.evaluate("document.querySelectorAll('[data-vehicle]').length", inner) == 3
+    page.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home', bubbles: true}))", inner)
+    assert page.evaluate(TIME, inner) == 0
+    assert page.complaints == []
+    page.close()

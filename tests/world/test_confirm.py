@@ -1,0 +1,163 @@
+"""The plain registered environment shows the same runs, for every kind of ADS and every way to end."""
+
+import random
+from itertools import islice
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.run import Run
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.confirm import StockVehicle, replay_in_gym
+from tests.support.world_cases import EGOS, constant_speed, random_scenario
+
+
+def assert_confirmed(world, scenario, ads):
+    first = world.rollout(scenario, ads)
+    again = replay_in_gym(world, first.executed, ads)
+    assert disagreement(Run(first), Run(again)) == ""
+    assert again.executed == first.executed
+    assert again.arrivals == first.arrivals
+    assert again.states.shape == first.states.shape
+    assert np.abs(again.states - first.states).max() < 0.01
+    return first
+
+
+def scenarios(seed, count, **arguments):
+    rng = random.Random(seed)
+    return [random_scenario(rng, **{"lanes": 4, "speed_limit": 26.8, "npcs": 2, **arguments}) for _ in range(count)]
+
+
+def ending(world, ads, outcome, seed=0):
+    """The first of many scenarios that ends in a way."""
+    return next(
+        each
+        for each in scenarios(seed, 400, npcs=3 if outcome is Outcome.INVALID else 2)
+        if world.rollout(each, ads).outcome is outcome
+    )
+
+
+@pytest.mark.parametrize("ads", EGOS, ids=lambda ads: ads.__name__)
+@pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, physics_hz=20, ads_hz=10, clearance=0.0)], ids=str)
+def test_planners_and_vehicle_classes_on_a_highway(world, ads):
+    for scenario in scenarios(world.lanes, 3, lanes=world.lanes):
+        assert_confirmed(world, scenario, ads)
+
+
+CONFIGS = {
+    "meta-actions": ({}, lambda rng: int(rng.integers(5))),
+    "continuous": ({"action": {"type": "ContinuousAction"}}, lambda rng: rng.uniform(-0.02, 0.02, 2)),
+    "discrete": ({"action": {"type": "DiscreteAction"}, "policy_frequency": 5}, lambda rng: 4),
+    "images": (
+        {"observation": {"type": "OccupancyGrid"}, "simulation_frequency": 10, "policy_frequency": 2},
+        lambda rng: int(rng.integers(5)),
+    ),
+}
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_policies_of_an_environment(config):
+    options, choose = CONFIGS[config]
+    world = World("highway-v0", config=options, duration=10.0)
+
+    def policy():
+        rng = np.random.default_rng(3)
+        return lambda observation: choose(rng)
+
+    for scenario in scenarios(config, 2):
+        assert_confirmed(world, scenario, policy)
+
+
+def test_a_policy_sees_the_observation_of_the_environment():
+    seen = []
+
+    def policy():
+        def decide(observation):
+            seen.append(observation)
+            return 1
+
+        return decide
+
+    world, (scenario,) = World("highway-v0", duration=5.0), scenarios(1, 1)
+    trace = assert_confirmed(world, scenario, policy)
+    half = len(trace.actions)
+    assert len(seen) == 2 * half
+    assert all(np.allclose(a, b, atol=1e-3) for a, b in zip(seen[:half], seen[half:], strict=True))
+
+
+def test_planners_inside_of_an_environment_and_vehicle_classes_in_one():
+    def inside(env):
+        return lambda observation: 1 if env.vehicle.speed < 25 else 4
+
+    world = World("highway-v0", duration=8.0)
+    for ads in (inside, IDMVehicle, lambda: IDMVehicle):
+        assert_confirmed(world, scenarios(5, 1)[0], ads)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.SAFE, Outcome.INVALID])
+def test_every_way_to_end(outcome):
+    world = Highway()
+    first = assert_confirmed(world, ending(world, constant_speed, outcome), constant_speed)
+    assert first.outcome is outcome
+
+
+def test_a_collision_inside_of_a_decision_ends_the_run_at_that_tick():
+    world = Highway(physics_hz=15, ads_hz=1)
+    found = (each for each in scenarios(8, 100) if world.rollout(each, constant_speed).outcome is Outcome.COLLISION)
+    ticks = [assert_confirmed(world, scenario, constant_speed).collision.tick for scenario in islice(found, 4)]
+    assert any(tick % 15 for tick in ticks)
+
+
+def test_a_run_that_ends_inside_of_a_decision_is_as_long():
+    world = Highway(duration=2.6)
+    assert assert_confirmed(world, scenarios(2, 1)[0], constant_speed).ticks <= 39
+
+
+def test_an_ads_that_raises_raises_there_too():
+    def broken():
+        def decide(observation):
+            if observation.time > 0.5:
+                raise ValueError("lost")
+            return 0.0, 0.0
+
+        return decide
+
+    world, (scenario,) = Highway(), scenarios(3, 1)
+    first = world.rollout(scenario, broken)
+    again = replay_in_gym(world, scenario, broken)
+    assert (first.outcome, first.error.tick, first.error.message) == (
+        again.outcome,
+        again.error.tick,
+        again.error.message,
+    )
+
+
+def test_it_is_the_environments_own_road_and_vehicles_that_drive(monkeypatch):
+    """Nothing of this package's physics takes part: break it, and the run in the environment stays as it is."""
+    from pytest_pafot.world.vehicles import Car
+
+    world, (scenario,) = Highway(), scenarios(4, 1)
+    before = replay_in_gym(world, scenario, constant_speed)
+    monkeypatch.setattr(Car, "__init__", None)
+    monkeypatch.setattr(Car, "step", None)
+    assert np.array_equal(replay_in_gym(world, scenario, constant_speed).states, before.states)
+    own = {name for name in vars(StockVehicle) if not name.startswith("_")}
+    assert own & set(vars(Vehicle)) == set()
+
+
+def test_two_runs_that_differ_are_told_apart():
+    world = Highway()
+    ends_otherwise = Scenario(npcs=((PositionInstruction(2, 0.0),),))
+    hit = world.rollout(ends_otherwise, constant_speed)
+    safe = world.rollout(ends_otherwise, lambda: lambda observation: (-3.0, 0.0))
+    assert hit.outcome is Outcome.COLLISION
+    assert "collision after" in disagreement(Run(hit), Run(safe))
+    slower = world.rollout(ends_otherwise, lambda: lambda observation: (-2.9, 0.0))
+    assert "positions differ by more than 0.5 m from" in disagreement(Run(safe), Run(slower))
+    later = world.rollout(Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)), constant_speed)
+    assert "then <Collision" in disagreement(Run(hit), Run(later))

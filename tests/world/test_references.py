@@ -1,0 +1,219 @@
+"""The reference drivers: what they do alone, and that they see no more than an ADS does."""
+
+import math
+
+import pytest
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import ACCELERATION, SPEED, Outcome, X, Y
+from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
+from pytest_pafot.world.references import (
+    HARD_BRAKING,
+    REFERENCES,
+    CarefulHuman,
+    FuzzySafety,
+    IdmAeb,
+    Leader,
+    preventable_by,
+    rollout_reference,
+    survives,
+)
+
+HZ = 30
+NAMES = tuple(REFERENCES)
+
+
+def car(x, y=4.0, speed=20.0, heading=0.0):
+    return VehicleState(x, y, heading, speed, round(y / 4), 5.0, 2.0)
+
+
+def drive(driver, other, *, seconds=10.0, speed=20.0, hz=HZ):
+    """A driver behind another vehicle, given by its state at each time; gap [m], speed [m/s], acceleration [m/s^2]."""
+    rows, x = [], 0.0
+    for tick in range(round(seconds * hz)):
+        time = tick / hz
+        state = other(time)
+        gap = state.x - x - 5.0
+        acceleration, steering = driver(Observation(time, car(x, speed=speed), (state,), 4, 4.0, 26.8))
+        assert steering == 0.0
+        rows.append((time, gap, speed, acceleration))
+        x += speed / hz
+        speed = max(speed + acceleration / hz, 0.0)
+    return rows
+
+
+def leader(gap, speed, brakes_at=math.inf, braking=0.0):
+    """A vehicle in the ego's lane that may brake."""
+
+    def state(time):
+        braked = min(max(time - brakes_at, 0.0), speed / braking if braking else 0.0)
+        return car(
+            5.0
+            + gap
+            + speed * min(time, brakes_at)
+            + (
+                speed * (time - brakes_at) - braking * braked * (time - brakes_at - braked / 2)
+                if time > brakes_at
+                else 0.0
+            ),
+            speed=speed - braking * braked,
+        )
+
+    return state
+
+
+def cut_in(gap, speed, begins, seconds=2.0):
+    """A vehicle in the left lane that moves into the ego's, 4 m in so many seconds, and begins at a gap from 20 m/s."""
+    ahead = 5.0 + gap + (20.0 - speed) * begins
+
+    def state(time):
+        share = min(max((time - begins) / seconds, 0.0), 1.0)
+        heading = math.atan2(4.0 / seconds, speed) if 0 < share < 1 else 0.0
+        return car(ahead + speed * time, 4.0 * share, speed / math.cos(heading), heading)
+
+    return state
+
+
+def first(rows, condition):
+    return next(time for time, gap, speed, acceleration in rows if condition(gap, speed, acceleration))
+
+
+class TestCarefulHuman:
+    def test_brakes_1_15_s_after_a_slow_vehicle_has_left_its_lane_by_0_375_m(self):
+        rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
+        leaves = 1.0 + 0.375 / 2.0
+        assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(leaves + 0.4 + 0.75, abs=2.5 / HZ)
+
+    def test_brakes_with_0_774_g_reached_in_0_6_s(self):
+        rows = drive(CarefulHuman(), cut_in(20.0, 8.0, begins=1.0))
+        begins = first(rows, lambda gap, speed, a: a < 0)
+        full = first(rows, lambda gap, speed, a: a <= -HARD_BRAKING)
+        assert min(a for *_, a in rows) == pytest.approx(-7.593, abs=0.001)
+        assert full - begins == pytest.approx(0.6, abs=1.5 / HZ)
+
+    def test_brakes_hard_1_15_s_after_a_leader_begins_to(self):
+        rows = drive(CarefulHuman(), leader(36.0, 20.0, brakes_at=0.2, braking=8.0))
+        assert first(rows, lambda gap, speed, a: a < -4.1) == pytest.approx(0.2 + 1.15, abs=3 / HZ)
+
+    def test_avoids_a_leader_that_brakes_to_a_standstill_with_8(self):
+        assert min(gap for _, gap, *_ in drive(CarefulHuman(), leader(43.0, 20.0, 2.0, 8.0))) > 2.0
+
+    def test_follows_two_seconds_behind_without_ever_braking_hard(self):
+        rows = drive(CarefulHuman(), leader(60.0, 15.0), seconds=60.0)
+        assert rows[-1][1] == pytest.approx(3.0 + 2 * 15.0, abs=1.0)
+        assert min(a for *_, a in rows) >= -4.0
+
+    def test_does_not_brake_hard_for_a_vehicle_that_cuts_in_at_its_own_speed(self):
+        rows = drive(CarefulHuman(), cut_in(10.0, 20.0, begins=1.0))
+        assert -4.0 <= min(a for *_, a in rows) < -2.0
+
+    def test_cannot_avoid_what_comes_within_the_reaction_time(self):
+        rows = drive(CarefulHuman(), cut_in(5.0, 8.0, begins=1.0, seconds=0.5))
+        assert min(gap for _, gap, *_ in rows) < 0
+
+    def test_a_vehicle_that_stays_in_the_next_lane_does_not_matter(self):
+        rows = drive(CarefulHuman(), lambda time: car(10.0 + 8 * time, 0.3, 8.0))
+        assert all(a == 0.0 for *_, a in rows)
+
+
+class TestFuzzySafety:
+    def lead(self, gap, speed, own=20.0):
+        return Leader(gap=gap, speed=speed, closing=own - speed, braking=0.0)
+
+    def test_proactive_danger_is_a_share_between_gentle_and_hard_braking(self):
+        model = FuzzySafety()
+        gentle = 20 * 0.75 + 400 / 8 - 400 / 14 + 2.0
+        hard = 20 * 0.75 + 400 / 12 - 400 / 14
+        assert model.proactive(20.0, self.lead(gentle + 2.0, 20.0)) == 0.0
+        assert model.proactive(20.0, self.lead(hard + 2.0, 20.0)) == pytest.approx(1.0)
+        assert model.proactive(20.0, self.lead((gentle + hard) / 2 + 2.0, 20.0)) == pytest.approx(0.5)
+
+    def test_critical_danger_needs_a_leader_that_is_slower(self):
+        model = FuzzySafety()
+        assert model.critical(20.0, self.lead(1.0, 20.0)) == 0.0
+        assert model.critical(20.0, self.lead(1.0, 10.0)) == 1.0
+        gentle, hard = 10 * 0.75 + 100 / 8, 10 * 0.75 + 100 / 12
+        assert model.critical(20.0, self.lead((gentle + hard) / 2 + 0.5, 10.0)) == pytest.approx(0.5)
+
+    def test_reacts_after_0_75_s(self):
+        rows = drive(FuzzySafety(), leader(30.0, 20.0, brakes_at=2.0, braking=7.0))
+        assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(0.75, abs=1.5 / HZ)
+
+    def test_brakes_with_at_most_6_where_a_slow_vehicle_cuts_in(self):
+        rows = drive(FuzzySafety(), cut_in(20.0, 8.0, begins=1.0))
+        assert min(a for *_, a in rows) == -6.0
+
+    def test_reacts_to_a_vehicle_that_is_still_in_its_own_lane_but_comes(self):
+        other, ego = car(20.0, 0.8, 12.0, heading=0.15), car(0.0)
+        assert FuzzySafety.will_be_in_the_way(ego, other, self.lead(15.0, 12.0))
+        assert not FuzzySafety.will_be_in_the_way(ego, car(20.0, 0.8, 12.0), self.lead(15.0, 12.0))
+
+
+class TestIdmAeb:
+    def test_follows_calmly(self):
+        rows = drive(IdmAeb(), leader(60.0, 15.0), seconds=60.0)
+        assert min(a for *_, a in rows) > -3.0
+        assert 1.5 * 15.0 < rows[-1][1] < 1.5 * 15.0 + 10.0
+
+    def test_brakes_with_0_85_g_at_a_low_time_to_collision(self):
+        rows = drive(IdmAeb(), cut_in(20.0, 5.0, begins=1.0))
+        assert min(a for *_, a in rows) == pytest.approx(-0.85 * 9.81)
+
+
+def scenario(*speeds, cell=2, lane=1):
+    """One NPC that holds a cell."""
+    return Scenario(npcs=[[PositionInstruction(cell, speed) for speed in speeds]], ego_lane=lane, ego_speed=22.0)
+
+
+BRAKES = scenario(22.0, 4.0, 4.0)
+"""Falls back to 3 m ahead of the ego, then drives 22 m/s, then falls back again and drives 4 m/s."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestInTheWorld:
+    def test_keeps_its_lane_and_decides_at_every_tick(self, name):
+        trace = Highway(duration=20.0).rollout_reference(scenario(22.0, 10.0), name)
+        assert (trace.ego[:, Y] == trace.ego[0, Y]).all()
+        assert (trace.ads_hz, len(trace.actions)) == (15, trace.ticks)
+
+    def test_drives_the_same_each_time(self, name):
+        world = Highway(duration=20.0)
+        once, again = (world.rollout_reference(BRAKES, name) for _ in range(2))
+        assert once.states.tobytes() == again.states.tobytes()
+
+    def test_keeps_the_limits_of_the_vehicle(self, name):
+        trace = Highway().rollout_reference(BRAKES, name)
+        assert trace.ego[:, ACCELERATION].min() >= -9.81
+        assert trace.ego[:, SPEED].min() >= 0.0
+        assert trace.ego[:, SPEED].max() <= 22.0 + 0.1
+
+    def test_survives_a_vehicle_that_brakes_ahead(self, name):
+        assert survives(Highway(), scenario(22.0, cell=1), name)
+
+    def test_drives_in_a_registered_environment_too(self, name):
+        trace = World("highway-v0", duration=10.0).rollout_reference(scenario(22.0), name)
+        assert trace.outcome in (Outcome.SAFE, Outcome.COLLISION)
+        assert trace.ego[-1, X] > trace.ego[0, X]
+        assert (trace.ego[:, Y] == trace.ego[0, Y]).all()
+
+    def test_can_be_the_ads_of_a_search(self, name):
+        trace = Highway(ads_hz=15, duration=20.0).rollout(BRAKES, REFERENCES[name])
+        assert trace.states.tobytes() == rollout_reference(Highway(duration=20.0), BRAKES, name).states.tobytes()
+
+
+def test_what_nobody_survives_is_preventable_by_nobody():
+    """From behind, at the limit: no lane keeper can do anything about it."""
+    rammed = scenario(26.8, cell=6)
+    assert preventable_by(Highway(), rammed) == ()
+    assert Highway().preventable_by(rammed) == ()
+
+
+def test_what_a_constant_speed_ego_hits_careful_drivers_avoid():
+    slow = scenario(22.0, 15.0, cell=2)
+    assert Highway().rollout(slow, lambda: lambda observation: (0.0, 0.0)).outcome is Outcome.COLLISION
+    assert "careful-human" in preventable_by(Highway(), slow)
+
+
+def test_an_unknown_driver_is_refused_with_the_names_of_the_known():
+    with pytest.raises(WorldError, match="expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"):
+        rollout_reference(Highway(), BRAKES, "me")
