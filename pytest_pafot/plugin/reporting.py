@@ -135,7 +135,8 @@ class Reporter:
     def _tell_base_seed(self) -> None:
         """Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early."""
         if self._is_parallel() and not self._running and not self._searches and self._config.get_verbosity() >= 0:
-            self._write_lines([f"pafot: {base_line(self._config)}"])
+            base = base_line(self._config)
+            self._write_lines([f"pafot: {base}"] if base else [])
 
     def _take_find(self, report: Any, message: dict[str, Any]) -> None:
         node_id = message["node_id"]

@@ -21,7 +21,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
-from pytest_pafot.world.director import Director, Pose
+from pytest_pafot.world.director import Pose
 from pytest_pafot.world.engine import Recorder, Rules, decide, start_positions
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.gym_world import World
@@ -126,16 +126,7 @@ class _Loop:
 
     def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
         ego_length = float(driver.vehicle.LENGTH)
-        director = Director(
-            scenario,
-            rules.road,
-            rules.limits,
-            clearance=rules.clearance,
-            ego_length=ego_length,
-            length=StockVehicle.LENGTH,
-            width=StockVehicle.WIDTH,
-            physics_hz=rules.physics_hz,
-        )
+        director = rules.director(scenario, ego_length, StockVehicle)
         _, *starts = start_positions(rules, scenario, director.first_cells(), ego_length)
         self._npcs = [StockVehicle(env.road, [x, y], heading, scenario.ego_speed) for x, y, heading in starts]
         for npc in self._npcs:

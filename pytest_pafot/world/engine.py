@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.grid import Cell, cell_at
 from pytest_pafot.scenario import Scenario
@@ -55,6 +56,19 @@ class Rules:
         """Where along the road the ego starts [m]."""
         return checks.ego_start(self.headway, self.clearance)
 
+    def director(self, scenario: Scenario, ego_length: float, npc_class: type[Vehicle]) -> Director:
+        """Who drives the NPCs of one run, vehicles of a class, around an ego of a length [m]."""
+        return Director(
+            scenario,
+            self.road,
+            self.limits,
+            clearance=self.clearance,
+            ego_length=ego_length,
+            length=npc_class.LENGTH,
+            width=npc_class.WIDTH,
+            physics_hz=self.physics_hz,
+        )
+
     def ticks(self, scenario: Scenario) -> int:
         """Physics steps of a run that nothing ends early."""
         return int(min(self.duration, scenario.genes * scenario.gene_seconds) * self.physics_hz + 1e-9)
@@ -92,16 +106,7 @@ def run(
     """
     driver = make_ego(rules.road.position(rules.ego_start, scenario.ego_lane))
     ego_length = float(driver.vehicle.LENGTH)
-    director = Director(
-        scenario,
-        rules.road,
-        rules.limits,
-        clearance=rules.clearance,
-        ego_length=ego_length,
-        length=Car.LENGTH,
-        width=Car.WIDTH,
-        physics_hz=rules.physics_hz,
-    )
+    director = rules.director(scenario, ego_length, Car)
     _, *npc_starts = start_positions(rules, scenario, director.first_cells(), ego_length)
     npcs = [Car(road, (x, y), heading, scenario.ego_speed) for x, y, heading in npc_starts]
     road.vehicles = [driver.vehicle, *npcs]

@@ -15,6 +15,7 @@ from pytest_pafot.trace import Trace
 from pytest_pafot.world import checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.referable import References
 from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class World:
+class World(References):
     """An environment that is registered with gymnasium and derives from highway-env's ``AbstractEnv``.
 
     Its ADS is a callable from the environment's own observation to its own action, or a highway-env vehicle class
@@ -154,25 +155,6 @@ class World:
             return Policy(ads, env, self.physics_hz // self.ads_hz)
 
         return run(self._rules, scenario, road, make_ego)
-
-    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
-        """Simulate a scenario with a reference driver (:mod:`pytest_pafot.world.references`) in the ego's place.
-
-        It drives in SI units on this road, decides at every physics tick, and has no foresight.
-
-        Args:
-            scenario: to run; checked against this world.
-            name: ``"careful-human"``, ``"fuzzy-safety"`` or ``"idm-aeb"``.
-        """
-        from pytest_pafot.world.references import rollout_reference  # noqa: PLC0415
-
-        return rollout_reference(self, scenario, name)
-
-    def preventable_by(self, scenario: Scenario) -> tuple[str, ...]:
-        """Names of the reference drivers that get through a scenario without a collision."""
-        from pytest_pafot.world.references import preventable_by  # noqa: PLC0415
-
-        return preventable_by(self, scenario)
 
     @property
     def ground(self) -> tuple[Rules, Any]:

@@ -11,6 +11,7 @@ from pytest_pafot.trace import Trace
 from pytest_pafot.world import checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.referable import References
 from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ LANE_WIDTH = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Highway:
+class Highway(References):
     """A straight motorway of three to six lanes.
 
     Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])``, or
@@ -117,25 +118,6 @@ class Highway:
             return Planner(ads, road, self.road, ego, self.physics_hz, self.physics_hz // self.ads_hz)
 
         return run(self._rules, scenario, road, make_ego)
-
-    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
-        """Simulate a scenario with a reference driver (:mod:`pytest_pafot.world.references`) in the ego's place.
-
-        It drives in SI units on this road, decides at every physics tick, and has no foresight.
-
-        Args:
-            scenario: to run; checked against this world.
-            name: ``"careful-human"``, ``"fuzzy-safety"`` or ``"idm-aeb"``.
-        """
-        from pytest_pafot.world.references import rollout_reference  # noqa: PLC0415
-
-        return rollout_reference(self, scenario, name)
-
-    def preventable_by(self, scenario: Scenario) -> tuple[str, ...]:
-        """Names of the reference drivers that get through a scenario without a collision."""
-        from pytest_pafot.world.references import preventable_by  # noqa: PLC0415
-
-        return preventable_by(self, scenario)
 
     @property
     def ground(self) -> tuple[Rules, Any]:
