@@ -235,7 +235,7 @@ def _example() -> Finding:
     as_found = (PositionInstruction(Cell.FRONT_LEFT, 24.3), PositionInstruction(Cell.FRONT, 7.8))
     cut_in = (PositionInstruction(Cell.FRONT_LEFT, 25.0), PositionInstruction(Cell.FRONT, 8.0))
     return Finding(
-        id="front-2-1f3a9c",
+        id="cut-in-unanswered-1f3a9c",
         test="tests/test_safety.py::test_never_at_fault_in_a_collision",
         scenario=Scenario(npcs=(cut_in,), seed=7),
         world=Highway().to_dict(),
@@ -248,6 +248,7 @@ def _example() -> Finding:
             cell=Cell.FRONT,
             side="front",
             responsibility="ego",
+            fault="cut-in-unanswered",
         ),
         original=Scenario(npcs=(as_found,), seed=7),
         shrunk=Simplified(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),

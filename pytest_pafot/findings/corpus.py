@@ -21,7 +21,7 @@ from pytest_pafot.findings.fields import RESTORE, CorpusError, Field
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
 from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
-from pytest_pafot.findings.responsibility import Responsibility
+from pytest_pafot.findings.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
@@ -286,7 +286,7 @@ def _rule_broken(field: Field, error: ScenarioError) -> CorpusError:
 def _expect(field: Field, npcs: int) -> Expect:
     required = ("failure", "outcome", "time", "responsibility")
     manoeuvres = ("npc_manoeuvre", "ego_manoeuvre")
-    optional = ("assertion", "message", "npc", "cell", "side", *manoeuvres, "preventable_by", "traceback")
+    optional = ("assertion", "message", "npc", "cell", "side", "fault", *manoeuvres, "preventable_by", "traceback")
     fields = field.mapping(required, optional)
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
@@ -305,6 +305,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         cell=given("cell", lambda inner: Cell(inner.whole(1, 8))),
         side=given("side", lambda inner: inner.choice(get_args(Side))),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
+        fault=given("fault", lambda inner: inner.choice(get_args(Fault))),
         npc_manoeuvre=given("npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=given("ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         preventable_by=given("preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
 
-from pytest_pafot.findings.manoeuvre import Manoeuvre
-from pytest_pafot.findings.responsibility import Responsibility
+from pytest_pafot.findings.manoeuvre import Manoeuvre, manoeuvre_before
+from pytest_pafot.findings.responsibility import Fault, Responsibility
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import SpeedInterval
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, of_failure
+from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Side
@@ -40,6 +40,7 @@ class Expect:
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
         side: of the ego that was hit; None without a collision.
         responsibility: who caused the collision.
+        fault: what the ego answers for; None where it does not.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         preventable_by: reference drivers that survive the scenario in the ego's place.
         traceback: of an ADS that raised; empty otherwise.
@@ -54,6 +55,7 @@ class Expect:
     cell: Cell | None = None
     side: Side | None = None
     responsibility: Responsibility = "none"
+    fault: Fault | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     preventable_by: tuple[str, ...] = ()
@@ -66,9 +68,10 @@ class Expect:
             failure=self.failure,
             assertion=self.assertion,
             outcome=self.outcome,
+            responsibility=self.responsibility,
+            fault=self.fault,
             side=self.side,
             cell=self.cell,
-            responsibility=self.responsibility,
             npc_manoeuvre=self.npc_manoeuvre,
             ego_manoeuvre=self.ego_manoeuvre,
         )
@@ -76,20 +79,21 @@ class Expect:
     @classmethod
     def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = ()) -> Expect:
         """What a failing run showed. Times are rounded to milliseconds; long texts are cut."""
-        signature = of_failure(run, failure)
+        hit, trace = run.collision, run.trace
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
         return cls(
-            failure=signature.failure,
-            assertion=signature.assertion,
+            failure=failure.kind,
+            assertion=normalised(failure.assertion, failure.message),
             message="" if is_told else _first_line(failure.message),
-            outcome=signature.outcome,
+            outcome=run.outcome,
             time=round(run.event_time, 3),
-            npc=None if signature.cell is None else run.event_npc,
-            cell=signature.cell,
-            side=signature.side,
-            responsibility=signature.responsibility,
-            npc_manoeuvre=signature.npc_manoeuvre,
-            ego_manoeuvre=signature.ego_manoeuvre,
+            npc=None if run.event_cell is None else run.event_npc,
+            cell=run.event_cell,
+            side=None if hit is None else hit.side,
+            responsibility=run.attribution.responsibility,
+            fault=run.attribution.fault,
+            npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
+            ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             preventable_by=preventable_by,
             traceback=_tail(failure.traceback),
         )
@@ -184,6 +188,11 @@ class Finding:
             expect=expect,
             found=found,
         )
+
+
+def of_failure(run: Run, failure: Failure) -> Signature:
+    """The signature of a run that failed."""
+    return Expect.of(run, failure).signature
 
 
 def is_id(text: str) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,10 @@ from pytest_pafot.trace import ACCELERATION, LANE, Collision, FloatArray, Trace,
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
+
+Fault = Literal["entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-hard"]
+"""What the ego answers for: it moved sideways into somebody's way; it did not respond properly to a cut-in, or to a
+vehicle ahead in its lane; it braked harder than anybody may with nothing ahead."""
 
 STANDING_SPEED = 0.1
 """Up to this speed [m/s] the ego counts as standing."""
@@ -82,12 +86,19 @@ class Attribution:
         responsibility: for the collision.
         tick, time: from which on the situation was dangerous [s]; None without a collision.
         reason: the end of a sentence that begins with "because".
+        fault: of the ego; None where it does not answer for the collision.
     """
 
     responsibility: Responsibility
     tick: int | None
     time: float | None
     reason: str
+    fault: Fault | None = None
+
+    @property
+    def blames_ego(self) -> bool:
+        """Whether the ego answers for the collision, alone or with the NPC."""
+        return self.responsibility in ("ego", "both")
 
 
 def rss_rule(trace: Trace) -> Attribution:
@@ -145,6 +156,14 @@ def _place(collision: Collision) -> str:
     return {1: "ahead of", 0: "beside", -1: "behind"}[collision.cell.row]
 
 
+class _Verdict(NamedTuple):
+    """An attribution without its moment."""
+
+    responsibility: Responsibility
+    reason: str
+    fault: Fault | None = None
+
+
 class _Case:
     """One collision; arrays are of the ego and the NPC that collided, shape [ticks + 1]."""
 
@@ -168,12 +187,10 @@ class _Case:
     @property
     def attribution(self) -> Attribution:
         """The verdict, with the reason in words."""
-        responsibility, reason = self._verdict()
         return Attribution(
-            responsibility=responsibility,
+            **self._verdict()._asdict(),
             tick=self._start,
             time=self._start / self._trace.physics_hz,
-            reason=reason,
         )
 
     @cached_property
@@ -187,21 +204,24 @@ class _Case:
         """The last safe tick, from which on a response counts; the start of the run if there is none."""
         return max(self._start - 1, 0)
 
-    def _verdict(self) -> tuple[Responsibility, str]:
+    def _verdict(self) -> _Verdict:
         if self._collision.ego_speed <= STANDING_SPEED:
-            return "npc", f"the ego was standing ({self._collision.ego_speed:.1f} m/s) at the impact"
+            return _Verdict("npc", f"the ego was standing ({self._collision.ego_speed:.1f} m/s) at the impact")
         ego_moved, npc_moved = self._movers()
         if ego_moved and not self._ego_is_behind and self._leaves_room():
             gap, speed = self._along[self._start], self._towards()[0]
-            return "npc", (
+            return _Verdict(
+                "npc",
                 f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s) {gap:.1f} m ahead, "
-                f"which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking"
+                f"which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
             )
         if ego_moved and npc_moved:
             towards = self._towards()
-            return "both", (
+            return _Verdict(
+                "both",
                 f"at {self._when} the ego and {self._name} moved sideways into each other "
-                f"({towards[0]:.1f} and {towards[1]:.1f} m/s)"
+                f"({towards[0]:.1f} and {towards[1]:.1f} m/s)",
+                "entered-lane",
             )
         if ego_moved:
             return self._ego_moved()
@@ -232,39 +252,45 @@ class _Case:
         ego, npc = (speed >= max(DRIFTING, SHARE * sum(towards)) for speed in towards)
         return ego, npc
 
-    def _ego_moved(self) -> tuple[Responsibility, str]:
+    def _ego_moved(self) -> _Verdict:
         speed, gap = self._towards()[0], self._along[self._start]
         moved = f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s)"
         if self._ego_is_behind or gap <= 0:
-            return "ego", f"{moved}, {self._along_text()}"
-        return "ego", f"{moved} {gap:.1f} m ahead, where RSS demands {self._safe_along[self._start]:.1f} m"
+            where = f", {self._along_text()}"
+        else:
+            where = f" {gap:.1f} m ahead, where RSS demands {self._safe_along[self._start]:.1f} m"
+        return _Verdict("ego", f"{moved}{where}", "entered-lane")
 
     def _leaves_room(self) -> bool:
         """Whether a lane change of the ego asks little of the NPC behind."""
         return bool(self._along[self._start] > 0) and self._npc_chase.is_avoided(self._start, GIVING_WAY)
 
-    def _npc_moved(self) -> tuple[Responsibility, str]:
+    def _npc_moved(self) -> _Verdict:
         moved = (
             f"at {self._when} {self._name} moved sideways towards the ego ({self._towards()[1]:.1f} m/s), "
             f"{self._along_text()}"
         )
         if not self._ego_is_behind or self._collision.side != "front":
-            return "npc", moved
+            return _Verdict("npc", moved)
         seen = self._cut_in_seen()
         if not self._ego_chase.is_avoided(seen, CUT_OFF, EMERGENCY):
-            return "npc", f"{moved}, too late to avoid it"
-        return "ego", f"{moved}, but {self._braked_text(seen)} would have avoided it"
+            return _Verdict("npc", f"{moved}, too late to avoid it")
+        reason = f"{moved}, but {self._braked_text(seen)} would have avoided it"
+        return _Verdict("ego", reason, "cut-in-unanswered")
 
-    def _ego_followed(self) -> tuple[Responsibility, str]:
+    def _ego_followed(self) -> _Verdict:
         safe = self._safe_along[self._start]
         close = f"from {self._when} it was closer than the {safe:.1f} m that RSS demands behind {self._name}"
         if self._ego_chase.is_avoided(self._before, FOLLOWING):
-            return "ego", f"{close} and {self._ego_braking(self._before, FOLLOWING)}"
+            reason = f"{close} and {self._ego_braking(self._before, FOLLOWING)}"
+            return _Verdict("ego", reason, "leader-unanswered")
         if self._start == 0:
-            return "npc", f"the run began closer than the {safe:.1f} m that RSS demands, with no time to respond"
-        return "npc", f"from {self._when} the {safe:.1f} m of RSS were gone, and no response could avoid {self._name}"
+            reason = f"the run began closer than the {safe:.1f} m that RSS demands, with no time to respond"
+        else:
+            reason = f"from {self._when} the {safe:.1f} m of RSS were gone, and no response could avoid {self._name}"
+        return _Verdict("npc", reason)
 
-    def _npc_followed(self) -> tuple[Responsibility, str]:
+    def _npc_followed(self) -> _Verdict:
         safe = self._safe_along[self._start]
         hardest = float(-self._trace.ego[self._start :, ACCELERATION].min())
         if (
@@ -272,11 +298,14 @@ class _Case:
             and not self._had_reason_to_brake()
             and not self._npc_chase.is_avoided(self._before, FOLLOWING)
         ):
-            return "ego", (
+            return _Verdict(
+                "ego",
                 f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
-                f"and {self._name} behind had no chance"
+                f"and {self._name} behind had no chance",
+                "braked-hard",
             )
-        return "npc", f"from {self._when} {self._name} was closer than the {safe:.1f} m that RSS demands behind the ego"
+        reason = f"from {self._when} {self._name} was closer than the {safe:.1f} m that RSS demands behind the ego"
+        return _Verdict("npc", reason)
 
     def _had_reason_to_brake(self) -> bool:
         """Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger."""

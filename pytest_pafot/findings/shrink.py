@@ -8,8 +8,9 @@ Nothing is simulated here: whether a scenario still fails is asked of a function
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 from pytest_pafot.grid import is_adjacent
@@ -25,8 +26,16 @@ from pytest_pafot.scenario import (
 Attempt = Callable[[Scenario], Scenario | None]
 """Runs a scenario: the scenario as driven where the same property fails with the same signature, else None."""
 
+Start = tuple[int, float]
+"""The ego's lane and speed [m/s] when a gene begins."""
+
+Starts = Callable[[Scenario], Sequence[Start]]
+"""The start of each gene of a scenario as driven that failed; empty where it is not known."""
+
 Candidates = Iterator[Scenario | None]
 """What a pass tries; None stands for a change that gives no valid scenario."""
+
+Pass = Callable[[Scenario], Candidates]
 
 Key = tuple[int, ...]
 
@@ -117,6 +126,7 @@ def shrink(
     *,
     rollouts: int,
     top_speed: float = MAX_SPEED,
+    starts: Starts = lambda scenario: (),
     is_over: Callable[[], bool] = lambda: False,
 ) -> Shrunk:
     """Simplify a failing scenario.
@@ -126,13 +136,15 @@ def shrink(
         attempt: tells whether another one fails in the same way; never asked twice about the same one.
         rollouts: how often it may be asked.
         top_speed: that no instruction may exceed [m/s].
+        starts: lets a scenario begin later, in the ego's state of that moment.
         is_over: asked before each run; whether time is up.
     """
     gate = _Gate(scenario, attempt, rollouts=rollouts, top_speed=top_speed, is_over=is_over)
     intervals: list[SpeedInterval] = []
     is_minimal = False
     try:
-        while sum(_exhausted(gate, candidates) for candidates in PASSES):  # Each of them, in every round.
+        later: Pass = partial(_later, starts=starts)
+        while sum(_exhausted(gate, candidates) for candidates in (*PASSES, later)):  # Each of them, in every round.
             pass
         is_minimal = True
         intervals.extend(_intervals(gate))
@@ -186,7 +198,7 @@ class _Gate:
         return self._tried[candidate]
 
 
-def _exhausted(gate: _Gate, candidates: Callable[[Scenario], Candidates]) -> bool:
+def _exhausted(gate: _Gate, candidates: Pass) -> bool:
     """Apply a pass until it finds nothing more; whether it found anything."""
     found = False
     while any(gate.simplifies(candidate) for candidate in candidates(gate.best)):
@@ -209,6 +221,13 @@ def _shorter(scenario: Scenario) -> Candidates:
         yield scenario.truncated(genes)
     for start, end in _slices(scenario.genes, most=scenario.genes - 1):
         yield _valid(scenario, tuple(chain[:start] + chain[end:] for chain in scenario.npcs))
+
+
+def _later(scenario: Scenario, starts: Starts) -> Candidates:
+    """From a later gene on, the ego in the lane and at the speed that it had come to; the latest first."""
+    for gene, (lane, speed) in reversed(list(enumerate(starts(scenario)))[1:]):
+        npcs = tuple(chain[gene:] for chain in scenario.npcs if len(chain) > gene)
+        yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
@@ -261,7 +280,7 @@ def _plain_seed(scenario: Scenario) -> Candidates:
         yield replace(scenario, seed=0)
 
 
-PASSES: tuple[Callable[[Scenario], Candidates], ...] = (
+PASSES: tuple[Pass, ...] = (
     _fewer_npcs,
     _shorter,
     _merged,

@@ -7,9 +7,8 @@ import re
 from dataclasses import dataclass
 from textwrap import dedent
 
-from pytest_pafot.findings.manoeuvre import Manoeuvre, manoeuvre_before
-from pytest_pafot.findings.responsibility import Responsibility
-from pytest_pafot.findings.run import Run
+from pytest_pafot.findings.manoeuvre import Manoeuvre
+from pytest_pafot.findings.responsibility import Fault, Responsibility
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome, Side
 
@@ -23,8 +22,8 @@ _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(
 SLOW_DECISION = "SlowDecision"
 """The failure of a run in which a decision took longer than the limit that the test sets."""
 
-_FAULTS = frozenset({Outcome.ADS_ERROR, Outcome.HANG})
-"""Of the ADS itself, which are the same wherever the others drive."""
+_ALONE = frozenset({Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
+"""Outcomes of the ego itself, which are the same wherever the others drive."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
@@ -50,58 +49,58 @@ class Failure:
 class Signature:
     """The identity of a failure; two failures are the same when all fields are equal.
 
+    A collision that the ego answers for is told by its fault alone, whatever else is given: where it was hit is up
+    to the traffic, and one defect would be many failures. Any other is told by where and how it came about.
+
     Attributes:
         failure: name of the exception class.
         assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
         outcome: how the run ended.
-        side: of the ego that was hit; None without a collision.
+        responsibility: ``ego`` where it answers for the collision, alone or with the NPC; ``npc``; ``none``.
+        fault: what the ego answers for; None where it does not.
+        side: of the ego that was hit; None without a collision, and with a fault.
         cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment,
-            and for faults of the ADS itself.
-        responsibility: who caused the collision.
-        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
+            with a fault, and for what the ego does by itself.
+        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one, and with a fault.
     """
 
     failure: str
     assertion: str
     outcome: Outcome
-    side: Side | None
-    cell: Cell | None
     responsibility: Responsibility
+    fault: Fault | None = None
+    side: Side | None = None
+    cell: Cell | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
 
+    def __post_init__(self) -> None:
+        if self.fault is not None:
+            object.__setattr__(self, "responsibility", "ego")
+            for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
+                object.__setattr__(self, name, None)
+        elif self.outcome in _ALONE or self.failure == SLOW_DECISION:
+            object.__setattr__(self, "cell", None)
+
     @property
     def slug(self) -> str:
-        """A short name for files, in lower-case letters, digits and hyphens: ``front-2``, ``min-ttc-8``.
+        """A short name for files, in lower-case letters, digits and hyphens: ``entered-lane``, ``rear-6``.
 
         Different signatures may share it.
         """
+        if self.fault is not None:
+            return self.fault
         subject = self.side if self.outcome is Outcome.COLLISION and self.side else self._subject()
         return subject if self.cell is None else f"{subject}-{int(self.cell)}"
 
     def _subject(self) -> str:
-        if self.outcome in _FAULTS:
+        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return self.outcome.replace("_", "-")
         if self.failure == SLOW_DECISION:
             return _kebab("slow-decision")
         words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
         subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
         return _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or self.outcome.replace("_", "-")
-
-
-def of_failure(run: Run, failure: Failure) -> Signature:
-    """The signature of a run that failed."""
-    hit = run.collision
-    return Signature(
-        failure=failure.kind,
-        assertion=normalised(failure.assertion, failure.message),
-        outcome=run.outcome,
-        side=None if run.collision is None else run.collision.side,
-        cell=None if run.outcome in _FAULTS else run.event_cell,
-        responsibility=run.attribution.responsibility,
-        npc_manoeuvre=None if hit is None else manoeuvre_before(run.trace, hit.npc + 1, hit.tick),
-        ego_manoeuvre=None if hit is None else manoeuvre_before(run.trace, 0, hit.tick),
-    )
 
 
 def normalised(assertion: str, message: str = "") -> str:

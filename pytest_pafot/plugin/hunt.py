@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import of_failure
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -110,8 +110,7 @@ class Hunt:
         run = self.stage.run(scenario)
         verdict = self.stage.judge(run)
         self.verdicts[verdict.kind] += 1
-        if verdict.failed:
-            self._failed(run, verdict)
+        kind = self._failed(run, verdict) if verdict.failed else None
         if verdict.kind == "skipped":
             self.skip = verdict.exception
         return Evaluation.of(
@@ -119,12 +118,13 @@ class Hunt:
             fitness=self.stage.fitness(run.trace),
             failing=verdict.failed,
             discarded=verdict.discarded,
+            kind=kind,
         )
 
-    def _failed(self, run: Run, verdict: Verdict) -> None:
-        """A failure is known, or one of this search's own again, or new."""
+    def _failed(self, run: Run, verdict: Verdict) -> Signature | None:
+        """A failure is known, or one of this search's own again, or new; returns which it is."""
         if verdict.failure is None:
-            return
+            return None
         signature = of_failure(run, verdict.failure)
         saved = covered_by(signature, self.replayed)
         if saved is not None:
@@ -133,6 +133,7 @@ class Hunt:
             self.repeats[self.finds[signature]] += 1
         else:
             self.finds[signature] = self.stage.keep(run, verdict, self.generation, self.runs)
+        return signature
 
 
 def _counted(health: Health, event: Event) -> Health:

@@ -83,7 +83,8 @@ class Option(NamedTuple):
         """
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
-            raise OptionError(f"expected {' or '.join(self.choices)}, received {value!r}")
+            *others, last = self.choices
+            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}")
         return typed
 
 
@@ -104,9 +105,10 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         name="algorithm",
         kind="text",
-        default="pafot",
-        choices=("pafot", "random"),
-        help="Search algorithm: pafot (genetic, with local fuzzer and restarts) or random.",
+        default="distinct",
+        choices=("distinct", "pafot", "random"),
+        help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same looking "
+        "for other failures once it has found one, random the baseline.",
     ),
     Option(
         name="max_time",

@@ -6,18 +6,19 @@ when there is something better.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from pytest_pafot.findings.finding import Expect, Finding, Simplified
+from pytest_pafot.findings.finding import Expect, Finding, Simplified, of_failure
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, shrink, size_of
-from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, Start, shrink, size_of
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import LANE, SPEED
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.bench import Bench
@@ -83,16 +84,21 @@ class Shrinking:
     def _shrunk(self, kept: Kept) -> Shrunk:
         __tracebackhide__ = True
         signature, spent = kept.finding.signature, 0
+        starts: dict[Scenario, tuple[Start, ...]] = {}
 
         def attempt(candidate: Scenario) -> Scenario | None:
             nonlocal spent
             if candidate in self.lethal:
                 return None
             spent += 1
-            self.tell(f"shrinking saved-{kept.find.id}, run {spent} of at most {self.rollouts}")
+            self.tell(f"shrinking {kept.find.id}, run {spent} of {self.rollouts}")
             run, verdict = self._tried(candidate)
             is_same = verdict.failure is not None and of_failure(run, verdict.failure) == signature
-            return driven(run) if is_same else None
+            if not is_same:
+                return None
+            scenario = driven(run)
+            starts[scenario] = starts_of(run, float(self.bench.world.speed_limit))
+            return scenario
 
         if self.rollouts == 0:
             return Shrunk(scenario=kept.finding.scenario, rollouts=0, is_minimal=False)
@@ -101,6 +107,7 @@ class Shrinking:
             attempt,
             rollouts=self.rollouts,
             top_speed=float(self.bench.world.speed_limit),
+            starts=lambda scenario: starts.get(scenario, ()),
             is_over=self.is_over,
         )
         self.is_cut = self.is_cut or (shrunk.rollouts < self.rollouts and self.is_over())
@@ -146,7 +153,7 @@ class Shrinking:
             exception,
             terminal.shrunk_line(kept.find) if is_simpler else [],
             run=run,
-            details=_details(finding, before.scenario),
+            details=_details(finding, before.scenario, self._drivers()),
             tried=self._drivers(),
         )
 
@@ -164,7 +171,22 @@ def driven(run: Run) -> Scenario:
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 
 
-def _details(finding: Finding, first: Scenario) -> list[str]:
+def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
+    """The ego's lane and speed at the beginning of each gene that the run came to, where it was on the road.
+
+    Args:
+        run: of the scenario.
+        top_speed: at which an ego may start [m/s].
+    """
+    trace = run.trace
+    every = round(run.scenario.gene_seconds * trace.physics_hz)
+    rows = trace.ego[: trace.ticks : every]
+    if (rows[:, LANE] < 0).any():
+        return ()
+    return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
+
+
+def _details(finding: Finding, first: Scenario, tried: Sequence[str]) -> list[str]:
     """Lines for the report of a find: its size before and after, speeds that still fail, who would prevent it."""
     lines: list[str] = []
     if finding.shrunk is not None:
@@ -172,8 +194,9 @@ def _details(finding: Finding, first: Scenario) -> list[str]:
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
         lines.append(f"shrunk     from {size_of(first)} {after}, in {spent}")
         lines += [f"still      {sentence}" for sentence in speed_sentences(finding)]
-    names = ", ".join(finding.expect.preventable_by) or "none of the reference drivers"
-    return [*lines, f"preventable by {names}"]
+    if tried:
+        lines.append(f"preventable by {', '.join(finding.expect.preventable_by) or 'none of the reference drivers'}")
+    return lines
 
 
 def speed_sentences(finding: Finding) -> list[str]:

@@ -9,6 +9,7 @@ import inspect
 from typing import Any
 
 from pytest_pafot.searching.campaign import Algorithm, Evaluate, SearchState, run_campaign
+from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.genetic import PafotSearch
 from pytest_pafot.searching.health import Health
@@ -18,6 +19,7 @@ from pytest_pafot.searching.space import SearchSpace, sample
 __all__ = [
     "ALGORITHMS",
     "Algorithm",
+    "DistinctSearch",
     "Evaluate",
     "Evaluation",
     "Health",
@@ -30,7 +32,9 @@ __all__ = [
     "sample",
 ]
 
-_CLASSES: dict[str, type[PafotSearch | RandomSearch]] = {PafotSearch.name: PafotSearch, RandomSearch.name: RandomSearch}
+_CLASSES: dict[str, type[DistinctSearch | PafotSearch | RandomSearch]] = {
+    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch)
+}
 
 ALGORITHMS = tuple(_CLASSES)
 """Names that :func:`algorithm_named` takes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Self
 
@@ -48,6 +49,7 @@ class Evaluation:
         discarded: whether the user's function declined to judge the run.
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
+        kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
     """
 
     scenario: Scenario
@@ -62,6 +64,7 @@ class Evaluation:
     discarded: bool = False
     outran: bool = False
     barely_moved: bool = False
+    kind: Hashable | None = None
 
     def __post_init__(self) -> None:
         # One NaN object for all: equal evaluations then compare equal, since tuples compare by identity first.
@@ -69,7 +72,9 @@ class Evaluation:
         object.__setattr__(self, "fitness", math.nan if math.isnan(fitness) else fitness)
 
     @classmethod
-    def of(cls, trace: Trace, *, fitness: float, failing: bool, discarded: bool = False) -> Self:
+    def of(
+        cls, trace: Trace, *, fitness: float, failing: bool, discarded: bool = False, kind: Hashable | None = None
+    ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
         return cls(
             scenario=trace.scenario,
@@ -84,6 +89,7 @@ class Evaluation:
             discarded=discarded,
             outran=outran(trace),
             barely_moved=barely_moved(trace),
+            kind=kind,
         )
 
     @property

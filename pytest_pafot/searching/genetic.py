@@ -218,10 +218,11 @@ class PafotSearch:
             )
         if generation - state.improved_at >= self.restart_after:
             restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
-            return self._restarted(generation + 1, rng), (restarted,)
+            return self.restarted(generation + 1, rng), (restarted,)
         return replace(state, generation=generation + 1), ()
 
-    def _restarted(self, generation: int, rng: np.random.Generator) -> PafotState:
+    def restarted(self, generation: int, rng: np.random.Generator) -> PafotState:
+        """The state in which the population was given up: that of the coming generation is random."""
         return PafotState(
             generation=generation,
             restarted_at=generation,

@@ -1,10 +1,10 @@
 """Is every known defect found? The policies of ``example_ads.defects``, searched with ``blame="ego"``.
 
-    python -m tests.benchmarks.positive_controls [--seeds 10] [--generations 20] [--workers 2] [--policies NAME ...]
-        [--until-first]
+    python -m tests.benchmarks.positive_controls [--seeds 10] [--first-seed 0] [--generations 20] [--workers 2]
+        [--policies NAME ...] [--algorithm distinct] [--until-first]
 
 Prints for each policy on how many seeds the search found a collision that the ego is responsible for, in which
-generation first, how many distinct signatures the finds have and which, what the attribution blames the ego for, and
+generation first, how many distinct signatures the finds have and which, and
 the explanation of the most frequent signature with the mechanism that it should point at. ``healthy`` is IDM+MOBIL
 without a defect, searched once in each of the settings that the others are searched in. ``--until-first`` ends each
 search at its first find. The algorithm is the default; settings that differ from the default are in ``SETTINGS``.
@@ -21,8 +21,10 @@ from types import MappingProxyType
 
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
-from pytest_pafot.findings.signature import Failure, Signature, of_failure
-from pytest_pafot.searching import Evaluation, PafotSearch, SearchSpace, run_campaign
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.responsibility import Fault
+from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, algorithm_named, run_campaign
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
@@ -81,6 +83,23 @@ MECHANISM: Mapping[str, str] = MappingProxyType(
 )
 """What an explanation should point at."""
 
+FAULTS: Mapping[str, frozenset[Fault]] = MappingProxyType(
+    {
+        "follows-too-close": frozenset({"leader-unanswered", "cut-in-unanswered"}),
+        "brakes-late-above-20": frozenset({"leader-unanswered", "cut-in-unanswered"}),
+        "brakes-weakly": frozenset({"leader-unanswered", "cut-in-unanswered"}),
+        "blind-beside-front-wheel": frozenset({"entered-lane", "cut-in-unanswered"}),
+        "sees-old-speeds": frozenset({"leader-unanswered", "cut-in-unanswered", "entered-lane"}),
+        "sees-cut-ins-late": frozenset({"cut-in-unanswered"}),
+        "ignores-standing-vehicles": frozenset({"leader-unanswered"}),
+        "forgets-after-lane-change": frozenset({"leader-unanswered", "cut-in-unanswered"}),
+        "looks-only-ahead": frozenset({"entered-lane"}),
+        "changes-lanes-unchecked": frozenset({"entered-lane"}),
+        "two-defects": frozenset({"leader-unanswered", "entered-lane"}),
+    }
+)
+"""The kinds of failure that the mechanism shows as."""
+
 
 def by_ego(trace: Trace) -> bool:
     """Whether a collision counts under ``blame="ego"``."""
@@ -92,8 +111,8 @@ class Find:
     """A colliding run that the ego is responsible for."""
 
     generation: int
+    scenario: Scenario
     signature: Signature
-    fault: str
     explanation: str
 
 
@@ -115,45 +134,26 @@ class Search:
     def _one(self, scenario: Scenario) -> Evaluation:
         trace = self.setting.world.rollout(scenario, defects.make(self.policy))
         self.runs += 1
-        failing = by_ego(trace)
+        failing, signature = by_ego(trace), None
         if failing:
             run = Run(trace)
             signature = of_failure(run, NOT_RUN_COLLISION)
             self.finds.append(
-                Find(
-                    generation=self.generation,
-                    signature=signature,
-                    fault=fault(run.attribution.reason),
-                    explanation=run.explain(),
-                )
+                Find(generation=self.generation, scenario=run.scenario, signature=signature, explanation=run.explain())
             )
         fitness = resolve("default", responsible=by_ego)(trace)
-        return Evaluation.of(trace, fitness=fitness, failing=failing)
+        return Evaluation.of(trace, fitness=fitness, failing=failing, kind=signature)
 
 
-def searched(policy: str, seed: int, setting: Setting, generations: int, until_first: bool) -> Search:
+def searched(policy: str, seed: int, setting: Setting, options: argparse.Namespace) -> Search:
     """One search from start to end."""
     search = Search(policy=policy, seed=seed, setting=setting)
-    algorithm = PafotSearch(setting.space)
-    stop = (lambda: bool(search.finds)) if until_first else None
-    for event in run_campaign(algorithm, search.evaluate, generations=generations, seed=seed, stop=stop):
+    algorithm = algorithm_named(options.algorithm, setting.space)
+    stop = (lambda: bool(search.finds)) if options.until_first else None
+    for event in run_campaign(algorithm, search.evaluate, generations=options.generations, seed=seed, stop=stop):
         if isinstance(event, GenerationFinished) and event.local_generation == 0:
             search.generation = event.generation + 1
     return search
-
-
-def fault(reason: str) -> str:
-    """What the sentence of attribution blames the ego for, without who, when and how much."""
-    if "the ego moved sideways" in reason or "the ego and NPC" in reason:
-        return "entered a lane"
-    return "no answer to a cut-in" if "moved sideways" in reason else "no answer to a leader"
-
-
-def kind(signature: Signature) -> str:
-    """The kind of failure in a few words."""
-    cell = "" if signature.cell is None else f"-{int(signature.cell)}"
-    manoeuvres = f"ego {signature.ego_manoeuvre}, npc {signature.npc_manoeuvre}"
-    return f"{signature.side}{cell}, {manoeuvres}, responsible {signature.responsibility}"
 
 
 def report(title: str, mechanism: str, searches: Sequence[Search]) -> str:
@@ -162,14 +162,15 @@ def report(title: str, mechanism: str, searches: Sequence[Search]) -> str:
     finds = [find for search in searches for find in search.finds]
     kinds = Counter(find.signature for find in finds)
     per_seed = [len({find.signature for find in search.finds}) for search in searches]
+    telling = [any(find.signature.fault in FAULTS.get(title, ()) for find in search.finds) for search in searches]
     lines = [
         f"{title}: found on {sum(first is not None for first in firsts)} of {len(searches)} seeds, first in "
-        f"generations {' '.join('-' if first is None else str(first) for first in firsts)}; {len(finds)} finds in "
+        f"generations {' '.join('-' if first is None else str(first) for first in firsts)}; as the "
+        f"mechanism shows on {sum(telling)}; {len(finds)} finds in "
         f"{sum(search.runs for search in searches)} runs; signatures per seed {per_seed}, {len(kinds)} in all",
-        *(f"    {count:4} x {kind(signature)}" for signature, count in kinds.most_common(6)),
+        *(f"    {count:4} x {signature.slug}" for signature, count in kinds.most_common()),
     ]
     if kinds:
-        lines.append(f"    faults: {dict(Counter(find.fault for find in finds).most_common())}")
         usual = kinds.most_common(1)[0][0]
         explanation = next(find.explanation for find in finds if find.signature == usual)
         lines += [f"    expected: {mechanism}", *(f"    said: {line}" for line in _sentence(explanation))]
@@ -186,6 +187,8 @@ def _sentence(explanation: str) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--algorithm", choices=ALGORITHMS, default=ALGORITHMS[0])
     parser.add_argument("--generations", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--policies", nargs="*", choices=list(defects.POLICIES), default=list(defects.POLICIES))
@@ -194,8 +197,8 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.workers) as pool:
         jobs = [
             (title, policy, [
-                pool.submit(searched, policy, seed, setting, arguments.generations, arguments.until_first)
-                for seed in range(arguments.seeds)
+                pool.submit(searched, policy, seed, setting, arguments)
+                for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds)
             ])
             for title, policy, setting in rows(arguments.policies)
         ]  # fmt: skip

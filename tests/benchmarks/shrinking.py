@@ -1,106 +1,126 @@
-"""How small do findings become? Sizes before and after shrinking, over the policies with a defect.
+"""How small do findings become? Sizes before and after shrinking, over the positive controls.
 
-    python -m tests.benchmarks.shrinking [--generations 20] [--seed 0]
+    python -m tests.benchmarks.shrinking [--generations 20] [--seeds 1] [--first-seed 0] [--workers 2]
+        [--policies NAME ...]
 
-Each policy is searched as ``@pafot.search(blame="ego")`` does it; the first scenario of each signature for which the
-ego is responsible is shrunk with the default budget. Prints each finding, and the medians.
+Each policy with a defect is searched as in ``positive_controls``; the first scenario of each kind of failure is shrunk
+with the default budget, and the result is run once more to see that it fails in the same way. Prints a row for each
+finding, in Markdown, and the medians.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 
-from example_ads import blind_lane_change, constant_speed, defects
-from pytest_pafot import Highway, Run, Scenario
-from pytest_pafot.findings.shrink import Shrunk, instructions, shrink, size_of
-from pytest_pafot.findings.signature import Failure, Signature, of_failure
+from example_ads import defects
+from pytest_pafot import Run, Scenario
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of
+from pytest_pafot.findings.signature import Signature
 from pytest_pafot.plugin.options import BY_NAME
-from pytest_pafot.plugin.shrinking import driven
-from pytest_pafot.searching import Evaluation, PafotSearch, SearchSpace, run_campaign
-from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.plugin.shrinking import driven, starts_of
+from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, by_ego, searched
 
-COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
-BLAMED = ("ego", "both")
+HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"
 
 
-@dataclass
-class Hunted:
-    """The first run of each signature in a search of one policy."""
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One finding."""
 
-    world: Highway
-    ads: Callable[..., Any]
-    first: dict[Signature, Scenario] = field(default_factory=dict)
+    policy: str
+    signature: Signature
+    found: Scenario
+    shrunk: Shrunk
 
-    def signature(self, run: Run) -> Signature | None:
-        """Of a run that fails; None for one that does not, or that an NPC is responsible for."""
-        is_failure = run.collision is not None and run.responsibility in BLAMED
-        return of_failure(run, COLLIDES) if is_failure else None
+    def __str__(self) -> str:
+        minimal = "yes" if self.shrunk.is_minimal else "no"
+        chains = repr(self.shrunk.scenario).partition(": ")[2].rstrip(">")
+        return (
+            f"| {self.policy} | {self.signature.slug} | {size_of(self.found)} | {size_of(self.shrunk.scenario)} "
+            f"| {self.shrunk.rollouts} | {minimal} | `{chains}` |"
+        )
 
-    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
-        """Simulate, and keep what is new."""
-        return [self._one(scenario) for scenario in scenarios]
 
-    def _one(self, scenario: Scenario) -> Evaluation:
-        run = Run(self.world.rollout(scenario, self.ads))
-        signature = self.signature(run)
-        if signature is not None:
-            self.first.setdefault(signature, run.scenario)
-        fitness = resolve("default", responsible=lambda trace: Run(trace).responsibility in BLAMED)
-        return Evaluation.of(run.trace, fitness=fitness(run.trace), failing=signature is not None)
+def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
+    """The findings of one search, shrunk."""
+    setting = SETTINGS.get(policy, DEFAULT)
+    search = searched(policy, seed, setting, options)
+    firsts: dict[Signature, Scenario] = {}
+    for find in search.finds:
+        firsts.setdefault(find.signature, find.scenario)
 
-    def shrunk(self, signature: Signature) -> Shrunk:
-        """The finding of a signature, shrunk."""
+    def signature_of(scenario: Scenario) -> tuple[Run, Signature | None]:
+        trace = setting.world.rollout(scenario, defects.make(policy))
+        run = Run(trace)
+        return run, of_failure(run, NOT_RUN_COLLISION) if by_ego(trace) else None
 
+    def shrunk(signature: Signature, scenario: Scenario) -> Shrunk:
         def attempt(candidate: Scenario) -> Scenario | None:
-            run = Run(self.world.rollout(candidate, self.ads))
-            return driven(run) if self.signature(run) == signature else None
+            run, observed = signature_of(candidate)
+            if observed != signature:
+                return None
+            starts[driven(run)] = starts_of(run, setting.world.speed_limit)
+            return driven(run)
 
+        starts: dict[Scenario, tuple[Start, ...]] = {}
         budget = BY_NAME["shrink_rollouts"].default
         assert isinstance(budget, int)
-        shrunk = shrink(self.first[signature], attempt, rollouts=budget, top_speed=self.world.speed_limit)
-        assert self.signature(Run(self.world.rollout(shrunk.scenario, self.ads))) == signature
-        return shrunk
+        result = shrink(
+            scenario,
+            attempt,
+            rollouts=budget,
+            top_speed=setting.world.speed_limit,
+            starts=lambda scenario: starts.get(scenario, ()),
+        )
+        assert signature_of(result.scenario)[1] == signature
+        return result
+
+    return [
+        Row(policy=policy, signature=signature, found=scenario, shrunk=shrunk(signature, scenario))
+        for signature, scenario in firsts.items()
+    ]
+
+
+def summary(found: Sequence[Row]) -> str:
+    """The medians."""
+    scenarios = [row.shrunk.scenario for row in found]
+    npcs, counts = [len(each.npcs) for each in scenarios], [instructions(each) for each in scenarios]
+    before = [row.found for row in found]
+    return (
+        f"{len(found)} findings: median {statistics.median(len(each.npcs) for each in before):g} NPCs and "
+        f"{statistics.median(map(instructions, before)):g} instructions as found, "
+        f"{statistics.median(npcs):g} NPCs (most {max(npcs)}) and {statistics.median(counts):g} instructions (most "
+        f"{max(counts)}) shrunk, in {statistics.median(row.shrunk.rollouts for row in found):g} runs; "
+        f"{sum(row.shrunk.is_minimal for row in found)} minimal"
+    )
 
 
 def main() -> None:
+    flawed = [name for name in defects.POLICIES if name != "healthy"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--generations", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--policies", nargs="*", choices=flawed, default=flawed)
+    parser.set_defaults(algorithm="distinct", until_first=False)
     arguments = parser.parse_args()
-    world, space = Highway(), SearchSpace()
-    flawed = [name for name in defects.POLICIES if name != "healthy"]
-    policies: dict[str, Callable[..., Any]] = {name: defects.make(name) for name in flawed}
-    policies |= {"constant-speed": constant_speed.make, "blind-lane-change": blind_lane_change.make}
-    results: list[Shrunk] = []
-    for name, ads in policies.items():
-        hunted = Hunted(world, ads)
-        for _ in run_campaign(
-            PafotSearch(space), hunted.evaluate, generations=arguments.generations, seed=arguments.seed
-        ):
-            pass
-        for signature, scenario in hunted.first.items():
-            shrunk = hunted.shrunk(signature)
-            results.append(shrunk)
-            minimal = "" if shrunk.is_minimal else ", not minimal"
-            speeds = "; ".join(f"{each.low:g} to {each.high:g} m/s" for each in shrunk.intervals)
-            print(
-                f"{name:26} {signature.slug:9} {size_of(scenario):32} -> {size_of(shrunk.scenario):30} "
-                f"{shrunk.rollouts:4} runs{minimal}   {shrunk.scenario!r} {speeds}",
-                flush=True,
-            )
-    if results:
-        npcs = [len(each.scenario.npcs) for each in results]
-        counts = [instructions(each.scenario) for each in results]
-        print(
-            f"{len(results)} findings: median {statistics.median(npcs):g} NPCs (most {max(npcs)}), "
-            f"{statistics.median(counts):g} instructions (most {max(counts)}), "
-            f"{statistics.median(each.rollouts for each in results):g} runs; "
-            f"{sum(each.is_minimal for each in results)} minimal"
-        )
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    found: list[Row] = []
+    print(HEADER)
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        jobs = [pool.submit(rows, policy, seed, arguments) for policy in arguments.policies for seed in seeds]
+        for job in jobs:
+            for row in job.result():
+                found.append(row)
+                print(row, flush=True)
+    if found:
+        print(f"\n{summary(found)}")
 
 
 if __name__ == "__main__":

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, raised_failure
+from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, raised_failure
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, normalised, of_failure
+from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import AdsError, Outcome
 from tests.findings.builders import plain_finding
@@ -28,7 +28,7 @@ def broken_ads(traceback="Traceback ...\n"):
 def test_a_new_finding_is_named_by_its_signature_and_its_scenario():
     run = run_of(outcome=Outcome.COLLISION)
     finding = Finding.of(run, COLLIDES, test="t.py::test_it", world={"kind": "highway"}, found=FOUND)
-    assert finding.id == f"front-2-{run.scenario.id}"
+    assert finding.id == f"leader-unanswered-{run.scenario.id}"
     assert finding.scenario == run.scenario
     assert finding.signature == of_failure(run, COLLIDES)
     assert finding.xfail is None
@@ -45,6 +45,7 @@ def test_it_expects_what_the_run_showed():
         cell=Cell.FRONT,
         side="front",
         responsibility="ego",
+        fault="leader-unanswered",
         npc_manoeuvre="lane-keeping",
         ego_manoeuvre="lane-keeping",
         preventable_by=("idm-aeb",),

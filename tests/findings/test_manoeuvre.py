@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
-from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.manoeuvre import manoeuvre_before
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.findings.signature import Failure
 from tests.support.traces import trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -46,11 +46,11 @@ def collision(*instructions):
     return run
 
 
-def test_a_cut_in_and_a_braking_leader_are_two_kinds_of_failure():
-    leader, cut_in = (of_failure(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
+def test_a_cut_in_and_a_braking_leader_are_told_apart():
+    leader, cut_in = (Expect.of(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
     assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
     assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
-    assert (leader.side, leader.cell, leader.slug) == (cut_in.side, cut_in.cell, cut_in.slug)
+    assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)
 
 
 def test_a_file_keeps_the_manoeuvres_so_that_the_signature_can_be_compared():

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.finding import Finding, Found, of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import AdsError, Outcome
 from tests.support.traces import collision_at, trace_of, vehicle
@@ -29,7 +29,8 @@ def saved(run=None, failure=FAILS):
 
 
 FRONT = of_failure(crash(), FAILS)
-REAR = of_failure(crash(cell=Cell.REAR, side="rear"), FAILS)
+REAR = of_failure(crash(cell=Cell.REAR, side="rear", ego_speed=0.0), FAILS)
+"""The ego stands, so that the NPC is responsible."""
 
 
 def test_a_signature_is_known_while_a_scenario_of_it_still_fails():

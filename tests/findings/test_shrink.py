@@ -65,6 +65,25 @@ def test_what_always_fails_becomes_one_npc_with_one_gene_at_no_speed():
     assert chain.endswith("@0")
 
 
+def test_a_run_begins_later_where_the_egos_state_of_that_moment_suffices():
+    given = scenario("4@20 4@20 3@20 2@5", ego_lane=1, ego_speed=22.0)
+    states = ((1, 22.0), (2, 21.0), (2, 15.5), (3, 15.5))
+
+    def fails(each):
+        return (has(Cell.FRONT)(each) and (each.ego_lane, each.ego_speed) == (3, 15.5)) or each == given
+
+    asked = {}
+
+    def starts(each):
+        asked[each] = True
+        return states if each == given else ()
+
+    result = shrunk(given, fails, starts=starts)
+    assert asked
+    assert (result.scenario.ego_lane, result.scenario.ego_speed) == (3, 15.5)
+    assert written(result.scenario) == ("2@0",)
+
+
 def test_npcs_that_do_not_matter_are_dropped():
     assert minimal(BUSY, has(Cell.FRONT)) == ("2@0",)
 

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, Signature, normalised, of_failure
+from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import AdsError, Outcome
 from tests.support.traces import collision_at, trace_of, vehicle
@@ -21,14 +22,35 @@ def crash(**where):
     return Run(approaching(outcome=Outcome.COLLISION, collision=collision_at(30, **where)))
 
 
-def test_a_collision_is_told_by_side_cell_and_responsibility():
-    assert of_failure(crash(cell=Cell.LEFT, side="left"), COLLIDES) == Signature(
+STANDING = {"cell": Cell.LEFT, "side": "left", "ego_speed": 0.0}
+"""A collision that the ego does not answer for."""
+
+
+def test_a_collision_that_the_ego_answers_for_is_told_by_its_fault():
+    assert of_failure(crash(), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
         outcome=Outcome.COLLISION,
+        responsibility="ego",
+        fault="leader-unanswered",
+    )
+
+
+def test_where_the_ego_was_hit_does_not_matter_where_it_answers():
+    assert of_failure(crash(cell=Cell.FRONT_LEFT, side="left"), COLLIDES) == of_failure(crash(), COLLIDES)
+    fields = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "fault": "entered-lane"}
+    alone = Signature(**fields, responsibility="ego", cell=Cell.LEFT, ego_manoeuvre="lane-change")
+    assert alone == Signature(**fields, responsibility="both", side="rear", npc_manoeuvre="lane-keeping")
+
+
+def test_any_other_collision_is_told_by_side_cell_and_manoeuvres():
+    assert of_failure(crash(**STANDING), COLLIDES) == Signature(
+        failure="AssertionError",
+        assertion="not run.collision",
+        outcome=Outcome.COLLISION,
+        responsibility="npc",
         side="left",
         cell=Cell.LEFT,
-        responsibility="ego",
         npc_manoeuvre="lane-keeping",
         ego_manoeuvre="lane-keeping",
     )
@@ -47,7 +69,7 @@ def test_the_time_and_the_speeds_do_not_matter():
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Signature)])
 def test_every_field_matters(name):
-    signature = of_failure(crash(), COLLIDES)
+    signature = of_failure(crash(**STANDING), COLLIDES)
     assert replace(signature, **{name: "other"}) != signature
 
 
@@ -118,15 +140,19 @@ def slug(assertion="", kind="AssertionError", run=None):
     return of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
 
 
-def test_a_slug_names_side_and_cell_of_a_collision():
-    assert of_failure(crash(), COLLIDES).slug == "front-2"
-    assert of_failure(crash(cell=Cell.REAR_LEFT, side="left"), COLLIDES).slug == "left-7"
+def test_a_slug_names_the_fault_or_side_and_cell_of_a_collision():
+    assert of_failure(crash(), COLLIDES).slug == "leader-unanswered"
+    assert of_failure(crash(**STANDING), COLLIDES).slug == "left-8"
 
 
 def test_a_slug_names_the_subject_of_another_assertion_and_the_worst_cell():
     assert slug("assert run.min_ttc > 1.0") == "min-ttc-2"
     assert slug("assert not run.off_road") == "off-road-2"
-    assert slug("", kind="SlowDecision") == "slow-decision-2"
+
+
+def test_a_slug_has_no_cell_where_the_others_do_not_matter():
+    assert slug("assert not run.off_road", run=Run(approaching(outcome=Outcome.OFF_ROAD))) == "off-road"
+    assert slug("", kind="SlowDecision") == "slow-decision"
 
 
 def test_a_slug_names_a_fault_of_the_ads():

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.run import Run
-from pytest_pafot.findings.signature import Failure, of_failure
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin.execution import item_seed
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.oracle import Verdict

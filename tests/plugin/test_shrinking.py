@@ -7,7 +7,11 @@ import pytest
 import pytest_pafot.plugin.shrinking
 import pytest_pafot.world.confirm  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.findings.corpus import read
+from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import sort_key
+from pytest_pafot.plugin.shrinking import starts_of
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.world import Highway
 
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
@@ -20,6 +24,20 @@ def test_collides(run):
 def collides(project):
     project.write(COLLIDES)
     return project
+
+
+def test_the_start_of_a_gene_is_the_egos_state_at_that_tick():
+    scenario = Scenario(npcs=((PositionInstruction(4, 20.0),) * 3,), gene_seconds=5.0)
+    run = Run(Highway(duration=12.0).rollout(scenario, lambda: lambda observation: (1.0, 0.0)))
+    assert starts_of(run, 26.8) == ((1, 22.0), (1, 26.8), (1, 26.8))
+    assert starts_of(run, 40.0) == ((1, 22.0), (1, 27.0), (1, 32.0))
+
+
+def test_a_run_off_the_road_has_no_later_start():
+    scenario = Scenario(npcs=((PositionInstruction(5, 10.0),) * 2,), gene_seconds=5.0)
+    run = Run(Highway(duration=10.0).rollout(scenario, lambda: lambda observation: (0.0, -0.05)))
+    assert run.off_road
+    assert starts_of(run, 26.8) == ()
 
 
 def run(project, *args, **kwargs):
@@ -257,4 +275,4 @@ def ads(pytestconfig):
     return lambda: lambda observation: (0.0, 0.0)
 """
     )
-    run(collides).stdout.fnmatch_lines(["pafot: *collides* shrinking saved-*, run 1 of at most 300"])
+    run(collides).stdout.fnmatch_lines(["pafot: *collides* shrinking *, run 1 of 300"])

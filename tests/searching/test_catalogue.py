@@ -19,7 +19,7 @@ def test_algorithms_are_found_by_name():
 
 
 def test_an_unknown_name_is_answered_with_those_that_exist():
-    with pytest.raises(ValueError, match="algorithm: expected one of pafot, random, received 'genetic'"):
+    with pytest.raises(ValueError, match="algorithm: expected one of distinct, pafot, random, received 'genetic'"):
         algorithm_named("genetic", SPACE)
 
 
