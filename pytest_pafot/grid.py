@@ -127,6 +127,8 @@ def repair_gene(
     Raises:
         ValueError: in the first gene, when there are more NPCs than existing cells.
     """
+    if _can_all_be_met(previous, requested, existing):
+        return tuple(requested)
     if previous is None:
         preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
     else:
@@ -141,6 +143,13 @@ def repair_gene(
             "use fewer NPCs or more lanes"
         )
     return assignment
+
+
+def _can_all_be_met(previous: Sequence[Cell] | None, requested: Sequence[Cell], existing: Collection[Cell]) -> bool:
+    """Whether the requests are the first in order of preference: possible, and no two for one cell."""
+    if len(set(requested)) < len(requested) or not all(cell in existing for cell in requested):
+        return False
+    return previous is None or all(map(is_adjacent, previous, requested))
 
 
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_pafot.plugin import fixtures, session
+from pytest_pafot.plugin import fixtures, header, session
 from pytest_pafot.plugin.collection import Collection, accept_files
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import Unseen
@@ -35,6 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
     accept_files(config)
     features = {
         "fixtures": fixtures,
+        "header": header,
         "collection": Collection(config),
         "messages": Unseen(),
         "reporting": WorkerReporter(config) if is_worker else Reporter(config),

@@ -3,8 +3,8 @@
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.observation import Observation, VehicleState
 from pytest_pafot.world.plain import from_dict
 
 __all__ = [

@@ -4,31 +4,30 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
+import sys
 from collections.abc import Callable
-from typing import Any, Protocol
-
-from highway_env.road.road import Road
-from highway_env.vehicle.kinematics import Vehicle
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pytest_pafot.world.errors import AdsFactoryError
-from pytest_pafot.world.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.action import (
+    checked_si_action,
+    possible_acceleration,
+    possible_steering,
+    without_reversing,
+)
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.road import StraightRoad
-from pytest_pafot.world.vehicles import Car
 
-EGO_ACCELERATION = 6.0
-"""Strongest acceleration that a planner's action has an effect up to [m/s^2]."""
-EGO_BRAKING = 9.81
-"""Strongest deceleration, likewise: full braking on a dry road [m/s^2]."""
-EGO_STEERING = math.pi / 4
-"""Largest steering angle, likewise [rad]."""
+if TYPE_CHECKING:
+    from highway_env.road.road import Road
+
+    from pytest_pafot.world.vehicles import Car
+
+STARRED = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 AdsFactory = Callable[..., Any]
 """Gives a fresh ADS, called once per scenario."""
-
-
-class BadAction(Exception):  # noqa: N818  (named in findings as the fault it is)
-    """What an ADS returned is no action; the message says what was expected."""
 
 
 class EgoDriver(Protocol):
@@ -39,7 +38,7 @@ class EgoDriver(Protocol):
         every: physics ticks from one decision to the next.
     """
 
-    vehicle: Vehicle
+    vehicle: Any
     every: int
 
     def decide(self, tick: int) -> Any:
@@ -52,11 +51,14 @@ class EgoDriver(Protocol):
 def is_vehicle_class(candidate: object) -> bool:
     """Whether something is a highway-env vehicle class, or a ``functools.partial`` of one."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
-    return isinstance(inner, type) and issubclass(inner, Vehicle)
+    kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # whoever has a vehicle class has imported it
+    return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
 
 
 def wants_env(factory: AdsFactory) -> bool:
     """Whether a factory has a parameter ``env``."""
+    if _takes_nothing(factory):
+        return False
     try:
         return "env" in inspect.signature(factory).parameters
     except (TypeError, ValueError):  # builtins without a signature
@@ -86,7 +88,17 @@ def made(factory: AdsFactory, **arguments: Any) -> Any:
     )
 
 
+def _takes_nothing(factory: AdsFactory) -> bool:
+    """Whether a factory is a plain function without parameters, seen at a glance: signatures cost much."""
+    if type(factory) is not FunctionType or factory.__dict__:
+        return False
+    code = factory.__code__
+    return not (code.co_argcount or code.co_kwonlyargcount or code.co_flags & STARRED)
+
+
 def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
+    if not arguments and _takes_nothing(factory):
+        return
     try:
         signature = inspect.signature(factory)
     except (TypeError, ValueError):  # builtins without a signature
@@ -141,15 +153,13 @@ class Planner:
     def decide(self, tick: int) -> tuple[float, float]:
         """Observe, ask, check and apply."""
         action = checked_si_action(self._ads(self.observe(tick)))
-        acceleration = min(max(action[0], -EGO_BRAKING), EGO_ACCELERATION)
-        self._wanted = acceleration
-        self.vehicle.control(acceleration, min(max(action[1], -EGO_STEERING), EGO_STEERING))
+        self._wanted = possible_acceleration(action[0])
+        self.vehicle.control(self._wanted, possible_steering(action[1]))
         return action
 
     def actuate(self) -> None:
         """Brake to a standstill, never into reverse."""
-        dt = 1 / self._physics_hz
-        self.vehicle.acceleration = max(self._wanted, -self.vehicle.speed / dt) if self._wanted < 0 else self._wanted
+        self.vehicle.acceleration = without_reversing(self._wanted, self.vehicle.speed, 1 / self._physics_hz)
 
     def observe(self, tick: int) -> Observation:
         """The scene as it is now."""
@@ -165,35 +175,3 @@ class Planner:
             straight.lane_width,
             straight.speed_limit,
         )
-
-
-def checked_si_action(action: Any) -> tuple[float, float]:
-    """(acceleration, steering) as two floats.
-
-    Raises:
-        BadAction: unless it is a pair of finite numbers.
-    """
-    expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers"
-    if isinstance(action, (str, bytes, dict, set)):
-        raise BadAction(f"{expected}, received {shown(action)}")
-    try:
-        acceleration, steering = action
-        if isinstance(acceleration, (str, bytes)) or isinstance(steering, (str, bytes)):
-            raise TypeError("text is no number")
-        pair = float(acceleration), float(steering)
-    except (TypeError, ValueError, OverflowError):
-        raise BadAction(f"{expected}, received {shown(action)}") from None
-    if not (math.isfinite(pair[0]) and math.isfinite(pair[1])):
-        raise BadAction(f"{expected}, received {shown(action)}")
-    return pair
-
-
-def shown(value: Any) -> str:
-    """A value in an error message, cut to a line."""
-    return one_line(repr(value))
-
-
-def one_line(text: str) -> str:
-    """A text on one line, cut to what one can hold."""
-    line = " ".join(text.split())
-    return line if len(line) <= 120 else f"{line[:117]}..."

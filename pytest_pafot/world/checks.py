@@ -36,6 +36,16 @@ def whole(name: str, value: object, low: int, high: int) -> int:
     return value
 
 
+def one_of(name: str, value: object, choices: tuple[str, ...]) -> None:
+    """Check for one of some names.
+
+    Raises:
+        WorldError: with the names.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise WorldError(f"{name}: expected one of {', '.join(choices)}, received {value!r}")
+
+
 def plain(name: str, value: Any) -> Any:
     """A copy of plain data, as a corpus file can hold it: tuples and numpy arrays become lists.
 

@@ -8,7 +8,6 @@ driver, called from the road's ``act``; the contact oracle, called after each of
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -21,12 +20,12 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
-from pytest_pafot.world.director import Pose
-from pytest_pafot.world.engine import Recorder, Rules, decide, start_positions
+from pytest_pafot.world.engine import Traffic, decide
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.policy import View, checked_action
+from pytest_pafot.world.rules import Rules
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
@@ -98,81 +97,67 @@ class StockPolicy:
 Driver = Planner | SelfDriving | StockPolicy
 
 
-def replay_in_gym(
-    world: Highway | World,
-    scenario: Scenario,
-    ads_factory: AdsFactory,
-    clock: Callable[[], float] = time.perf_counter,
-) -> Trace:
+def replay_in_gym(world: Highway | World, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
     """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-env's own environment.
 
     Args:
         world: whose environment is made; a Highway is highway-v0 with its lanes, length and speed limit.
         scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
         ads_factory: called once, gives the ADS.
-        clock: seconds; only for the duration of decisions.
     """
-    rules, _ = world.ground
+    rules = world.rules
     env = _environment(world)
     env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
     driver = _driver(world, env, scenario, ads_factory)
     loop = _Loop(rules, scenario, env, driver)
     with HangGuard(rules.hang_limit) as guard:
-        return loop.run(guard, clock)
+        return loop.run(guard)
 
 
 class _Loop:
     """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
 
     def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
-        ego_length = float(driver.vehicle.LENGTH)
-        director = rules.director(scenario, ego_length, StockVehicle)
-        _, *starts = start_positions(rules, scenario, director.first_cells(), ego_length)
-        self._npcs = [StockVehicle(env.road, [x, y], heading, scenario.ego_speed) for x, y, heading in starts]
-        for npc in self._npcs:
-            npc.check_collisions = False
-        env.road.vehicles = [driver.vehicle, *self._npcs]
-        self._rules, self._env, self._driver, self._director = rules, env, driver, director
-        self._recorder = Recorder(rules, scenario, driver, self._npcs, director)
+        def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
+            vehicle = StockVehicle(env.road, [x, y], heading, speed)
+            vehicle.check_collisions = False
+            return vehicle
+
+        self._env, self._driver = env, driver
+        self._traffic = Traffic(rules, scenario, driver, npc)
+        env.road.vehicles = self._traffic.vehicles
         self._ticks = self._left = rules.ticks(scenario)
         self._ended: Trace | None = None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
-    def run(self, guard: HangGuard, clock: Callable[[], float]) -> Trace:
+    def run(self, guard: HangGuard) -> Trace:
         """Decide and step until the run ends."""
-        driver = self._driver
+        driver, record = self._driver, self._traffic.record
         for tick in range(0, self._ticks, driver.every):
-            error = decide(driver, tick, self._recorder, guard, clock)
+            error = decide(driver, tick, record, guard)
             if error is not None:
-                return self._recorder.trace(error=error)
+                return record.trace(error=error)
             if isinstance(driver, StockPolicy):
                 driver.seen, *_ = self._env.step(driver.action)
             else:
                 self._env.step(None)  # The driver has set the ego's controls; the environment leaves them.
             if self._ended is not None:
                 return self._ended
-        return self._recorder.trace()
+        return record.trace()
 
     def _act(self) -> None:
         """In the place of ``Road.act``, which asks each vehicle in turn: the ego, then the NPCs."""
         self._driver.actuate()
-        if self._is_over:
-            return
-        project = self._rules.road.project
-        x, y, heading, speed = self._recorder.ego_state()
-        ego = Pose(*project(x, y, heading), speed)
-        poses = [Pose(*project(npc.x, npc.y, float(npc.heading)), float(npc.speed)) for npc in self._npcs]
-        for npc, (acceleration, steering) in zip(self._npcs, self._director.command(ego, poses), strict=True):
-            npc.control(acceleration, steering)
+        if not self._is_over:
+            self._traffic.command()
 
     def _step(self, dt: float) -> None:
         """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
         self._road_step(dt)
         if not self._is_over:
             self._left -= 1
-            self._recorder.record()
-            self._ended = self._recorder.contact()
+            self._ended = self._traffic.note()
 
     @property
     def _is_over(self) -> bool:
@@ -203,7 +188,7 @@ def _environment(world: Highway | World) -> Any:
 
 def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
     """The ego at its start, in one of highway-env's vehicle classes, and who drives it."""
-    rules, _ = world.ground
+    rules = world.rules
     start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
     every = rules.physics_hz // rules.ads_hz
     is_policy = isinstance(world, World) and not is_vehicle_class(ads_factory)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import signal
 import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
+
+LONGEST_PAUSE = 1.0
+"""Between two looks at the decisions under way [s]."""
+IDLE_LOOKS = 5
+"""After so many looks with no run under way the watching thread ends."""
 
 
 class AdsHang(BaseException):
@@ -23,63 +29,76 @@ class HangGuard:
     again. Code that never returns to the interpreter cannot be interrupted; the record of the scenario in flight then
     names it in the next session.
 
+    A decision is under guard while ``started`` is set. Whoever ends one cheaply clears ``started`` first and reads the
+    clock then: if by that clock the decision was within the limit, nobody has found it overdue, since the watching
+    thread reads the clock before it looks at ``started``. Else :meth:`settle` is to be called.
+
     Args:
         limit: longest decision [s].
         clock: seconds, monotonic.
+
+    Attributes:
+        started: when the decision under way began, by the clock [s]; None between decisions.
     """
 
-    def __init__(self, limit: float, clock: Callable[[], float] = time.monotonic) -> None:
-        self._limit = limit
-        self._clock = clock
-        self._started: float | None = None
+    def __init__(self, limit: float, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.limit = limit
+        self.clock = clock
+        self.started: float | None = None
         self._sent = False
         self._lock = threading.Lock()
-        self._closed = threading.Event()
         self._target = threading.get_ident()
         self._by_signal = hasattr(signal, "pthread_kill") and threading.current_thread() is threading.main_thread()
         self._previous: Any = None
-        self._watcher = threading.Thread(target=self._watch, name="pafot-hang-guard", daemon=True)
 
     def __enter__(self) -> HangGuard:
         if self._by_signal:
             self._previous = signal.signal(signal.SIGUSR1, self._received) or signal.SIG_DFL
-        self._watcher.start()
+        _WATCHDOG.watch(self)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.decision_ends()
-        self._closed.set()
-        self._watcher.join()
+        _WATCHDOG.leave(self)
         if self._by_signal:
             signal.signal(signal.SIGUSR1, self._previous)
 
+    @property
+    def pause(self) -> float:
+        """How long a look may be put off [s]."""
+        return min(self.limit / 4, LONGEST_PAUSE)
+
     def decision_starts(self) -> None:
         """The ADS is asked now."""
-        self._started = self._clock()
+        self.started = self.clock()
 
     def decision_ends(self) -> None:
         """The ADS has answered; once this returns nothing is interrupted.
 
         The interruption may still arrive inside this call, which is then to be called again.
         """
-        self._started = None
+        self.started = None
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until an interruption that was sent has arrived, after ``started`` is cleared."""
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:
             _let_it_arrive()
 
-    def _overdue(self) -> bool:
-        started = self._started
-        return started is not None and self._clock() - started > self._limit
+    def look(self) -> None:
+        """Interrupt the decision under way if it takes too long; called by the watching thread."""
+        with self._lock:
+            if self._overdue():
+                self._interrupt()
 
-    def _watch(self) -> None:
-        pause = min(self._limit / 4, 1.0)
-        while not self._closed.wait(pause):
-            with self._lock:
-                if self._overdue():
-                    self._interrupt()
+    def _overdue(self) -> bool:
+        now = self.clock()  # before the look at what is under way, see above
+        started = self.started
+        return started is not None and now - started > self.limit
 
     def _interrupt(self) -> None:
         if self._by_signal:
@@ -93,6 +112,49 @@ class HangGuard:
             raise AdsHang
 
 
+class _Watchdog:
+    """The thread that looks after all guards of the process: to start one for each run would cost as much as a run."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._guards: list[HangGuard] = []
+        self._thread: threading.Thread | None = None
+        self._pause = LONGEST_PAUSE
+
+    def watch(self, guard: HangGuard) -> None:
+        with self._lock:
+            self._guards.append(guard)
+            if self._thread is None:
+                self._pause = guard.pause
+                self._thread = threading.Thread(target=self._run, name="pafot-hang-guard", daemon=True)
+                self._thread.start()
+            elif guard.pause < self._pause:
+                self._wake.set()
+
+    def leave(self, guard: HangGuard) -> None:
+        with self._lock:
+            if guard in self._guards:  # not in a process that was forked inside of a run
+                self._guards.remove(guard)
+
+    def _run(self) -> None:
+        idle = 0
+        while True:
+            with self._lock:
+                guards = self._guards.copy()
+                idle = 0 if guards else idle + 1
+                if idle > IDLE_LOOKS:
+                    self._thread = None
+                    return
+                self._pause = min([guard.pause for guard in guards], default=LONGEST_PAUSE)
+            self._wake.wait(self._pause)
+            self._wake.clear()
+            with self._lock:
+                guards = self._guards.copy()
+            for guard in guards:
+                guard.look()
+
+
 def _let_it_arrive() -> None:
     """Take an interruption that is on its way to this thread; without one, nothing happens.
 
@@ -104,3 +166,8 @@ def _let_it_arrive() -> None:
             pass
     except AdsHang:
         return
+
+
+_WATCHDOG = _Watchdog()
+if hasattr(os, "register_at_fork"):  # a forked process has no other thread, and a lock that one held stays locked
+    os.register_at_fork(after_in_child=_WATCHDOG.__init__)  # type: ignore[misc]

@@ -20,7 +20,7 @@ from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
     from pytest_pafot.world.ads import AdsFactory, EgoDriver
-    from pytest_pafot.world.engine import Rules
+    from pytest_pafot.world.rules import Rules
     from pytest_pafot.world.vehicles import ParallelLanes
 
 
@@ -74,12 +74,12 @@ class World(References):
             WorldError: when it cannot; the message says why.
         """
         checks.top_speed(self.limits, self.road)
-        checks.road_is_long_enough(self.road, 2 * self._rules.ego_start, self._rules.duration)
+        checks.road_is_long_enough(self.road, 2 * self.rules.ego_start, self.rules.duration)
 
     @property
     def road(self) -> StraightRoad:
         """The environment's road."""
-        return self._rules.road
+        return self.rules.road
 
     @property
     def lanes(self) -> int:
@@ -94,17 +94,17 @@ class World(References):
     @property
     def longest_run(self) -> float:
         """How long a run lasts that nothing ends early [s]."""
-        return self._rules.duration
+        return self.rules.duration
 
     @property
     def physics_hz(self) -> int:
         """The environment's ``simulation_frequency``."""
-        return self._rules.physics_hz
+        return self.rules.physics_hz
 
     @property
     def ads_hz(self) -> int:
         """The environment's ``policy_frequency``."""
-        return self._rules.ads_hz
+        return self.rules.ads_hz
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario with a fresh ADS.
@@ -131,7 +131,7 @@ class World(References):
         env.np_random = _generator(scenario.seed)
         env.time = env.steps = 0
         road = Road(
-            self._network,
+            self.network,
             np_random=env.np_random,
             neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
         )
@@ -154,12 +154,7 @@ class World(References):
                 return SelfDriving(ads, road, start, scenario.ego_speed)
             return Policy(ads, env, self.physics_hz // self.ads_hz)
 
-        return run(self._rules, scenario, road, make_ego)
-
-    @property
-    def ground(self) -> tuple[Rules, Any]:
-        """The rules of every run, and the road network as highway-env has it."""
-        return self._rules, self._network
+        return run(self.rules, scenario, road, make_ego)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
@@ -216,7 +211,8 @@ class World(References):
             )
 
     @cached_property
-    def _network(self) -> ParallelLanes:
+    def network(self) -> ParallelLanes:
+        """The road as highway-env has it, with a cheap lane search."""
         from pytest_pafot.world.vehicles import ParallelLanes  # noqa: PLC0415
 
         return ParallelLanes(self._plain_network)
@@ -226,8 +222,9 @@ class World(References):
         return self._env.road.network
 
     @cached_property
-    def _rules(self) -> Rules:
-        from pytest_pafot.world.engine import Rules  # noqa: PLC0415
+    def rules(self) -> Rules:
+        """What all runs have in common."""
+        from pytest_pafot.world.rules import Rules  # noqa: PLC0415
         from pytest_pafot.world.vehicles import described  # noqa: PLC0415
 
         config = self._env.config

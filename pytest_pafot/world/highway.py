@@ -15,11 +15,13 @@ from pytest_pafot.world.referable import References
 from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
-    from pytest_pafot.world.ads import AdsFactory, EgoDriver
-    from pytest_pafot.world.engine import Rules
+    from pytest_pafot.world.ads import AdsFactory
+    from pytest_pafot.world.rules import Rules
 
 LANE_WIDTH = 4.0
 """highway-env's [m]."""
+ENGINES = ("auto", "kernel", "highway-env")
+"""What can step a run; ``auto`` takes the kernel wherever it can drive the ego."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,8 @@ class Highway(References):
         headway: of NPCs that start ahead of or behind the ego [s].
         limits: of every NPC.
         hang_limit: longest decision of the ADS in wall-clock time, after which it is interrupted [s].
+        engine: what steps a run: ``"kernel"``, ``"highway-env"``, or ``"auto"``, the kernel wherever it can. The
+            results are the same, so it is not part of a saved world.
 
     Raises:
         WorldError: when a value cannot be used; the message says what can.
@@ -53,6 +57,7 @@ class Highway(References):
     headway: float = 2.0
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = 30.0
+    engine: str = field(default="auto", compare=False)
 
     def __post_init__(self) -> None:
         checks.whole("lanes", self.lanes, 3, 6)
@@ -69,6 +74,7 @@ class Highway(References):
             object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+        checks.one_of("engine", self.engine, ENGINES)
         checks.divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
         checks.top_speed(self.limits, self.road)
 
@@ -95,11 +101,8 @@ class Highway(References):
             AdsFactoryError: when the factory gives nothing that can drive here.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
-
-        from pytest_pafot.world.ads import Planner, SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
-        from pytest_pafot.world.engine import run  # noqa: PLC0415
-        from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
+        from pytest_pafot.world.ads import is_vehicle_class, made, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.engines import simulate  # noqa: PLC0415
 
         checks.fits(scenario, self.road, self.limits, self.physics_hz)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
@@ -107,37 +110,26 @@ class Highway(References):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads = made(ads_factory)
-        road = Road(self._network, np_random=_generator(scenario.seed))
-
-        def make_ego(start: tuple[float, float, float]) -> EgoDriver:
-            if is_vehicle_class(ads):
-                return SelfDriving(ads, road, start, scenario.ego_speed)
-            x, y, heading = start
-            ego = Car(road, (x, y), heading, scenario.ego_speed)
-            return Planner(ads, road, self.road, ego, self.physics_hz, self.physics_hz // self.ads_hz)
-
-        return run(self._rules, scenario, road, make_ego)
-
-    @property
-    def ground(self) -> tuple[Rules, Any]:
-        """The rules of every run, and the road network as highway-env has it."""
-        return self._rules, self._network
+        return simulate(self, self.rules, scenario, made(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
-        return {"kind": "highway", **asdict(self)}
+        values = asdict(self)
+        del values["engine"]  # both give the same results
+        return {"kind": "highway", **values}
 
     @cached_property
-    def _network(self) -> Any:
+    def network(self) -> Any:
+        """The road as highway-env has it."""
         from pytest_pafot.world.vehicles import ParallelLanes, straight_network  # noqa: PLC0415
 
         lane = self.road.lanes[0]
         return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
 
     @cached_property
-    def _rules(self) -> Rules:
-        from pytest_pafot.world.engine import Rules  # noqa: PLC0415
+    def rules(self) -> Rules:
+        """What all runs have in common."""
+        from pytest_pafot.world.rules import Rules  # noqa: PLC0415
 
         return Rules(
             road=self.road,
@@ -149,9 +141,3 @@ class Highway(References):
             limits=self.limits,
             hang_limit=self.hang_limit,
         )
-
-
-def _generator(seed: int) -> Any:
-    import numpy as np  # noqa: PLC0415
-
-    return np.random.default_rng(seed)

@@ -11,8 +11,8 @@ from highway_env.road.road import Road
 from highway_env.utils import class_from_path
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot.world.ads import BadAction, shown
 from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kernel.action import BadAction, shown
 from pytest_pafot.world.kinematics import observer
 
 

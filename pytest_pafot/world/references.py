@@ -25,7 +25,7 @@ from typing import Any
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
 """[m/s^2]."""
@@ -352,24 +352,12 @@ def rollout_reference(world: Any, scenario: Scenario, name: str) -> Trace:
     """
     if name not in REFERENCES:
         raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
-    import numpy as np  # noqa: PLC0415
-    from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+    from pytest_pafot.world import checks  # noqa: PLC0415  (only here needed)
+    from pytest_pafot.world.engines import planned  # noqa: PLC0415
 
-    from pytest_pafot.world import checks  # noqa: PLC0415
-    from pytest_pafot.world.ads import Planner  # noqa: PLC0415
-    from pytest_pafot.world.engine import run  # noqa: PLC0415
-    from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
-
-    rules, network = world.ground
+    rules = world.rules
     checks.fits(scenario, rules.road, rules.limits, rules.physics_hz)
-    road = Road(network, np_random=np.random.default_rng(scenario.seed))
-
-    def make_ego(start: tuple[float, float, float]) -> Planner:
-        x, y, heading = start
-        ego = Car(road, (x, y), heading, scenario.ego_speed)
-        return Planner(REFERENCES[name](), road, rules.road, ego, rules.physics_hz, 1)
-
-    return run(replace(rules, ads_hz=rules.physics_hz), scenario, road, make_ego)
+    return planned(world, replace(rules, ads_hz=rules.physics_hz), scenario, REFERENCES[name]())
 
 
 def survives(world: Any, scenario: Scenario, name: str) -> bool:

@@ -10,10 +10,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from pytest_pafot.grid import Cell
-from pytest_pafot.trace import FloatArray, Lane
+from pytest_pafot.trace import Lane
+from pytest_pafot.world.kernel.lanes import Lanes
 
 
 @dataclass(frozen=True)
@@ -24,13 +23,15 @@ class StraightRoad:
         lanes: at least one, from the left.
         lane_width: of every lane [m].
         speed_limit: of the fastest lane [m/s].
+        grid: the lanes in road coordinates.
     """
 
     lanes: tuple[Lane, ...]
     lane_width: float = field(init=False)
     speed_limit: float = field(init=False)
+    grid: Lanes = field(init=False, repr=False, compare=False)
     _origin: tuple[float, float] = field(init=False, repr=False)
-    _last: int = field(init=False, repr=False)
+    _cells: tuple[frozenset[Cell], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         first = self.lanes[0]
@@ -38,7 +39,8 @@ class StraightRoad:
             ("lane_width", first.width),
             ("speed_limit", max(lane.speed_limit for lane in self.lanes)),
             ("_origin", (first.x, first.y)),
-            ("_last", len(self.lanes) - 1),
+            ("grid", Lanes(len(self.lanes), first.width, first.length)),
+            ("_cells", tuple(_cells(lane, len(self.lanes)) for lane in range(len(self.lanes)))),
         ):
             object.__setattr__(self, name, value)
 
@@ -51,6 +53,11 @@ class StraightRoad:
                 for k in range(lanes)
             )
         )
+
+    @property
+    def starts_at_origin(self) -> bool:
+        """Whether world coordinates are road coordinates."""
+        return self._origin == (0.0, 0.0)
 
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
         """World coordinates to (along the road [m], across it from the centre of lane 0 [m], heading to it [rad])."""
@@ -66,22 +73,13 @@ class StraightRoad:
         """How far across the road the centre of a lane is [m]."""
         return lane * self.lane_width
 
-    def nearest_lane(self, lateral: float) -> int:
-        """Index of the lane whose centre is nearest; the left one of two at equal distance."""
-        lane = math.ceil(lateral / self.lane_width - 0.5)
-        return 0 if lane < 0 else min(lane, self._last)
-
-    def lanes_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Index of the nearest lane for points in world coordinates, -1 off the paved surface; any shape."""
-        s, d = x - self._origin[0], y - self._origin[1]
-        half = self.lane_width / 2
-        on_road = (-half <= d) & (d <= self.centre(self._last) + half) & (s >= 0) & (s <= self.lanes[0].length)
-        nearest = np.clip(np.ceil(d / self.lane_width - 0.5), 0, self._last)
-        return np.where(on_road, nearest, -1.0)
-
     def cells(self, ego_lane: int) -> frozenset[Cell]:
         """The cells whose lane exists when the ego drives in a lane."""
-        return frozenset(cell for cell in Cell if 0 <= ego_lane + cell.column < len(self.lanes))
+        return self._cells[ego_lane]
+
+
+def _cells(ego_lane: int, lanes: int) -> frozenset[Cell]:
+    return frozenset(cell for cell in Cell if 0 <= ego_lane + cell.column < lanes)
 
 
 def parallel_along_x(lanes: Sequence[Lane]) -> bool:

@@ -17,6 +17,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.trace import Lane
 from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.road import StraightRoad, parallel_along_x
 
 
@@ -28,30 +29,17 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
         self.graph = network.graph
         ((self._start, ends),) = self.graph.items()
         ((self._end, lanes),) = ends.items()
-        self._ys = [float(lane.start[1]) for lane in lanes]
-        self._length = float(lanes[0].length)
-        self._width = float(lanes[0].width)
-        self._inside = self._width / 2 - 1e-6
-        self._start_x = float(lanes[0].start[0])
+        first = lanes[0]
+        self._x, self._y = float(first.start[0]), float(first.start[1])
+        self._grid = Lanes(len(lanes), float(first.width), float(first.length))
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
         """As highway-env's: least lateral distance plus angle, the first of equals."""
-        return self.closest(float(position[0]), float(position[1]), heading)
+        return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
 
-    def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
+    def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
         """The same for plain floats."""
-        near = int((y - self._ys[0]) / self._width + 0.5)
-        if 0 <= near < len(self._ys) and abs(y - self._ys[near]) < self._inside:
-            return self._start, self._end, near  # what is the same for all lanes cannot change the order
-        s = x - self._start_x
-        beyond = max(s - self._length, 0) + max(0 - s, 0)
-        angle = 0.0 if heading is None else abs((heading + math.pi) % (2 * math.pi) - math.pi)
-        best, lane = math.inf, 0
-        for index, lane_y in enumerate(self._ys):
-            distance = abs(y - lane_y) + beyond + angle
-            if distance < best:
-                best, lane = distance, index
-        return self._start, self._end, lane
+        return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
 
 
 class Car(Vehicle):  # type: ignore[misc]

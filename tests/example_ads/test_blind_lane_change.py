@@ -6,7 +6,7 @@ import pytest
 
 from example_ads import blind_lane_change
 from example_ads.blind_lane_change import SECONDS_PER_LANE
-from pytest_pafot.world.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 
 def vehicle(*, x=100.0, lane=1, speed=22.0, y=None):

@@ -3,7 +3,7 @@
 import pytest
 
 from example_ads import constant_speed
-from pytest_pafot.world.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 
 @pytest.mark.parametrize("gap", [0.5, 20.0, 200.0])

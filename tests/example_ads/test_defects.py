@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -166,7 +166,8 @@ def test_the_same_scenario_gives_the_same_trace(name):
 
 @pytest.mark.parametrize("scenario", [PASSES_BY, STEADY_LEADER, BRAKES_AHEAD])
 def test_the_healthy_one_drives_as_highway_envs_own(scenario):
-    healthy, stock = (ROAD.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
+    road = replace(ROAD, engine="highway-env")  # the kernel rounds as the C library does, and numpy may not
+    healthy, stock = (road.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
     assert (healthy.states == stock.states).all()
 
 

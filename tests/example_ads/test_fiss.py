@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pytest_pafot.world.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 pytest.importorskip("fiss_planner", reason='needs pip install "pytest-pafot[fiss]"')
 

@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
-from pytest_pafot.world import Highway, World
+from pytest_pafot.world import Highway, World, guard
 from pytest_pafot.world.guard import HangGuard
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
@@ -102,7 +102,7 @@ def test_ctrl_c_inside_an_ads_is_the_users_and_no_finding(world, idle):
 
     with pytest.raises(KeyboardInterrupt):
         world.rollout(SCENARIO, failing_after(1, fail, idle))
-    assert not [thread for thread in threading.enumerate() if thread.name == "pafot-hang-guard"]
+    assert guard._WATCHDOG._guards == []
 
 
 PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, received"

@@ -18,7 +18,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import AdsFactoryError, Highway, Observation, World
-from pytest_pafot.world.director import Director
+from pytest_pafot.world.kernel.director import Director
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 HIGHWAY, GYM = Highway(), World("highway-v0")

@@ -9,10 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.world.contact import Box, overlap, separation, side_hit
+from pytest_pafot.world.kernel.bodies import Box
+from pytest_pafot.world.kernel.contact import overlap, separation, side_hit
 
 angles = st.floats(-math.pi, math.pi)
 boxes = st.builds(Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3))
+
+
+def moved(box, x=0.0, y=0.0, heading=0.0):
+    return Box(box.x + x, box.y + y, box.heading + heading, box.length, box.width)
 
 
 def corners(box):
@@ -78,16 +83,16 @@ def test_contact_is_mutual_and_does_not_depend_on_where_or_which_way_one_looks(a
     assert overlap(b, a) == met
     for turned in (math.pi, -math.pi):
         if abs(max(*separation(a, b), *separation(b, a))) > 1e-9:
-            assert overlap(a._replace(heading=a.heading + turned), b) == met
-            assert overlap(a._replace(x=a.x + 300), b._replace(x=b.x + 300)) == met
+            assert overlap(moved(a, heading=turned), b) == met
+            assert overlap(moved(a, x=300.0), moved(b, x=300.0)) == met
 
 
 def test_boxes_that_share_only_a_border_do_not_touch():
     ego = Box(0.0, 0.0, 0.0, 5.0, 2.0)
-    assert not overlap(ego, ego._replace(x=5.0))
-    assert not overlap(ego, ego._replace(y=-2.0))
-    assert not overlap(ego, ego._replace(x=5.0, y=2.0))
-    assert overlap(ego, ego._replace(x=5.0 - 1e-9))
+    assert not overlap(ego, moved(ego, x=5.0))
+    assert not overlap(ego, moved(ego, y=-2.0))
+    assert not overlap(ego, moved(ego, x=5.0, y=2.0))
+    assert overlap(ego, moved(ego, x=5.0 - 1e-9))
     assert overlap(ego, ego)
 
 
@@ -130,10 +135,7 @@ EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
 @pytest.mark.parametrize("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
 def test_the_side_is_that_of_the_ego_whatever_way_it_heads(other, side, turn):
     cos_t, sin_t = math.cos(turn), math.sin(turn)
-    ego = EGO._replace(x=300.0, y=4.0, heading=turn)
-    turned = other._replace(
-        x=300.0 + other.x * cos_t - other.y * sin_t,
-        y=4.0 + other.x * sin_t + other.y * cos_t,
-        heading=other.heading + turn,
-    )
+    ego = moved(EGO, x=300.0, y=4.0, heading=turn)
+    x, y = 300.0 + other.x * cos_t - other.y * sin_t, 4.0 + other.x * sin_t + other.y * cos_t
+    turned = Box(x, y, other.heading + turn, other.length, other.width)
     assert side_hit(ego, turned) == side

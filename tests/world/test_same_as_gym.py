@@ -6,8 +6,8 @@ the decision rate, the observations and highway-env's own drivers are compared, 
 
 from __future__ import annotations
 
-import math
 import random
+from contextlib import nullcontext
 
 import gymnasium
 import highway_env  # noqa: F401  (registers its environments)
@@ -21,32 +21,18 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
 from pytest_pafot.world import Highway, World
+from tests.support.c_library import c_library
 from tests.support.gym_loop import Replayed, StateLog
 from tests.support.world_cases import chains
 
 STATE = slice(0, SPEED + 1)
 
 
-FUNCTIONS = {"tan": math.tan, "arctan": math.atan, "arcsin": math.asin, "sin": math.sin, "cos": math.cos}
-
-
-def of_the_c_library(name):
-    """A numpy function that rounds as the C library does, for single numbers."""
-    numpys, maths = getattr(np, name), FUNCTIONS[name]
-    return lambda x, *args, **kwargs: numpys(x, *args, **kwargs) if np.ndim(x) else np.float64(maths(x))
-
-
 @pytest.fixture(params=["exactly", "within a centimetre"])
-def exact(request, monkeypatch):
-    """Whether to compare to the last bit.
-
-    On some processors numpy rounds tan, arctan and arcsin otherwise than the C library does, and highway-env's results
-    differ between machines. To compare the equations to the last bit on all of them, highway-env gets the C library's.
-    """
-    if request.param == "exactly":
-        for name in FUNCTIONS:
-            monkeypatch.setattr(np, name, of_the_c_library(name))
-    return request.param == "exactly"
+def exact(request):
+    """Whether to compare to the last bit, which machines agree on with the C library's functions only."""
+    with c_library() if request.param == "exactly" else nullcontext():
+        yield request.param == "exactly"
 
 
 only_exactly = pytest.mark.parametrize("exact", ["exactly"], indirect=True)

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.vehicles import Car, ParallelLanes, described, straight_network
 from tests.support.world_cases import LENGTH, WIDTH, chains
 
@@ -166,11 +167,15 @@ def test_a_registered_environment_of_ones_own_is_driven_on_its_own_road(own_id, 
 
 
 def test_lanes_are_told_apart_as_highway_env_does_and_off_the_road_is_minus_one():
-    road = described(parallel(3, x=100.0, y=-20.0, width=3.5), "mine-v0")
-    y = np.array([-21.76, -21.75, -20.0, -18.25, -18.24, -13.0, -11.25, -11.24])
-    assert road.lanes_at(np.full(8, 500.0), y).tolist() == [-1, 0, 0, 0, 1, 2, 2, -1]
-    assert road.lanes_at(np.array([99.9, 100.0, 1100.0, 1100.1]), np.full(4, -20.0)).tolist() == [-1, 0, 0, -1]
+    grid = described(parallel(3, x=100.0, y=-20.0, width=3.5), "mine-v0").grid
+
+    def located(x, y):
+        body = Body(5.0, 2.0)
+        body.place(x, y, 0.0, 0.0)
+        return grid.locate(body), body.lane
+
+    lanes = {-1.76: -1, -1.75: 0, 0.0: 0, 1.75: 0, 1.76: 1, 7.0: 2, 8.75: 2, 8.76: -1}
+    assert {y: located(400.0, y)[0] for y in lanes} == lanes
+    assert [located(x, 0.0)[0] for x in (-0.1, 0.0, 1000.0, 1000.1)] == [-1, 0, 0, -1]
     for lateral in (-1.0, 0.0, 1.75, 1.76, 5.25, 7.0, 99.0):
-        assert road.nearest_lane(lateral) == min(max(math.ceil(lateral / 3.5 - 0.5), 0), 2)
-        if -1.75 <= lateral <= 8.75:
-            assert road.nearest_lane(lateral) == road.lanes_at(np.array([500.0]), np.array([lateral - 20.0]))[0]
+        assert located(400.0, lateral)[1] == min(max(math.ceil(lateral / 3.5 - 0.5), 0), 2)

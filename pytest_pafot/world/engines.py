@@ -1,0 +1,69 @@
+"""Which of the two engines steps a run: the kernel, or highway-env's own objects. The results are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.ads import EgoDriver, Planner, SelfDriving, is_vehicle_class
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.fast import run_model, run_planner
+from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.kernel.observation import Observation
+from pytest_pafot.world.modelled import idm_model
+from pytest_pafot.world.rules import Rules
+
+
+def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any) -> Trace:
+    """Run a scenario on a Highway.
+
+    Args:
+        world: the Highway.
+        rules: its rules, or others.
+        scenario: checked against the world.
+        ads: fresh: a callable from an observation to an action, or a vehicle class.
+
+    Raises:
+        WorldError: when the world insists on the kernel, and that cannot drive this ego.
+    """
+    if not is_vehicle_class(ads):
+        return planned(world, rules, scenario, ads)
+    model = None if world.engine == "highway-env" else idm_model(ads)
+    if model is not None:
+        return run_model(rules, scenario, model)
+    if world.engine == "kernel":
+        raise WorldError(
+            f"engine: expected an ADS that the kernel can drive, a callable or IDMVehicle with other constants, "
+            f'received {ads!r}, a vehicle class with code or options of its own; use engine="auto" or '
+            f'engine="highway-env"'
+        )
+    return _by_highway_env(rules, world.network, scenario, ads)
+
+
+def planned(world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observation], Any]) -> Trace:
+    """Run a scenario on the road of any world, with a callable from an observation to an action in SI units."""
+    insists = isinstance(world, Highway) and world.engine == "highway-env"
+    if insists or not rules.road.starts_at_origin:
+        return _by_highway_env(rules, world.network, scenario, ads)
+    return run_planner(rules, scenario, ads)
+
+
+def _by_highway_env(rules: Rules, network: Any, scenario: Scenario, ads: Any) -> Trace:
+    import numpy as np  # noqa: PLC0415
+    from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+    from pytest_pafot.world.engine import run  # noqa: PLC0415
+    from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
+
+    road = Road(network, np_random=np.random.default_rng(scenario.seed))
+
+    def make_ego(start: tuple[float, float, float]) -> EgoDriver:
+        if is_vehicle_class(ads):
+            return SelfDriving(ads, road, start, scenario.ego_speed)
+        x, y, heading = start
+        ego = Car(road, (x, y), heading, scenario.ego_speed)
+        return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)
+
+    return run(rules, scenario, road, make_ego)

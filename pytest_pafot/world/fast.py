@@ -1,0 +1,71 @@
+"""One run by the kernel: a straight road that starts at the origin, and an ego that it can drive or ask."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.loop import Loop, PlannerPilot, SelfPilot
+from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+from pytest_pafot.world.modelled import IdmModel
+from pytest_pafot.world.record import Record
+from pytest_pafot.world.rules import NPC_LENGTH, NPC_WIDTH, Rules, start_positions
+
+
+def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any]) -> Trace:
+    """Simulate one scenario with a callable from an observation to (acceleration [m/s^2], steering [rad]).
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        ads: fresh.
+    """
+    ego = Body(NPC_LENGTH, NPC_WIDTH)
+    ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+    record, loop = _prepared(rules, scenario, ego)
+    scene = Scene(record.rows, record.sizes, rules.road.grid, rules.road.speed_limit, rules.physics_hz)
+    every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
+    with HangGuard(rules.hang_limit) as guard:
+        pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt)
+        error = loop.run(pilot, rules.ticks(scenario))
+    record.actions, record.slowest = pilot.actions, pilot.slowest
+    return _finished(record, loop, error)
+
+
+def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
+    """Simulate one scenario with highway-env's IDM+MOBIL as the ego.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        model: its constants.
+    """
+    ego = IdmEgo(model.constants, rules.road.grid, rules.road.speed_limit)
+    ego.start(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)
+    record, loop = _prepared(rules, scenario, ego)
+    loop.run(SelfPilot(ego, list(record.director.npcs)), rules.ticks(scenario))
+    return _finished(record, loop, None)
+
+
+def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop]:
+    """Everybody at the start."""
+    director: Director = rules.director(scenario, ego.length)
+    _, *starts = start_positions(rules, scenario, director.first_cells(), ego.length)
+    for npc, (x, y, heading) in zip(director.npcs, starts, strict=True):
+        npc.place(x, y, heading, scenario.ego_speed)
+    sizes = [(body.length, body.width) for body in (ego, *director.npcs)]
+    rows = array("d", bytes(8 * (rules.ticks(scenario) + 1) * len(sizes) * COLUMNS))
+    record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows)
+    return record, Loop(ego, director, rules.road.grid, rows, 1 / rules.physics_hz)
+
+
+def _finished(record: Record, loop: Loop, error: Any) -> Trace:
+    record.tick = loop.tick
+    return record.trace(touched=loop.ego_touched, invalid=loop.npcs_touched, error=error)

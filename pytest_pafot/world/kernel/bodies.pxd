@@ -1,0 +1,16 @@
+cimport cython
+from libc cimport math
+
+cdef double MAX_SPEED
+
+cdef class Box:
+    cdef public double x, y, heading, length, width
+
+cdef class Body(Box):
+    cdef public double speed, acceleration, steering
+    cdef public int lane
+
+    cpdef void place(self, double x, double y, double heading, double speed)
+
+    @cython.locals(speed=double, course=double, slip=double)
+    cpdef void step(self, double dt)

@@ -1,0 +1,45 @@
+cimport cython
+from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
+
+cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
+cdef int NO_LANE
+
+cdef class Npc(Body):
+    cdef public object chain
+    cdef public list executed, arrivals
+    cdef readonly int index
+    cdef public int row, column, kept_lane, heading_for
+    cdef public double target, target_speed, kept_speed, asked, course
+
+cdef class Director:
+    cdef readonly list npcs
+    cdef object _scenario, _road
+    cdef double _clearance, _row, _length, _width, _lane_width, _far
+    cdef int _last_lane, _genes, _gene_ticks, _tick, _gene, _left
+    cdef NpcDriver _driver
+
+    @cython.locals(npc=Npc)
+    cpdef void command(self, Body ego) except *
+
+    @cython.locals(npc=Npc)
+    cdef _begin_gene(self, int ego_lane)
+
+    @cython.locals(npc=Npc)
+    cdef _end_chains(self)
+
+    @cython.locals(driver=NpcDriver, distance=double, wanted_speed=double, goal=int)
+    cdef void _control(self, Npc npc, Body ego) except *
+
+    @cython.locals(beside=bint)
+    cdef void _keep_lane_if_due(self, Npc npc, int target_lane, double distance) except *
+
+    @cython.locals(lane=int, target_lane=int, step=int, other=Npc, beside_ego=bint)
+    cdef int _next_lane(self, Npc npc, Body ego) except -2
+
+    @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
+    cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1
+
+    @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,
+                   crosses=bint)
+    cdef double _following(self, Npc mine, double speed) except? -1

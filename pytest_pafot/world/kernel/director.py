@@ -1,0 +1,261 @@
+"""Who drives where: turns Position-Instructions into controls of all NPCs, tick by tick.
+
+The director keeps the gene clock, repairs requests at gene boundaries (paper, section 2.1), latches arrivals
+and lets NPCs give way to each other. It sees road coordinates only.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pytest_pafot.grid import Cell, longitudinal_target, repair_gene, toss
+from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
+from pytest_pafot.world.limits import NpcLimits
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.road import StraightRoad
+
+ARRIVED_LATERAL = 0.5
+"""How near to the cell's centre an NPC has arrived, across the lane [m]; along it, half the cell's length."""
+CREEP_SPEED = 3.0
+"""Speed at which an NPC ahead of a standing ego moves on to change lanes, as it cannot sideways [m/s]."""
+BESIDE = 0.6
+"""Room that NPCs side by side keep, without which one has the other in its way [m]."""
+NO_LANE = -1
+
+
+class Npc(Body):
+    """An NPC in road coordinates, and what the director remembers of it.
+
+    Attributes:
+        index: in the scenario.
+        chain: its instructions.
+        executed: the cells of the genes that have begun.
+        arrivals: per gene that has begun, the tick of arrival.
+        row, column: of the present cell.
+        target: where that is along the road, from the ego [m].
+        target_speed: of the present gene [m/s].
+        kept_lane: the lane held until the gene ends: after arriving, or because the target's lane is gone.
+        kept_speed: the speed driven in it [m/s].
+        heading_for: the lane steered to in the previous tick.
+        asked: the acceleration asked for in the previous tick [m/s^2].
+        course: direction of motion that the previous tick's steering gave [rad].
+    """
+
+    chain: Chromosome
+    executed: list[Cell]
+    arrivals: list[int | None]
+
+    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
+        super().__init__(length, width)
+        self.index = index
+        self.chain = chain
+        self.executed = []
+        self.arrivals = []
+        self.row = 0
+        self.column = 0
+        self.target = 0.0
+        self.target_speed = 0.0
+        self.kept_lane = NO_LANE
+        self.kept_speed = 0.0
+        self.heading_for = 0
+        self.asked = 0.0
+        self.course = 0.0
+
+
+class Director:
+    """Drives the NPCs of one run.
+
+    Args:
+        scenario: the chains.
+        road: on which all drive.
+        limits: of every NPC.
+        clearance: gap between the ego and the cells ahead and behind [m].
+        ego_length: [m].
+        length, width: of each NPC [m].
+        physics_hz: ticks per second.
+
+    Attributes:
+        npcs: one for each chain; their owner puts them where they are before each tick.
+    """
+
+    npcs: list[Npc]
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        road: StraightRoad,
+        limits: NpcLimits,
+        *,
+        clearance: float,
+        ego_length: float,
+        length: float,
+        width: float,
+        physics_hz: int,
+    ) -> None:
+        top_speed = limits.overspeed * road.speed_limit
+        self.npcs = [Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)]
+        self._scenario = scenario
+        self._road = road
+        self._clearance = clearance
+        self._row = (ego_length + length) / 2.0
+        self._length = length
+        self._width = width
+        self._lane_width = road.lane_width
+        self._last_lane = len(road.lanes) - 1
+        self._genes = scenario.genes
+        self._gene_ticks = round(scenario.gene_seconds * physics_hz)
+        self._far = length + stopping_room(top_speed)
+        self._driver = NpcDriver(limits, top_speed, length, 1 / physics_hz)
+        self._tick = 0
+        self._gene = 0
+        self._left = 0
+
+    @property
+    def executed(self) -> Scenario:
+        """The scenario with the genes so far as driven, and those to come as requested."""
+        if all(cell == gene.cell for npc in self.npcs for cell, gene in zip(npc.executed, npc.chain, strict=False)):
+            return self._scenario
+        chains = [
+            [*(PositionInstruction(c, g.speed) for c, g in zip(npc.executed, npc.chain, strict=False)),
+             *npc.chain[len(npc.executed) :]]
+            for npc in self.npcs
+        ]  # fmt: skip
+        return Scenario.repaired(
+            chains,
+            seed=self._scenario.seed,
+            ego_lane=self._scenario.ego_lane,
+            ego_speed=self._scenario.ego_speed,
+            gene_seconds=self._scenario.gene_seconds,
+        )
+
+    @property
+    def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
+        """Per NPC and started gene, the tick at which the cell was reached."""
+        return tuple([tuple(npc.arrivals) for npc in self.npcs])
+
+    def first_cells(self) -> tuple[Cell, ...]:
+        """The cells of the first gene as executed, which say where the NPCs start."""
+        return self._repaired(0, self._scenario.ego_lane, list(range(len(self.npcs))))
+
+    def command(self, ego: Body) -> None:
+        """Set acceleration and steering of each NPC for the coming tick."""
+        if self._left == 0:
+            self._left = self._gene_ticks
+            if self._gene < self._genes:
+                self._begin_gene(ego.lane)
+                self._end_chains()
+            self._gene += 1
+        self._left -= 1
+        for npc in self.npcs:
+            self._control(npc, ego)
+        self._tick += 1
+
+    def _begin_gene(self, ego_lane: int) -> None:
+        active = [index for index, npc in enumerate(self.npcs) if self._gene < len(npc.chain)]
+        for index, cell in zip(active, self._repaired(self._gene, ego_lane, active), strict=True):
+            npc = self.npcs[index]
+            npc.executed.append(cell)
+            npc.arrivals.append(None)
+            npc.row, npc.column = cell.row, cell.column
+            npc.target = longitudinal_target(cell, self._row, self._clearance)
+            npc.target_speed = npc.chain[self._gene].speed
+            npc.kept_lane = NO_LANE
+        if self._gene == 0:
+            for npc in self.npcs:
+                npc.heading_for = npc.lane
+
+    def _end_chains(self) -> None:
+        """Have NPCs without a further gene keep their lane and speed (paper, section 2)."""
+        for npc in self.npcs:
+            if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
+                npc.kept_lane = npc.lane
+                npc.kept_speed = npc.speed
+
+    def _repaired(self, gene: int, ego_lane: int, active: list[int]) -> tuple[Cell, ...]:
+        return repair_gene(
+            [self.npcs[index].executed[-1] for index in active] if gene else None,
+            [self.npcs[index].chain[gene].cell for index in active],
+            self._road.cells(ego_lane),
+            partial(_toss, self._scenario.seed, gene, active),
+        )
+
+    def _control(self, npc: Npc, ego: Body) -> None:
+        distance = ego.x + npc.target - npc.x
+        if npc.kept_lane == NO_LANE:
+            self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
+        if npc.kept_lane == NO_LANE:
+            wanted_speed = ego.speed + gap_speed(distance)
+            goal = self._next_lane(npc, ego)
+            if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
+                wanted_speed = max(wanted_speed, CREEP_SPEED)
+        else:
+            wanted_speed = npc.kept_speed
+            goal = npc.kept_lane
+        npc.heading_for = goal
+        wanted_speed = self._following(npc, wanted_speed)
+        driver = self._driver
+        npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
+        npc.acceleration = npc.asked
+        npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
+        npc.course = driver.course
+
+    def _keep_lane_if_due(self, npc: Npc, target_lane: int, distance: float) -> None:
+        if not 0 <= target_lane <= self._last_lane:
+            npc.kept_lane = npc.lane
+            npc.kept_speed = npc.target_speed
+            return
+        beside = abs(npc.y - target_lane * self._lane_width) <= ARRIVED_LATERAL
+        if beside and abs(distance) <= self._length / 2.0:
+            npc.kept_lane = target_lane
+            npc.kept_speed = npc.target_speed
+            npc.arrivals[-1] = self._tick
+
+    def _next_lane(self, npc: Npc, ego: Body) -> int:
+        """The lane to steer to now: one step nearer to the target, where nobody is in the way."""
+        lane, target_lane = npc.lane, ego.lane + npc.column
+        if lane == target_lane:
+            return lane
+        step = lane + 1 if target_lane > lane else lane - 1
+        beside_ego = abs(npc.x - ego.x) < self._row + self._clearance / 2.0
+        if step == ego.lane and beside_ego:
+            return lane  # an NPC cuts in ahead or behind; it does not steer into the ego's side
+        for other in self.npcs:
+            if other is not npc and not self._clear_of(npc, other, step):
+                return lane
+        return step
+
+    def _clear_of(self, mine: Npc, theirs: Npc, lane: int) -> bool:
+        """Whether an NPC may enter a lane as far as one other NPC is concerned."""
+        reach = (self._lane_width + self._width) / 2.0
+        in_lane = abs(theirs.y - lane * self._lane_width) < reach
+        claims = theirs.heading_for == lane and theirs.index < mine.index
+        if not (in_lane or claims):
+            return True
+        front, rear = (theirs, mine) if theirs.x > mine.x else (mine, theirs)
+        return clear_to_enter(front.x - rear.x - self._length, rear.speed - front.speed)
+
+    def _following(self, mine: Npc, speed: float) -> float:
+        """A wanted speed, cut to what leaves room behind the NPCs ahead [m/s]."""
+        lane, goal = mine.lane, mine.heading_for
+        for theirs in self.npcs:
+            distance = theirs.x - mine.x
+            if distance < 0.0 or distance >= self._far or theirs is mine:
+                continue
+            if distance == 0.0 and theirs.index > mine.index:
+                continue
+            gap = distance - self._length
+            crosses = gap > -self._length / 2.0 and (
+                theirs.lane == lane or theirs.lane == goal or theirs.heading_for == lane or theirs.heading_for == goal
+            )
+            if crosses or abs(theirs.y - mine.y) < self._width + BESIDE:
+                safe = following_speed(gap, theirs.speed, mine.speed)
+                speed = safe if safe < speed else speed
+        return speed
+
+
+def _toss(seed: int, gene: int, active: list[int], position: int) -> bool:
+    return toss(seed, active[position], gene)

@@ -1,0 +1,29 @@
+cimport cython
+from libc cimport math
+
+cdef double SPEED_GAIN, GAP_GAIN, GAP_BRAKING, LATERAL_GAIN, HEADING_GAIN, LATERAL_SHARE
+cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP
+
+cpdef double gap_speed(double distance) except? -1
+cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
+cpdef double stopping_room(double top_speed) except? -1
+cpdef bint clear_to_enter(double gap, double closing_speed) except -1
+cpdef double clamped(double value, double bound) except? -1
+
+cdef class NpcDriver:
+    cdef public double course
+    cdef double _dt, _top_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
+    cdef double _slow, _tightest, _most, _heading_gain
+
+    @cython.locals(before=double, acceleration=double, lowest=double, highest=double)
+    cpdef double acceleration(self, double wanted_speed, double previous, double speed) except? -1
+
+    @cython.locals(release=double)
+    cdef double _released(self, double acceleration, double speed) except? -1
+
+    @cython.locals(acceleration=double)
+    cdef double _to_standstill(self, double speed) except? -1
+
+    @cython.locals(distance=double, planned=double, lateral_speed=double, bound=double, wanted=double, turn=double,
+                   rate=double, slip=double, new_course=double)
+    cpdef double steering(self, double offset, double heading, double course, double speed) except? -1

@@ -1,0 +1,174 @@
+"""How an NPC drives: cascaded proportional control in road coordinates, under hard limits.
+
+The paper moves NPCs "based on a PID controller" (section 2.1) and gives no gains; these are chosen so that a lane
+change at motorway speed takes two seconds without overshoot.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pytest_pafot.world.limits import NpcLimits
+
+SPEED_GAIN = 1.5
+"""Acceleration per speed error [1/s]."""
+GAP_GAIN = 0.7
+"""Relative speed per distance to the cell's centre [1/s]."""
+GAP_BRAKING = 2.5
+"""Deceleration by which a far cell is approached, so that it is not overshot [m/s^2]."""
+LATERAL_GAIN = 1.4
+"""Lateral speed per distance to the lane's centre [1/s]."""
+HEADING_GAIN = 5.0
+"""Turning rate per heading error [1/s], at most what one tick can hold."""
+LATERAL_SHARE = 0.7
+"""Share of the lateral acceleration planned for the end of a lane change; the rest is left for control."""
+TURNED_SHARE = 0.65
+"""Share of the lateral acceleration that may go into speeding up while turned; the rest straightens the vehicle."""
+MARGIN = 0.97
+"""Share of a lateral limit that is used, so that rounding and changing speed stay inside it."""
+FOLLOWING_GAP = 2.0
+"""Gap kept behind a standing leader [m]."""
+FOLLOWING_TIME = 0.4
+"""Time in which braking builds up [s]."""
+FOLLOWING_BRAKING = 5.0
+"""Braking that an NPC counts on, its leader's and its own [m/s^2]."""
+MAX_SLIP = 0.4
+"""Largest slip angle, as far as the wheels turn [rad]."""
+
+
+def gap_speed(distance: float) -> float:
+    """Speed relative to the ego that closes a distance to a cell without overshoot [m/s]."""
+    magnitude = min(GAP_GAIN * abs(distance), math.sqrt(2.0 * GAP_BRAKING * abs(distance)))
+    return math.copysign(magnitude, distance)
+
+
+def following_speed(gap: float, leader_speed: float, own_speed: float) -> float:
+    """Highest speed that leaves room to stop behind a leader that brakes [m/s].
+
+    Args:
+        gap: bumper to bumper [m].
+        leader_speed, own_speed: [m/s].
+    """
+    room = gap - FOLLOWING_GAP - FOLLOWING_TIME * own_speed
+    return math.sqrt(max(leader_speed * leader_speed + 2.0 * FOLLOWING_BRAKING * room, 0.0))
+
+
+def stopping_room(top_speed: float) -> float:
+    """The gap behind a standing leader from which on :func:`following_speed` allows the top speed [m]."""
+    return FOLLOWING_GAP + FOLLOWING_TIME * top_speed + top_speed * top_speed / (2.0 * FOLLOWING_BRAKING)
+
+
+def clear_to_enter(gap: float, closing_speed: float) -> bool:
+    """Whether a lane may be entered in front of or behind another NPC.
+
+    Args:
+        gap: bumper to bumper [m]; negative when they overlap.
+        closing_speed: of the rear one on the front one [m/s]; negative when they part.
+    """
+    closing = max(closing_speed, 0.0)
+    return gap > 3.0 + 0.5 * closing + closing * closing / (2.0 * 3.0)
+
+
+def clamped(value: float, bound: float) -> float:
+    """A number cut to [-bound, bound]."""
+    return bound if value > bound else -bound if value < -bound else value
+
+
+class NpcDriver:
+    """Pedals and wheel of every NPC of a run.
+
+    Args:
+        limits: of every NPC.
+        top_speed: [m/s].
+        length: of an NPC [m].
+        dt: physics tick [s].
+
+    Attributes:
+        course: direction of motion that the last :meth:`steering` gives, to the lane [rad].
+    """
+
+    course: float
+
+    def __init__(self, limits: NpcLimits, top_speed: float, length: float, dt: float) -> None:
+        lateral = limits.lateral_acceleration
+        self._dt = dt
+        self._top_speed = top_speed
+        self._acceleration = limits.acceleration
+        self._braking = limits.braking
+        self._jerk_step = limits.jerk * dt
+        self._jerk_twice = 2.0 * limits.jerk
+        self._half_length = length / 2.0
+        self._lateral_limit = MARGIN * lateral
+        self._slow = min(0.1, MARGIN * lateral * dt / MAX_SLIP)
+        self._tightest = 2.0 * math.sin(MAX_SLIP) / length  # curvature of the tightest turn [1/m]
+        self._most = min(limits.heading, TURNED_SHARE * lateral / limits.acceleration)
+        self._heading_gain = min(HEADING_GAIN, 0.8 / dt)
+        self.course = 0.0
+
+    def acceleration(self, wanted_speed: float, previous: float, speed: float) -> float:
+        """The acceleration towards a speed, as near to what is desired as all limits allow [m/s^2].
+
+        The bound for the top speed leaves room to release the accelerator under the limit of jerk: accelerations
+        ``a, a - j dt, a - 2 j dt, ...`` add up to at most ``(a + j dt / 2)^2 / (2 j)`` of speed, so the bound holds
+        at the next tick again once it holds at one.
+        """
+        acceleration = SPEED_GAIN * (wanted_speed - speed)
+        before = 0.0 if speed <= 0.0 and previous < 0.0 else previous
+        lowest, highest = before - self._jerk_step, before + self._jerk_step
+        lowest = lowest if lowest > -self._braking else -self._braking  # max and min cost much where interpreted
+        acceleration = lowest if acceleration < lowest else acceleration
+        acceleration = highest if acceleration > highest else acceleration
+        if acceleration > 0.0:
+            return self._released(acceleration, speed)
+        if speed + acceleration * self._dt >= 0.0:
+            return acceleration
+        return self._to_standstill(speed)
+
+    def _released(self, acceleration: float, speed: float) -> float:
+        """What of an acceleration the own limit and the top speed allow [m/s^2]."""
+        release = 0.0
+        if speed < self._top_speed:
+            release = math.sqrt(self._jerk_twice * (self._top_speed - speed)) - self._jerk_step / 2.0
+            release = max(release, 0.0)
+        acceleration = min(acceleration, self._acceleration)
+        return release if acceleration > release else acceleration
+
+    def _to_standstill(self, speed: float) -> float:
+        """The deceleration that ends in this tick [m/s^2]."""
+        acceleration = -speed / self._dt
+        while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
+            acceleration = math.nextafter(acceleration, 0.0)
+        return acceleration
+
+    def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
+        """The angle that steers to the centre of a lane [rad], for highway-env's bicycle model.
+
+        Lateral position, then heading, then turning rate; the course (heading plus slip) turns no faster than the
+        lateral acceleration allows, and neither does the heading.
+
+        Args:
+            offset: from the lane's centre, positive to the right [m].
+            heading: to the lane [rad].
+            course: direction of motion in the previous tick, to the lane [rad].
+            speed: [m/s].
+        """
+        self.course = heading
+        if speed < self._slow:
+            return 0.0  # so slow that the wheels may be straightened at once
+        if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
+            return 0.0  # as good as straight
+        distance = abs(offset)
+        planned = self._lateral_limit - self._acceleration * abs(heading)  # speeding up turns it into lateral speed
+        planned = LATERAL_SHARE * max(planned, 0.3 * self._lateral_limit)
+        lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance))
+        bound = min(MARGIN * self._most, math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
+        wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
+        wanted = math.copysign(min(wanted, bound), -offset)
+        turn = self._lateral_limit / speed
+        rate = clamped(self._heading_gain * (wanted - heading), turn)
+        slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
+        new_course = clamped(heading + slip, self._most)
+        new_course = course + clamped(new_course - course, turn * self._dt)
+        slip = clamped(new_course - heading, MAX_SLIP)
+        self.course = heading + slip
+        return math.atan(2.0 * math.tan(slip))

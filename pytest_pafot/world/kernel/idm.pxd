@@ -1,0 +1,51 @@
+cimport cython
+from libc cimport math
+from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.lanes cimport Lanes
+
+cdef double ON_LANE, LANE_ENDS, STEEPEST
+
+cdef class IdmEgo(Body):
+    cdef Lanes _lanes
+    cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
+    cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _max_steering, _target_speed, _timer
+    cdef bint _changes_lanes
+    cdef int _closest, _goal
+
+    cpdef void start(self, double x, double y, double heading, double speed, bint changes_lanes) except *
+
+    @cython.locals(acceleration=double, there=double)
+    cpdef void act(self, list others) except *
+
+    cpdef void step(self, double dt) except *
+
+    @cython.locals(lane=int, side=int)
+    cdef void _choose_lane(self, list others) except *
+
+    @cython.locals(lateral=double, inside=bint)
+    cdef bint _reaches(self, int lane) except -1
+
+    @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body, behind_then=double, own_gain=double,
+                   others_gain=double)
+    cdef bint _gains(self, int lane, list others) except -1
+
+    @cython.locals(liked=double, share=double, acceleration=double, gap=double)
+    cdef double _pulled(self, Body vehicle, Body front) except? -1
+
+    @cython.locals(cos_h=double, sin_h=double, closing_x=double, closing_y=double, closing=double, ab=double)
+    cdef double _desired_gap(self, Body vehicle, Body front) except? -1
+
+    @cython.locals(speed=double, sideways=double, heading=double, turn=double, slip=double)
+    cdef double _steering(self) except? -1
+
+@cython.locals(found=Body, other=Body)
+cdef Body _ahead(list others, Body mine, int lane, Lanes lanes)
+
+@cython.locals(found=Body, other=Body)
+cdef Body _behind(list others, Body mine, int lane, Lanes lanes)
+
+@cython.locals(inside=bint)
+cdef bint _is_on(Body vehicle, int lane, Lanes lanes) except -1
+
+cdef double _not_zero(double value) except? -1
+cdef double _cut(double value, double bound) except? -1

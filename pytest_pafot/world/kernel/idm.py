@@ -1,0 +1,171 @@
+"""highway-env's IDMVehicle on a straight road, operation by operation: the Intelligent Driver Model and MOBIL.
+
+Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic simulations",
+Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
+Transportation Research Record 1999, 2007. NPCs are no IDM vehicles: of them it assumes that they like their speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.lanes import Lanes
+
+ON_LANE = 1.0
+"""A vehicle counts for a lane up to this far beyond its lines [m]."""
+LANE_ENDS = 5.0
+"""A lane reaches this far beyond its ends [m]."""
+STEEPEST = math.pi / 4
+"""Largest heading to the lane that is steered for [rad]."""
+
+
+class IdmEgo(Body):
+    """A vehicle that drives itself.
+
+    Args:
+        constants: those of the vehicle class, by name.
+        lanes: of the road.
+        speed_limit: of every lane [m/s].
+    """
+
+    def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
+        super().__init__(constants["LENGTH"], constants["WIDTH"])
+        self._lanes = lanes
+        self._speed_limit = speed_limit
+        self._acc_max = constants["ACC_MAX"]
+        self._comfort = constants["COMFORT_ACC_MAX"]
+        self._braking = constants["COMFORT_ACC_MIN"]
+        self._distance = constants["DISTANCE_WANTED"]
+        self._time = constants["TIME_WANTED"]
+        self._delta = constants["DELTA"]
+        self._politeness = constants["POLITENESS"]
+        self._min_gain = constants["LANE_CHANGE_MIN_ACC_GAIN"]
+        self._max_imposed = constants["LANE_CHANGE_MAX_BRAKING_IMPOSED"]
+        self._delay = constants["LANE_CHANGE_DELAY"]
+        self._kp_heading = constants["KP_HEADING"]
+        self._kp_lateral = constants["KP_LATERAL"]
+        self._max_steering = constants["MAX_STEERING_ANGLE"]
+        self._changes_lanes = True
+        self._closest = 0
+        self._goal = 0
+        self._target_speed = 0.0
+        self._timer = 0.0
+
+    def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
+        """As a fresh vehicle."""
+        self.place(x, y, heading, speed)
+        self._changes_lanes = changes_lanes
+        self._closest = self._goal = self._lanes.closest(x, y, heading)
+        self._target_speed = speed
+        self._timer = ((x + y) * math.pi) % self._delay
+
+    def act(self, others: list[Body]) -> None:
+        """Decide on acceleration and steering."""
+        if self._changes_lanes:
+            self._choose_lane(others)
+        self.steering = self._steering()
+        acceleration = self._pulled(self, _ahead(others, self, self._closest, self._lanes))
+        if self._closest != self._goal:
+            there = self._pulled(self, _ahead(others, self, self._goal, self._lanes))
+            acceleration = min(acceleration, there)
+        self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
+
+    def step(self, dt: float) -> None:
+        """Let time pass [s]."""
+        self._timer += dt
+        Body.step(self, dt)  # C methods have no super()
+        self._closest = self._lanes.closest(self.x, self.y, self.heading)
+
+    def _choose_lane(self, others: list[Body]) -> None:
+        if self._closest != self._goal or self._timer <= self._delay:
+            return
+        self._timer = 0.0
+        lane = self._closest
+        for side in (lane - 1, lane + 1):
+            if 0 <= side < self._lanes.count and self._reaches(side) and self._gains(side, others):
+                self._goal = side
+
+    def _reaches(self, lane: int) -> bool:
+        lateral = abs(self.y - lane * self._lanes.width)
+        inside = 0.0 <= self.x < self._lanes.length + LANE_ENDS
+        return lateral <= 2.0 * self._lanes.width and inside and abs(self.speed) >= 1.0
+
+    def _gains(self, lane: int, others: list[Body]) -> bool:
+        """Whether MOBIL advises a lane."""
+        ahead, behind = _ahead(others, self, lane, self._lanes), _behind(others, self, lane, self._lanes)
+        behind_then = self._pulled(behind, self)
+        if behind_then < -self._max_imposed:
+            return False
+        left, follower = (
+            _ahead(others, self, self._closest, self._lanes),
+            _behind(others, self, self._closest, self._lanes),
+        )
+        own_gain = self._pulled(self, ahead) - self._pulled(self, left)
+        others_gain = (
+            behind_then - self._pulled(behind, ahead) + self._pulled(follower, left) - self._pulled(follower, self)
+        )
+        return own_gain + self._politeness * others_gain >= self._min_gain
+
+    def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
+        """The model's acceleration of a vehicle behind another [m/s^2]."""
+        if vehicle is None:
+            return 0.0
+        liked = self._target_speed if vehicle is self else vehicle.speed
+        liked = min(max(liked, 0.0), self._speed_limit)
+        share = max(vehicle.speed, 0.0) / abs(_not_zero(liked))
+        acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
+        if front is not None:
+            gap = self._desired_gap(vehicle, front) / _not_zero(front.x - vehicle.x)
+            acceleration -= self._comfort * (gap * gap)
+        return acceleration
+
+    def _desired_gap(self, vehicle: Body, front: Body) -> float:
+        cos_h, sin_h = math.cos(vehicle.heading), math.sin(vehicle.heading)
+        closing_x = vehicle.speed * cos_h - front.speed * math.cos(front.heading)
+        closing_y = vehicle.speed * sin_h - front.speed * math.sin(front.heading)
+        closing = closing_x * cos_h + closing_y * sin_h
+        ab = -self._comfort * self._braking
+        return self._distance + vehicle.speed * self._time + vehicle.speed * closing / (2.0 * math.sqrt(ab))
+
+    def _steering(self) -> float:
+        speed = _not_zero(self.speed)
+        sideways = -self._kp_lateral * (self.y - self._goal * self._lanes.width)
+        heading = math.asin(_cut(sideways / speed, 1.0))
+        turn = (_cut(heading, STEEPEST) - self.heading + math.pi) % (2.0 * math.pi) - math.pi
+        slip = math.asin(_cut(self.length / 2.0 / speed * (self._kp_heading * turn), 1.0))
+        return _cut(math.atan(2.0 * math.tan(slip)), self._max_steering)
+
+
+def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
+    """The nearest of other vehicles ahead in a lane; of several at one place the last."""
+    found = None
+    for other in others:
+        if other.x >= mine.x and (found is None or other.x <= found.x) and _is_on(other, lane, lanes):
+            found = other
+    return found
+
+
+def _behind(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
+    """The nearest of other vehicles behind in a lane; of several at one place the first."""
+    found = None
+    for other in others:
+        if other.x < mine.x and (found is None or other.x > found.x) and _is_on(other, lane, lanes):
+            found = other
+    return found
+
+
+def _is_on(vehicle: Body, lane: int, lanes: Lanes) -> bool:
+    inside = -LANE_ENDS <= vehicle.x < lanes.length + LANE_ENDS
+    return inside and abs(vehicle.y - lane * lanes.width) <= lanes.width / 2.0 + ON_LANE
+
+
+def _not_zero(value: float) -> float:
+    if abs(value) > 1e-2:
+        return value
+    return 1e-2 if value >= 0.0 else -1e-2
+
+
+def _cut(value: float, bound: float) -> float:
+    return min(max(value, -bound), bound)

@@ -1,0 +1,58 @@
+cimport cython
+from pytest_pafot.world.kernel.action cimport (
+    checked_si_action, possible_acceleration, possible_steering, without_reversing,
+)
+from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.contact cimport overlap
+from pytest_pafot.world.kernel.director cimport Director
+from pytest_pafot.world.kernel.idm cimport IdmEgo
+from pytest_pafot.world.kernel.lanes cimport Lanes
+from pytest_pafot.world.kernel.observation cimport Scene
+
+cdef class Pilot:
+    cdef readonly int every
+
+    cpdef decide(self, int tick)
+    cpdef void actuate(self) except *
+
+cdef class SelfPilot(Pilot):
+    cdef IdmEgo ego
+    cdef list others
+
+    cpdef void actuate(self) except *
+
+cdef class PlannerPilot(Pilot):
+    cdef readonly list actions
+    cdef readonly double slowest
+    cdef object _ads, _guard, _clock
+    cdef Body _ego
+    cdef Scene _scene
+    cdef double _dt, _wanted
+
+    @cython.locals(started=double, seconds=double, acceleration=double, steering=double)
+    cpdef decide(self, int tick)
+
+    cpdef void actuate(self) except *
+
+cdef class Loop:
+    cdef readonly int tick
+    cdef readonly bint ego_touched, npcs_touched
+    cdef Body _ego
+    cdef Director _director
+    cdef Lanes _lanes
+    cdef double[::1] _record
+    cdef double _dt, _reach
+    cdef Py_ssize_t _row, _columns
+    cdef list _bodies
+
+    @cython.locals(due=int, body=Body)
+    cpdef run(self, Pilot pilot, int ticks)
+
+    @cython.locals(body=Body, row=Py_ssize_t, columns=Py_ssize_t, record="double[::1]", lanes=Lanes)
+    cdef void _note(self) except *
+
+    @cython.locals(record="double[::1]", columns=Py_ssize_t, reach=double, first=Py_ssize_t, second=Py_ssize_t,
+                   count=Py_ssize_t, start=Py_ssize_t, x=double)
+    cdef bint _contact(self) except -1
+
+    cdef bint _touches(self, Py_ssize_t first, Py_ssize_t second) except -1

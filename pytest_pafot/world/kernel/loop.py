@@ -1,0 +1,208 @@
+"""The loop of a run: the ego's driver decides, the director commands, everybody moves one tick, all is recorded."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+from pytest_pafot.trace import AdsError
+from pytest_pafot.world.failure import UNFIT, error_of
+from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.kernel.action import (
+    checked_si_action,
+    possible_acceleration,
+    possible_steering,
+    without_reversing,
+)
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.contact import overlap
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+
+
+class Pilot:
+    """Drives the ego.
+
+    Attributes:
+        every: physics ticks from one decision to the next.
+    """
+
+    every: int
+
+    def __init__(self, every: int) -> None:
+        self.every = every
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Decide what to do until the next decision; or what went wrong."""
+        return None
+
+    def actuate(self) -> None:
+        """Set the ego's controls for the coming tick."""
+
+
+class SelfPilot(Pilot):
+    """An ego that drives itself, at every tick."""
+
+    def __init__(self, ego: IdmEgo, others: list[Any]) -> None:
+        super().__init__(1)
+        self.ego = ego
+        self.others = others
+
+    def actuate(self) -> None:
+        """The vehicle's own model."""
+        self.ego.act(self.others)
+
+
+class PlannerPilot(Pilot):
+    """A callable from an observation to (acceleration [m/s^2], steering [rad]).
+
+    Args:
+        ads: the callable.
+        ego: it drives.
+        scene: it sees.
+        guard: of its decisions.
+        every: physics ticks from one decision to the next.
+        dt: physics tick [s].
+
+    Attributes:
+        actions: what it returned.
+        slowest: its longest decision [s].
+    """
+
+    actions: list[tuple[float, float]]
+    slowest: float
+
+    def __init__(
+        self,
+        ads: Callable[[Any], Any],
+        ego: Body,
+        scene: Scene,
+        guard: HangGuard,
+        *,
+        every: int,
+        dt: float,
+    ) -> None:
+        super().__init__(every)
+        self._ads = ads
+        self._ego = ego
+        self._scene = scene
+        self._guard = guard
+        self._clock = guard.clock
+        self._dt = dt
+        self._wanted = 0.0
+        self.actions = []
+        self.slowest = 0.0
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe, ask under guard, check and apply."""
+        guard = self._guard
+        started = self._clock()
+        try:
+            try:
+                guard.started = started
+                action = self._ads(self._scene.observation(tick))
+            finally:
+                guard.started = None  # before the clock is read, see HangGuard
+                seconds = self._clock() - started
+                if seconds > guard.limit:
+                    guard.settle()
+            pair = checked_si_action(action)
+        except UNFIT as error:
+            return error_of(error, tick, guard)
+        acceleration, steering = pair
+        self.actions.append(pair)
+        self.slowest = max(self.slowest, seconds)
+        self._wanted = possible_acceleration(acceleration)
+        self._ego.steering = possible_steering(steering)
+        return None
+
+    def actuate(self) -> None:
+        """Brake to a standstill, never into reverse."""
+        self._ego.acceleration = without_reversing(self._wanted, self._ego.speed, self._dt)
+
+
+class Loop:
+    """One run.
+
+    Args:
+        ego: at its start.
+        director: of the NPCs, which are at their starts.
+        lanes: of the road.
+        record: room for ``ticks + 1`` rows of all vehicles.
+        dt: physics tick [s].
+
+    Attributes:
+        tick: how far the run has come.
+        ego_touched, npcs_touched: whether it ended by a contact of the ego, or else by one of two NPCs.
+    """
+
+    def __init__(self, ego: Body, director: Director, lanes: Lanes, record: array[float], dt: float) -> None:
+        self.tick = 0
+        self.ego_touched = False
+        self.npcs_touched = False
+        self._ego = ego
+        self._director = director
+        self._lanes = lanes
+        self._record = record
+        self._dt = dt
+        self._row = 0
+        self._columns = COLUMNS
+        self._bodies: list[Body] = [ego, *director.npcs]
+        self._reach = max([math.hypot(body.length, body.width) for body in self._bodies])  # beyond, none can touch
+        self._note()
+
+    def run(self, pilot: Pilot, ticks: int) -> AdsError | None:
+        """Drive until somebody touches somebody, the ego's driver fails, or the ticks are over."""
+        due = 0
+        while self.tick < ticks:
+            if due == 0:
+                due = pilot.every
+                error = pilot.decide(self.tick)
+                if error is not None:
+                    return error
+            due -= 1
+            pilot.actuate()
+            self._director.command(self._ego)
+            for body in self._bodies:
+                body.step(self._dt)
+            self.tick += 1
+            self._note()
+            if self._contact():
+                break
+        return None
+
+    def _note(self) -> None:
+        """Record the state after a step, and the controls that led to it."""
+        row, record, lanes, columns = self._row, self._record, self._lanes, self._columns
+        for body in self._bodies:
+            record[row] = body.x
+            record[row + 1] = body.y
+            record[row + 2] = body.heading
+            record[row + 3] = body.speed
+            record[row + 4] = body.acceleration
+            record[row + 5] = body.steering
+            record[row + 6] = lanes.locate(body)
+            row += columns
+        self._row = row
+
+    def _contact(self) -> bool:
+        """Whether somebody touches somebody; the ego's contact goes first."""
+        record, columns, reach, count = self._record, self._columns, self._reach, len(self._bodies)
+        start = self._row - count * columns
+        for first in range(count - 1):
+            x = record[start + first * columns]
+            for second in range(first + 1, count):
+                if -reach < record[start + second * columns] - x < reach and self._touches(first, second):
+                    return True
+        return False
+
+    def _touches(self, first: int, second: int) -> bool:
+        if not overlap(self._bodies[first], self._bodies[second]):
+            return False
+        self.ego_touched = first == 0
+        self.npcs_touched = first > 0
+        return True

@@ -1,0 +1,169 @@
+"""What a planner sees in :class:`pytest_pafot.Highway`: the world in SI units, read-only and cheap."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pytest_pafot.trace import FloatArray
+from pytest_pafot.world.kernel.lanes import Lanes
+
+COLUMNS = 7
+"""Of a vehicle in the record of a run: x, y, heading, speed, acceleration, steering, lane."""
+
+
+class VehicleState(NamedTuple):
+    """A vehicle as any observer could measure it.
+
+    Attributes:
+        x, y: centre [m]; x along the road, y to the right, 0 on the centre of the leftmost lane.
+        heading: 0 along the road, positive to the right [rad].
+        speed: [m/s].
+        lane: index of the nearest lane, 0 at the left.
+        length, width: [m].
+    """
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    lane: int
+    length: float
+    width: float
+
+
+class Scene:
+    """A run as far as it has come, of which observations are made.
+
+    Args:
+        record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
+        sizes: length and width of each vehicle [m].
+        lanes: of the road.
+        speed_limit: [m/s].
+        physics_hz: ticks per second.
+    """
+
+    record: array[float]
+    lanes: Lanes
+
+    def __init__(
+        self, record: array[float], sizes: list[tuple[float, float]], lanes: Lanes, speed_limit: float, physics_hz: int
+    ) -> None:
+        self.record = record
+        self.sizes = sizes
+        self.lanes = lanes
+        self.speed_limit = speed_limit
+        self.physics_hz = physics_hz
+        self.columns = COLUMNS
+
+    def vehicle(self, tick: int, index: int) -> VehicleState:
+        """A vehicle at a tick, the ego first."""
+        length, width = self.sizes[index]
+        row = (tick * len(self.sizes) + index) * self.columns
+        x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
+        lane = self.lanes.closest(x, y, heading)
+        return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
+
+    def observation(self, tick: int) -> Observation:
+        """What there is to see at a tick, put together where it is looked at."""
+        seen = Observation.__new__(Observation)
+        seen._scene = self
+        seen._tick = tick
+        seen._time = tick / self.physics_hz
+        seen._ego = seen._others = None
+        seen._lanes = self.lanes.count
+        seen._lane_width = self.lanes.width
+        seen._speed_limit = self.speed_limit
+        return seen
+
+
+class Observation:
+    """One observation.
+
+    Attributes:
+        time: since the start [s].
+        ego: the vehicle that the ADS drives.
+        others: all other vehicles, the NPCs.
+        lanes: number of lanes.
+        lane_width: [m].
+        speed_limit: [m/s].
+    """
+
+    __slots__ = ("_ego", "_lane_width", "_lanes", "_others", "_scene", "_speed_limit", "_tick", "_time")
+
+    def __init__(
+        self,
+        time: float,
+        ego: VehicleState,
+        others: tuple[VehicleState, ...],
+        lanes: int,
+        lane_width: float,
+        speed_limit: float,
+    ) -> None:
+        self._time = float(time)
+        self._ego: VehicleState | None = ego
+        self._others: tuple[VehicleState, ...] | None = tuple(others)
+        self._lanes = lanes
+        self._lane_width = float(lane_width)
+        self._speed_limit = float(speed_limit)
+        self._scene: Any = None  # everything is here
+        self._tick = 0
+
+    @property
+    def time(self) -> float:
+        """Since the start [s]."""
+        return self._time
+
+    @property
+    def ego(self) -> VehicleState:
+        """The vehicle that the ADS drives."""
+        if self._ego is None:
+            self._ego = self._scene.vehicle(self._tick, 0)
+        return self._ego
+
+    @property
+    def others(self) -> tuple[VehicleState, ...]:
+        """All other vehicles, the NPCs."""
+        if self._others is None:
+            scene = self._scene
+            self._others = tuple([scene.vehicle(self._tick, index) for index in range(1, len(scene.sizes))])
+        return self._others
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes."""
+        return self._lanes
+
+    @property
+    def lane_width(self) -> float:
+        """[m]."""
+        return self._lane_width
+
+    @property
+    def speed_limit(self) -> float:
+        """[m/s]."""
+        return self._speed_limit
+
+    @property
+    def array(self) -> FloatArray:
+        """All vehicles as float64, shape [vehicles, 7], the ego first; columns as in :class:`VehicleState`."""
+        return np.array([self.ego, *self.others], dtype=np.float64)
+
+    def _values(self) -> tuple[Any, ...]:
+        return self.time, self.ego, self.others, self.lanes, self.lane_width, self.speed_limit
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Observation) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def __repr__(self) -> str:
+        names = ("time", "ego", "others", "lanes", "lane_width", "speed_limit")
+        fields = ", ".join([f"{name}={value!r}" for name, value in zip(names, self._values(), strict=True)])
+        return f"Observation({fields})"
+
+    def __reduce__(self) -> tuple[type[Observation], tuple[Any, ...]]:
+        return Observation, self._values()

@@ -1,0 +1,56 @@
+"""Which highway-env vehicle classes the kernel can drive: IDMVehicle, and subclasses that only set its constants."""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+CONSTANTS = (
+    "LENGTH", "WIDTH", "ACC_MAX", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA",
+    "POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY", "KP_HEADING",
+    "KP_LATERAL", "MAX_STEERING_ANGLE",
+)  # fmt: skip
+"""Numbers of the model that a subclass may set."""
+ORDINARY = frozenset({
+    "__module__", "__qualname__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
+    "__firstlineno__", "__static_attributes__", "__abstractmethods__", "_abc_impl",
+})  # fmt: skip
+"""What Python itself puts into a class."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdmModel:
+    """IDM+MOBIL with these constants of the class, and whether it changes lanes."""
+
+    constants: Mapping[str, float]
+    changes_lanes: bool
+
+
+def idm_model(ads: Any) -> IdmModel | None:
+    """The model of a vehicle class, or of a ``functools.partial`` of one; None where the class has code of its own."""
+    whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
+    cls, options = whole.func, whole.keywords
+    if (
+        whole.args
+        or not isinstance(cls, type)
+        or set(options) - {"enable_lane_change"}
+        or not _only_sets_constants(cls)
+    ):
+        return None
+    constants = {name: getattr(cls, name) for name in CONSTANTS}
+    if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
+        return None
+    return IdmModel(constants=constants, changes_lanes=bool(options.get("enable_lane_change", True)))
+
+
+def _only_sets_constants(cls: type) -> bool:
+    behaviour = sys.modules.get("highway_env.vehicle.behavior")
+    stock = getattr(behaviour, "IDMVehicle", None)
+    if stock is None or not issubclass(cls, stock):
+        return False
+    own = cls.__mro__[: cls.__mro__.index(stock)]
+    return all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)

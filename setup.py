@@ -1,0 +1,51 @@
+"""The compiled form of pytest_pafot.world.kernel; without a C compiler the same modules run interpreted."""
+
+import warnings
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+FOLDER = Path("pytest_pafot/world/kernel")
+DIRECTIVES = {
+    "language_level": 3,
+    "annotation_typing": False,  # the types are those of the .pxd files
+    "boundscheck": False,
+    "initializedcheck": False,
+}
+FLAGS = ["-O2", "-ffp-contract=off", "-fno-math-errno"]  # no fused multiply-add: the same numbers as interpreted
+
+
+class AllOrNothing(build_ext):
+    """Builds the extensions, or does without: the modules are compiled against each other, so some are no use."""
+
+    def run(self) -> None:
+        """Compile."""
+        try:
+            super().run()
+            self.copy_extensions_to_source()  # whoever runs Python in a clone imports the clone's package
+        except Exception as error:  # noqa: BLE001  (compilers fail in many ways, and none of them is fatal)
+            warnings.warn(f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1)
+            for built in [*map(Path, self.get_outputs()), *FOLDER.glob("*.so"), *FOLDER.glob("*.pyd")]:
+                built.unlink(missing_ok=True)
+            self.extensions.clear()
+
+    def build_extension(self, ext: Extension) -> None:
+        """With gcc's and clang's options where these are understood."""
+        ext.extra_compile_args = [] if self.compiler.compiler_type == "msvc" else FLAGS
+        super().build_extension(ext)
+
+
+def extensions() -> list[Extension]:
+    """One for each module; none where Cython is missing."""
+    try:
+        from Cython.Build import cythonize  # noqa: PLC0415
+    except ImportError:
+        return []
+    sources = [source for source in sorted(FOLDER.glob("*.py")) if source.with_suffix(".pxd").exists()]
+    found = [Extension(".".join(source.with_suffix("").parts), [source.as_posix()]) for source in sources]
+    modules: list[Extension] = cythonize(found, compiler_directives=DIRECTIVES, build_dir="build")
+    return modules
+
+
+setup(ext_modules=extensions(), cmdclass={"build_ext": AllOrNothing})

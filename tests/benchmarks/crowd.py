@@ -1,0 +1,52 @@
+"""More NPCs than a scenario can have, for the kernel's loop alone."""
+
+from __future__ import annotations
+
+from array import array
+
+from pytest_pafot import Scenario
+from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.loop import Loop, PlannerPilot
+from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.road import StraightRoad
+
+SECONDS, HZ, SPACING = 60, 15, 30.0
+
+
+class Crowd(Scenario):
+    """A scenario of any number of NPCs, whose chains are empty."""
+
+    def __post_init__(self) -> None:
+        """Unchecked."""
+
+
+def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
+    """So many NPCs that keep lane and speed around an ego, four side by side every 30 m.
+
+    They follow each other, are recorded and tested for contact as in every run.
+    """
+    road = StraightRoad.uniform(4, 10_000.0, 4.0, 26.8)
+    director = Director(  # their chains are over, so that no gene begins
+        Crowd(npcs=((),) * count),
+        road,
+        NpcLimits(),
+        clearance=3.0,
+        ego_length=5.0,
+        length=5.0,
+        width=2.0,
+        physics_hz=HZ,
+    )
+    ego = Body(5.0, 2.0)
+    ego.place(500.0, 4.0, 0.0, 22.0)
+    for index, npc in enumerate(director.npcs, start=1):
+        npc.place(500.0 + SPACING * (index // 4), 4.0 * ((index + 1) % 4), 0.0, 22.0)
+        npc.lane = (index + 1) % 4
+        npc.kept_lane, npc.kept_speed, npc.heading_for = npc.lane, npc.speed, npc.lane
+    ticks = SECONDS * HZ
+    rows = array("d", bytes(8 * (ticks + 1) * (count + 1) * COLUMNS))
+    scene = Scene(rows, [(5.0, 2.0)] * (count + 1), road.grid, road.speed_limit, HZ)
+    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, scene, HangGuard(30.0), every=3, dt=1 / HZ)
+    return Loop(ego, director, road.grid, rows, 1 / HZ), pilot, ticks

@@ -1,0 +1,59 @@
+"""Does the kernel drive as highway-env's objects do? Random runs of every kind by both, compared to the last bit.
+
+    python -m tests.benchmarks.kernel_against_highway_env [--runs 3000] [--first 0]
+
+Each run is simulated twice by highway-env's objects: with numpy's functions as they are, and rounded as the C library
+rounds them. With the latter everything must be the same to the last bit. With the former the outcome must be the same,
+and nobody further than a centimetre from where the kernel has them. A sample of this is in the suite.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+import numpy as np
+
+from pytest_pafot.world import kernel
+from tests.support.c_library import c_library
+from tests.support.engine_cases import Case, differences
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=3000)
+    parser.add_argument("--first", type=int, default=0, help="seed")
+    arguments = parser.parse_args()
+    outcomes: Counter[str] = Counter()
+    egos: Counter[str] = Counter()
+    same_bits = same_as_numpy = 0
+    furthest, flips = 0.0, []
+    for seed in range(arguments.first, arguments.first + arguments.runs):
+        case = Case.random(seed)
+        fast = case.run("kernel")
+        with c_library():
+            exact = case.run("highway-env")
+        stock = case.run("highway-env")
+        differs = differences(fast, exact)
+        same_bits += not differs
+        same_as_numpy += not differences(fast, stock)
+        outcomes[str(fast.outcome)] += 1
+        egos[case.ego.__name__] += 1
+        if differs:
+            print(f"seed {seed}: {case.ego.__name__} in {case.world}: {', '.join(differs)}")
+        if (fast.outcome, fast.states.shape) == (stock.outcome, stock.states.shape):
+            furthest = max(furthest, float(np.abs(fast.states[..., :2] - stock.states[..., :2]).max()))
+        else:
+            flips.append(f"seed {seed}: {case.ego.__name__}: {fast!r} and {stock!r}")
+    print(f"kernel {'compiled' if kernel.is_compiled() else 'interpreted'}, {arguments.runs} runs")
+    print(f"outcomes {dict(outcomes)}")
+    print(f"egos {dict(egos)}")
+    print(f"with the C library's functions: {same_bits} the same to the last bit")
+    print(f"with numpy's: {same_as_numpy} the same to the last bit, {len(flips)} with another end, the others within")
+    print(f"{furthest * 1e3:.4f} mm")
+    for flip in flips:
+        print(flip)
+
+
+if __name__ == "__main__":
+    main()

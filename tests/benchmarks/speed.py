@@ -1,0 +1,359 @@
+"""How fast a world runs, and where the time goes. One command for all figures of docs/explanation.md, section Speed:
+
+    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search start memory comparison]
+
+- ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
+  observation, by the same with the observation stubbed, by highway-env's objects, and by the kernel compiled and
+  interpreted. All take turns in one process, and their trajectories are compared by hash in that process.
+- ``ads``: policies of different cost, and the share of the time that is spent inside them.
+- ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
+- ``search``: what the search, the fitness and the bookkeeping cost beside the rollouts.
+- ``start``: a fresh process until its first run is over, and whether that imported highway_env.
+- ``memory``: of this process over 10,000 scenarios.
+- ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
+
+Times are processor time, so that a noisy machine changes ratios little; nothing is asserted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot import Highway, PositionInstruction, Scenario, Trace
+from pytest_pafot.searching import Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign, sample
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.trace import FloatArray, Outcome
+from pytest_pafot.world import kernel
+from tests.benchmarks.crowd import crowd
+from tests.support.gym_loop import drive, make_env, place, si_actions
+from tests.support.interpreted import InterpretedWorld
+
+SCENARIO = Scenario(
+    npcs=(
+        tuple(PositionInstruction(cell, speed) for cell, speed in ((8, 22.0), (1, 26.0), (1, 24.0))),
+        tuple(PositionInstruction(cell, speed) for cell, speed in ((4, 22.0), (3, 24.0), (4, 23.0))),
+    ),
+    gene_seconds=20.0,
+)
+KERNEL = "kernel, compiled" if kernel.is_compiled() else "kernel, interpreted"
+
+
+def median_ms(way: Callable[[], object], rounds: int, repeats: int = 1) -> float:
+    """Median processor time of one call [ms]."""
+    times = []
+    for _ in range(rounds):
+        started = time.process_time()
+        for _ in range(repeats):
+            way()
+        times.append((time.process_time() - started) / repeats)
+    return statistics.median(times) * 1e3
+
+
+def gentle_actions(count: int) -> list[FloatArray]:
+    """One continuous action in [-1, 1]^2 per decision: the ego breathes and weaves a little."""
+    return [np.array([0.05 * np.sin(k / 5), 0.002 * np.cos(k / 7)], dtype=np.float32) for k in range(count)]
+
+
+def playback(actions: list[tuple[float, float]]) -> Callable[[], Callable[[object], tuple[float, float]]]:
+    """A factory of a trivial ADS, which returns a list of actions, one after the other."""
+
+    def make() -> Callable[[object], tuple[float, float]]:
+        rest = iter(actions)
+        return lambda observation: next(rest)
+
+    return make
+
+
+def idle() -> Callable[[object], tuple[float, float]]:
+    """A factory of the most trivial ADS."""
+    return lambda observation: (0.0, 0.0)
+
+
+def engines(rounds: int) -> None:
+    """Part ``engines``."""
+    for ads_hz in (5, 15):
+        _engines_at(Highway(speed_limit=30.0, ads_hz=ads_hz), rounds)
+
+
+def _engines_at(world: Highway, rounds: int) -> None:
+    actions = gentle_actions(60 * world.ads_hz)
+    ads, other = playback(si_actions(actions)), InterpretedWorld()
+    trace = world.rollout(SCENARIO, ads)
+    logs: dict[str, Any] = {}
+
+    def own(road: Any, name: str) -> Callable[[], None]:
+        def run() -> None:
+            logs[name] = road.rollout(SCENARIO, ads).states[1:, :, :4]
+
+        return run
+
+    def gym(stub: bool, name: str) -> Callable[[], None]:
+        env = make_env(trace)
+
+        def run() -> None:
+            env.reset(seed=0)
+            log = place(env, trace, stub_observation=stub)
+            drive(env, trace, actions)
+            logs[name] = np.array(log.rows)
+
+        return run
+
+    stock, stubbed = "gym, Kinematics", "gym, observation stubbed"
+    plain = other.room.Highway(speed_limit=30.0, ads_hz=world.ads_hz)
+
+    def interpreted() -> None:
+        with other.in_place():
+            own(plain, "kernel, interpreted")()
+
+    ways = {
+        stock: (gym(False, stock), 1),
+        stubbed: (gym(True, stubbed), 1),
+        "highway-env's objects": (own(replace(world, engine="highway-env"), "highway-env's objects"), 2),
+        "kernel, interpreted": (interpreted, 5),
+        KERNEL: (own(world, KERNEL), 50),
+    }
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(rounds):
+        for name, (way, repeats) in ways.items():
+            times[name].append(median_ms(way, 1, repeats))
+    hashes = {
+        name: hashlib.sha256(np.ascontiguousarray(log + 0.0).tobytes()).hexdigest()[:8] for name, log in logs.items()
+    }
+    print(f"\n60 s, 2 NPCs, {world.physics_hz}/{world.ads_hz} Hz, trivial ADS, {rounds} rounds")
+    for name, own_times in times.items():
+        by_stub, by_stock = (
+            statistics.median(a / b for a, b in zip(times[gym_name], own_times, strict=True))
+            for gym_name in (stubbed, stock)
+        )
+        print(
+            f"  {name:26}{statistics.median(own_times):10.3f} ms   {by_stub:7.1f} x stubbed gym {by_stock:8.1f} x gym"
+            f"   trajectory {hashes[name]}"
+        )
+
+
+def spinning(seconds: float) -> Callable[[], Callable[[object], tuple[float, float]]]:
+    """A factory of an ADS that computes for so long."""
+
+    def make() -> Callable[[object], tuple[float, float]]:
+        def decide(observation: object) -> tuple[float, float]:
+            until = time.perf_counter() + seconds
+            while time.perf_counter() < until:
+                pass
+            return 0.0, 0.0
+
+        return decide
+
+    return make
+
+
+def small_python() -> Callable[[Any], tuple[float, float]]:
+    """A factory of a planner of a few lines, which looks at everybody."""
+
+    def decide(observation: Any) -> tuple[float, float]:
+        ego = observation.ego
+        gap = min((o.x - ego.x for o in observation.others if o.lane == ego.lane and o.x > ego.x), default=99.0)
+        return 0.01 * min(gap - 30.0, 22.0 - ego.speed), 0.0
+
+    return decide
+
+
+def numpy_mlp() -> Callable[[Any], tuple[float, float]]:
+    """A factory of a network with two layers of 64."""
+    rng = np.random.default_rng(0)
+    first, second, last = (rng.normal(0, 0.01, shape) for shape in ((21, 64), (64, 64), (64, 2)))
+
+    def decide(observation: Any) -> tuple[float, float]:
+        hidden = np.tanh(np.tanh(observation.array.ravel() * 1e-3 @ first) @ second)
+        acceleration, steering = (hidden @ last * 1e-3).tolist()
+        return acceleration, steering
+
+    return decide
+
+
+def alone(road: Highway, factory: Callable[[], Callable[[Any], Any]]) -> float:
+    """Processor time of all calls of a run's ADS by themselves [s], on fresh observations of such a run."""
+    seen: list[Any] = []
+    road.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.0, 0.0))
+    ads = factory()
+    started = time.process_time()
+    for observation in seen:
+        ads(observation)
+    return time.process_time() - started
+
+
+def ads_ladder(rounds: int) -> None:
+    """Part ``ads``."""
+    print(f"\npolicies of different cost, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz (5 ms: 6 s)")
+    world = Highway(speed_limit=30.0)
+    ladder: dict[str, tuple[Callable[[], Any], float]] = {
+        "trivial": (idle, 60.0),
+        "small Python": (small_python, 60.0),
+        "numpy MLP": (numpy_mlp, 60.0),
+        "25 us": (spinning(25e-6), 60.0),
+        "85 us, as SB3's PPO": (spinning(85e-6), 60.0),
+        "100 us": (spinning(100e-6), 60.0),
+        "5 ms": (spinning(5e-3), 6.0),
+    }
+    for name, (factory, seconds) in ladder.items():
+        road, inside, whole = replace(world, duration=seconds), [], []
+        for _ in range(rounds):
+            inside.append(alone(road, factory))
+            started = time.process_time()
+            decisions = len(road.rollout(SCENARIO, factory).actions)
+            whole.append(time.process_time() - started)
+        call, total = (statistics.median(times) / decisions * 1e6 for times in (inside, whole))
+        print(
+            f"  {name:22}{call:9.2f} us a call, {total - call:7.2f} us a decision beside it, {call / total:6.1%} inside"
+        )
+    print(f"  {'IDM+MOBIL':22} {median_ms(lambda: world.rollout(SCENARIO, IDMVehicle), rounds, 20):9.3f} ms a run")
+
+
+def npcs(rounds: int) -> None:
+    """Part ``npcs``: whole runs up to eight NPCs, the kernel's loop alone beyond the eight cells that there are."""
+    print(f"\ncost per vehicle and tick, {KERNEL}, 60 s at 15 Hz")
+    road = Highway(lanes=6)
+    for count in (1, 2, 4, 8):
+        chains = [(PositionInstruction(cell, 22.0),) * 6 for cell in range(1, count + 1)]
+        scenario = Scenario(npcs=tuple(chains), ego_lane=2)
+        vehicle_ticks = road.rollout(scenario, idle).ticks * (count + 1)
+        each = median_ms(partial(road.rollout, scenario, idle), rounds, 20)
+        print(f"  {count:2} NPCs, rollout {each * 1e6 / vehicle_ticks:7.1f} ns")
+    for count in (1, 2, 4, 8, 16, 32):
+        times = []
+        for _ in range(rounds):
+            loop, pilot, ticks = crowd(count)
+            started = time.process_time()
+            loop.run(pilot, ticks)
+            times.append((time.process_time() - started) / ticks / (count + 1))
+        print(f"  {count:2} NPCs, loop    {statistics.median(times) * 1e9:7.1f} ns")
+
+
+def search(rounds: int) -> None:
+    """Part ``search``: the default search and fitness, against the rollouts alone."""
+    world, fitness = Highway(), resolve("default")
+    print(f"\nsearch, fitness and bookkeeping beside the rollouts, {KERNEL}, 100 generations")
+    for name, ads in (("constant speed", idle), ("IDM+MOBIL", IDMVehicle)):
+        spent, runs = [0.0, 0.0], 0
+
+        def evaluate(scenarios: Any, ads: Any = ads, spent: list[float] = spent) -> list[Evaluation]:
+            done = []
+            for scenario in scenarios:
+                marks = [time.process_time()]
+                trace = world.rollout(scenario, ads)
+                marks.append(time.process_time())
+                score = fitness(trace)
+                marks.append(time.process_time())
+                done.append(Evaluation.of(trace, fitness=score, failing=trace.outcome is Outcome.COLLISION))
+                spent[0] += marks[1] - marks[0]
+                spent[1] += marks[2] - marks[1]
+            nonlocal runs
+            runs += len(scenarios)
+            return done
+
+        started = time.process_time()
+        for seed in range(rounds):
+            for _ in run_campaign(PafotSearch(SearchSpace()), evaluate, generations=100, seed=seed):
+                pass
+        total = time.process_time() - started
+        parts = {"rollout": spent[0], "fitness": spent[1], "search": total - sum(spent)}
+        told = ", ".join(f"{part} {1e3 * seconds / runs:.3f} ms" for part, seconds in parts.items())
+        print(f"  {name:16} {runs} runs: {told}; all but the rollout: {(total - spent[0]) / spent[0]:.0%} of it")
+
+
+def start(rounds: int) -> None:
+    """Part ``start``."""
+    first_run = (
+        "from pytest_pafot import Highway, PositionInstruction, Scenario; "
+        "Highway().rollout(Scenario(npcs=[[PositionInstruction(2, 15.0)]]), lambda: lambda seen: (0.0, 0.0))"
+    )
+    print("\na fresh process")
+    for name, before, code in (
+        ("the plugin, after pytest", "import pytest, hypothesis", "import pytest_pafot.plugin"),
+        ("the first run, after numpy", "import numpy", first_run),
+    ):
+        timed = f"import sys, time; {before}; t = time.process_time(); {code}; u = time.process_time(); "
+        told = "print(1e3 * (u - t), 'highway_env' in sys.modules)"
+        answers = [
+            subprocess.run([sys.executable, "-c", timed + told], check=True, capture_output=True, text=True).stdout
+            for _ in range(rounds)
+        ]
+        times = [float(answer.split()[0]) for answer in answers]
+        print(f"  {name:28}{statistics.median(times):7.1f} ms; highway_env imported: {answers[0].split()[1]}")
+
+
+def memory(rounds: int) -> None:
+    """Part ``memory``."""
+    world, rng, space = Highway(), np.random.default_rng(0), SearchSpace()
+    print(f"\nresident memory, {KERNEL}")
+    for count in range(1, 10_001):
+        world.rollout(sample(space, rng), idle)
+        if count in (100, 1000, 5000, 10_000):
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            print(f"  after {count:6} scenarios {pages * 4096 / 2**20:7.1f} MB")
+
+
+TECHNIQUES: dict[str, dict[str, Any]] = {
+    "pafot": {},
+    "pafot without local fuzzer": {"local_generations": 0},
+    "random": {},
+}
+
+
+def comparison(rounds: int) -> None:
+    """Part ``comparison``: three techniques, ten runs of 100 generations each."""
+    jobs = [(name, seed) for name in TECHNIQUES for seed in range(10)]
+    started = time.perf_counter()
+    with ProcessPoolExecutor(2) as pool:
+        runs = list(pool.map(_compared, jobs))
+    print(
+        f"\nthe paper's comparison, IDM+MOBIL, 2 processes: {sum(runs)} runs in {time.perf_counter() - started:.1f} s"
+    )
+
+
+def _compared(job: tuple[str, int]) -> int:
+    name, seed = job
+    world, fitness, runs = Highway(), resolve("default"), 0
+
+    def evaluate(scenarios: Any) -> list[Evaluation]:
+        nonlocal runs
+        runs += len(scenarios)
+        traces: list[Trace] = [world.rollout(scenario, IDMVehicle) for scenario in scenarios]
+        return [Evaluation.of(t, fitness=fitness(t), failing=t.outcome is Outcome.COLLISION) for t in traces]
+
+    algorithm: Any = RandomSearch(SearchSpace()) if name == "random" else PafotSearch(SearchSpace(), **TECHNIQUES[name])
+    for _ in run_campaign(algorithm, evaluate, generations=100, seed=seed):
+        pass
+    return runs
+
+
+PARTS: dict[str, Callable[[int], None]] = {
+    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "start": start, "memory": memory,
+    "comparison": comparison,
+}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    arguments = parser.parse_args()
+    for part in arguments.parts:
+        PARTS[part](arguments.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The kernel and highway-env's objects: which of them runs, and that nobody can tell from the trace."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from example_ads import defects
+from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World, WorldError
+from pytest_pafot.world import engines, from_dict, kernel
+from pytest_pafot.world.kernel import bodies
+from pytest_pafot.world.modelled import CONSTANTS, idm_model
+from tests.support.c_library import c_library
+from tests.support.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
+
+
+def idle():
+    return lambda observation: (0.0, 0.0)
+
+
+# --- the same results
+
+
+@settings(max_examples=120)
+@given(st.integers(10_000, 2**32))
+def test_both_engines_give_the_same_trace_to_the_last_bit(seed):
+    case = Case.random(seed)
+    with c_library():
+        assert differences(case.run("kernel"), case.run("highway-env")) == []
+
+
+@settings(max_examples=30)
+@given(st.integers(10_000, 2**32))
+def test_with_numpys_rounding_the_end_is_the_same_and_nobody_is_a_centimetre_away(seed):
+    case = Case.random(seed)
+    fast, stock = case.run("kernel"), case.run("highway-env")
+    assert (fast.outcome, fast.executed, fast.arrivals) == (stock.outcome, stock.executed, stock.arrivals)
+    assert abs(fast.states[..., :2] - stock.states[..., :2]).max() < 0.01
+
+
+def test_the_random_runs_that_are_compared_have_all_egos_and_ends():
+    cases = [Case.random(seed) for seed in range(150)]
+    outcomes = {case.run("kernel").outcome for case in cases}
+    assert {case.ego for case in cases} == set(ALL_EGOS)
+    assert {Outcome.SAFE, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.ADS_ERROR} <= outcomes
+    assert {len(case.scenario.npcs) for case in cases} == set(range(1, 9))
+
+
+def test_a_kernel_that_drives_otherwise_is_noticed(monkeypatch):
+    case = Case(Highway(), SCENARIO, IDMVehicle)
+    slower = {name: getattr(IDMVehicle, name) for name in CONSTANTS} | {"TIME_WANTED": 1.5000001}
+    model = replace(idm_model(IDMVehicle), constants=slower)
+    monkeypatch.setattr(engines, "idm_model", lambda ads: model)
+    with c_library():
+        assert differences(case.run("kernel"), case.run("highway-env")) != []
+
+
+def test_interpreted_and_compiled_the_kernel_gives_the_same_traces():
+    code = (
+        "import json; from pytest_pafot.world import kernel; from tests.support.engine_cases import Case, digest; "
+        "print(json.dumps([kernel.is_compiled(), *(digest(Case.random(s).run('kernel')) for s in range(40))]))"
+    )
+    environment = {**os.environ, "PAFOT_KERNEL": "interpreted", "PYTHONPATH": os.pathsep.join(sys.path)}
+    out = subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
+    is_compiled, *interpreted = json.loads(out.stdout)
+    assert not is_compiled
+    assert interpreted == [digest(Case.random(seed).run("kernel")) for seed in range(40)]
+
+
+def test_the_kernel_knows_highway_envs_vehicles():
+    from pytest_pafot.world.rules import NPC_LENGTH, NPC_WIDTH
+
+    assert (Vehicle.LENGTH, Vehicle.WIDTH) == (NPC_LENGTH, NPC_WIDTH)
+    body = bodies.Body(5.0, 2.0)
+    body.place(0.0, 0.0, 0.0, Vehicle.MAX_SPEED + 1)
+    body.acceleration = 3.0
+    body.step(0.1)
+    assert (body.acceleration, Vehicle.MIN_SPEED) == (-1.0, -Vehicle.MAX_SPEED)
+
+
+# --- which engine
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Names of the engines that ran, in turn."""
+    names = []
+    for name, engine in (("run_planner", "kernel"), ("run_model", "kernel"), ("_by_highway_env", "highway-env")):
+        original = getattr(engines, name)
+        monkeypatch.setattr(
+            engines, name, lambda *args, original=original, engine=engine: names.append(engine) or original(*args)
+        )
+    return names
+
+
+class OwnRules(IDMVehicle):
+    def mobil(self, lane_index):
+        return False
+
+
+class OwnStart(Hurried):
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+
+
+class OwnAttribute(IDMVehicle):
+    MAX_SPEED = 30.0
+
+
+@pytest.mark.parametrize(
+    ("ads", "expected"),
+    [
+        (idle, "kernel"),
+        (IDMVehicle, "kernel"),
+        (Hurried, "kernel"),
+        (lambda: Hurried, "kernel"),
+        (functools.partial(IDMVehicle, enable_lane_change=False), "kernel"),
+        (functools.partial(IDMVehicle, target_speed=20.0), "highway-env"),
+        (OwnRules, "highway-env"),
+        (OwnStart, "highway-env"),
+        (OwnAttribute, "highway-env"),
+        (LinearVehicle, "highway-env"),
+        (AggressiveVehicle, "highway-env"),
+        (MDPVehicle, "highway-env"),
+        (Vehicle, "highway-env"),
+        *((defects.make(name), "highway-env") for name in ("healthy", "brakes-weakly")),
+    ],
+)
+def test_the_kernel_runs_whatever_it_can_drive(ran, ads, expected):
+    Highway().rollout(SCENARIO, ads)
+    Highway(engine="highway-env").rollout(SCENARIO, ads)
+    assert ran == [expected, "highway-env"]
+
+
+@pytest.mark.parametrize("ads", [OwnRules, LinearVehicle, functools.partial(IDMVehicle, timer=0.3)])
+def test_a_world_that_insists_on_the_kernel_says_why_it_cannot(ads):
+    with pytest.raises(WorldError, match=r"engine: expected an ADS that the kernel can drive.*use engine=\"auto\""):
+        Highway(engine="kernel").rollout(SCENARIO, ads)
+
+
+@pytest.mark.parametrize("engine", ["fast", "", None, 1])
+def test_an_engine_has_a_name(engine):
+    with pytest.raises(WorldError, match=r"engine: expected one of auto, kernel, highway-env, received"):
+        Highway(engine=engine)
+
+
+def test_the_engine_is_no_part_of_a_saved_world():
+    worlds = [Highway(engine=engine) for engine in ("auto", "kernel", "highway-env")]
+    assert len({json.dumps(world.to_dict()) for world in worlds}) == 1
+    assert all(from_dict(world.to_dict()) == world for world in worlds)
+    with pytest.raises(WorldError, match="engine"):
+        from_dict({**Highway().to_dict(), "engine": "warp"})
+
+
+@pytest.mark.parametrize("world", [Highway(engine="highway-env"), Highway(), World("highway-v0")])
+def test_reference_drivers_get_through_by_either_engine(world, ran):
+    trace = world.rollout_reference(SCENARIO, "idm-aeb")
+    assert trace.outcome is Outcome.SAFE
+    assert ran == ["highway-env" if world == Highway() and world.engine == "highway-env" else "kernel"]
+
+
+@pytest.mark.parametrize("name", ["careful-human", "fuzzy-safety", "idm-aeb"])
+def test_reference_drivers_drive_the_same_by_both_engines(name):
+    for seed in range(5):
+        case = Case.random(seed)
+        pair = [replace(case.world, engine=e).rollout_reference(case.scenario, name) for e in ("auto", "highway-env")]
+        assert differences(*pair) == []
+
+
+def test_a_run_by_the_kernel_imports_neither_highway_env_nor_gymnasium():
+    code = (
+        "import sys; from pytest_pafot import Highway, PositionInstruction, Scenario; world = Highway(); "
+        "scenario = Scenario(npcs=[[PositionInstruction(2, 0.0)]]); "
+        "trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0)); world.preventable_by(scenario); "
+        "print(trace.outcome, [name for name in ('highway_env', 'gymnasium', 'pygame') if name in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert out.stdout.strip() == "collision []"
+
+
+@pytest.mark.skipif(not kernel.is_compiled(), reason="the kernel is not compiled here")
+def test_the_compiled_kernel_is_that_of_the_present_source():
+    folder = Path(kernel.__file__).parent
+    for name in kernel.MODULES:
+        compiled = Path(sys.modules[f"{kernel.__name__}.{name}"].__file__).stat().st_mtime
+        for source in (folder / f"{name}.py", folder / f"{name}.pxd"):
+            assert source.stat().st_mtime <= compiled + 1, f"{source.name} is newer; run: python -m pip install ."
+
+
+def test_every_module_of_the_kernel_has_types_for_the_compiler():
+    folder = Path(kernel.__file__).parent
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert names == set(kernel.MODULES) == {path.stem for path in folder.glob("*.pxd")}
+
+
+def test_a_road_and_its_lanes_can_be_sent_to_another_process():
+    world = Highway()
+    again = pickle.loads(pickle.dumps(world.rules))
+    assert again == world.rules
+    assert (again.road.grid.count, again.road.grid.width) == (4, 4.0)

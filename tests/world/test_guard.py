@@ -1,0 +1,95 @@
+"""The thread that watches all decisions of a process: it is there when it is needed, and only then."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pytest_pafot.world import guard
+from pytest_pafot.world.guard import AdsHang, HangGuard
+
+
+@pytest.fixture
+def watchdog(monkeypatch):
+    """A fresh one, which looks every ten milliseconds."""
+    monkeypatch.setattr(guard, "LONGEST_PAUSE", 0.01)
+    monkeypatch.setattr(guard, "_WATCHDOG", fresh := guard._Watchdog())
+    return fresh
+
+
+def hang(limit):
+    """Whether a decision that never ends is interrupted."""
+    with HangGuard(limit) as watched:
+        try:
+            try:
+                watched.decision_starts()
+                while True:
+                    time.sleep(0.001)
+            finally:
+                watched.decision_ends()
+        except AdsHang:
+            watched.decision_ends()
+            return True
+
+
+def test_the_watching_thread_ends_when_no_run_is_under_way_and_comes_back_for_the_next(watchdog):
+    for _ in range(2):
+        with HangGuard(30.0):
+            thread = watchdog._thread
+            assert thread.is_alive()
+        thread.join(timeout=30)
+        assert not thread.is_alive()
+        assert watchdog._thread is None
+    assert hang(0.05)
+
+
+def test_runs_one_after_the_other_share_a_thread(watchdog):
+    threads = set()
+    for _ in range(50):
+        with HangGuard(30.0):
+            threads.add(watchdog._thread)
+    assert len(threads) == 1
+
+
+def test_a_short_limit_is_kept_while_a_long_one_is_watched(monkeypatch):
+    monkeypatch.setattr(guard, "LONGEST_PAUSE", 60.0)
+    monkeypatch.setattr(guard, "_WATCHDOG", guard._Watchdog())
+    with HangGuard(86400.0):
+        time.sleep(0.05)  # the thread has begun its long pause
+        started = time.monotonic()
+        assert hang(0.05)
+        assert time.monotonic() - started < 30
+
+
+def test_a_decision_that_ends_within_its_limit_has_nothing_to_settle():
+    """The order of :class:`HangGuard`: the watching thread reads the clock first, and then what is under way."""
+    times = iter([0.0, 5.0, 5.1])
+    watched = HangGuard(5.0, clock=lambda: next(times))
+    watched.started = watched.clock()
+    assert not watched._overdue()
+    assert watched._overdue()
+    watched.started = None
+    watched.clock = lambda: 1e9
+    assert not watched._overdue()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_watches_its_own_decisions():
+    code = """
+import os, sys
+from pytest_pafot import Highway, PositionInstruction, Scenario
+world, scenario = Highway(hang_limit=0.2), Scenario(npcs=[[PositionInstruction(1, 25.0)]])
+def spin(observation):
+    while True:
+        pass
+world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))  # starts the watching thread
+child = os.fork()
+if not child:
+    os._exit(world.rollout(scenario, lambda: spin).outcome != "hang")
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)

@@ -1,0 +1,44 @@
+"""What a planner sees is made where it looks, and is a value like any other."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.world import Highway, Observation, VehicleState
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
+
+
+def seen_by(engine):
+    seen = []
+    Highway(engine=engine).rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
+    return seen
+
+
+def test_both_engines_show_the_same_also_when_one_looks_after_the_run():
+    assert seen_by("kernel") == seen_by("highway-env")
+
+
+def test_observations_of_different_times_differ():
+    first, second, *_ = seen_by("kernel")
+    assert first != second
+    assert first != tuple(first._values())
+    assert len({hash(observation) for observation in seen_by("kernel")}) == 20
+
+
+def test_an_observation_can_be_made_printed_and_pickled():
+    state = VehicleState(1.0, 2.0, 0.0, 20.0, 0, 5.0, 2.0)
+    made = Observation(time=1, ego=state, others=(state,), lanes=4, lane_width=4, speed_limit=26.8)
+    assert type(made.time) is type(made.lane_width) is float
+    assert eval(repr(made)) == made
+    for observation in (made, seen_by("kernel")[3]):
+        assert pickle.loads(pickle.dumps(observation)) == observation
+
+
+@pytest.mark.parametrize("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit"])
+def test_an_observation_is_read_only(name):
+    with pytest.raises(AttributeError):
+        setattr(seen_by("kernel")[0], name, 1)
