@@ -5,6 +5,7 @@ Run it after a change of either: ``python docs/generate.py``.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import inspect
 import re
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, strategies
+from pytest_pafot.evaluation.command import add_arguments
+from pytest_pafot.evaluation.rows import Row
 from pytest_pafot.findings.emit import text_of
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
 from pytest_pafot.findings.run import Moment, Run
@@ -24,7 +27,7 @@ from pytest_pafot.plugin.arguments import SearchArguments
 from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.reference import options_table
 from pytest_pafot.plugin.request import Request
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
@@ -41,7 +44,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot_world` gives.",
     "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `pafot.Weights(...)` or a function `Trace -> float`, higher is worse.',
+    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, `pafot.Weights(...)` or a function `Trace -> float`, higher is '
+    "worse. Without one, each algorithm's own: `av-fuzzer` has one, all others take the default.",
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     "or where there is none.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
@@ -60,7 +64,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",
-    "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s].",
+    "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or, in "
+    "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.preventable_by": "A list of names, for reference drivers that survive the scenario in the ego's place; "
     "not there where it is empty.",
@@ -93,6 +98,7 @@ def sections() -> dict[str, str]:
         "trace": _fields_table(Trace),
         "scenario": _fields_table(Scenario),
         "instruction": _fields_table(PositionInstruction),
+        "lane-instruction": _fields_table(LaneInstruction),
         "cells": _cells_table(),
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
@@ -104,6 +110,8 @@ def sections() -> dict[str, str]:
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
+        "compare": _command_table(),
+        "results": _fields_table(Row),
     }
 
 
@@ -269,6 +277,19 @@ def _measures_table() -> str:
 
 def _parameters(function: Callable[..., Any]) -> Iterable[str]:
     return inspect.signature(function).parameters
+
+
+def _command_table() -> str:
+    parser = argparse.ArgumentParser(add_help=False)
+    add_arguments(parser)
+    rows = []
+    for action in parser._actions:
+        value = (
+            f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
+        )
+        text = (action.help or "") % vars(action)
+        rows.append([f"`{action.option_strings[0]}{value}`", _capital(text) + "."])
+    return _table(["Option", "Meaning"], rows)
 
 
 def _strategies_table() -> str:

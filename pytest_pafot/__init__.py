@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.marks import reject as reject
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.scenario import Chromosome as Chromosome
+    from pytest_pafot.scenario import LaneInstruction as LaneInstruction
     from pytest_pafot.scenario import PositionInstruction as PositionInstruction
     from pytest_pafot.scenario import Scenario as Scenario
     from pytest_pafot.scenario import ScenarioError as ScenarioError
@@ -36,6 +37,7 @@ _HOMES = {
     "Chromosome": "scenario",
     "Collision": "trace",
     "Highway": "world",
+    "LaneInstruction": "scenario",
     "NpcLimits": "world",
     "Observation": "world",
     "Outcome": "trace",

@@ -1,5 +1,7 @@
 """Position-Instructions, chromosomes and scenarios: what the search evolves and a corpus file stores.
 
+Lane-Instructions are the genes of baselines that know no grid. A scenario has genes of one kind.
+
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
 
@@ -11,6 +13,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, cast, get_args
 
 from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 
@@ -43,9 +46,67 @@ class PositionInstruction:
         object.__setattr__(self, "cell", _checked_cell(self.cell))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
+    @property
+    def target(self) -> int:
+        """The cell, as files and canonical texts have it."""
+        return int(self.cell)
 
-Chromosome = tuple[PositionInstruction, ...]
-"""One NPC's chain of Position-Instructions, executed one after the other."""
+    @property
+    def goal(self) -> str:
+        """Where to, in words: ``2 front``."""
+        return f"{int(self.cell)} {self.cell.label}"
+
+
+Shift = Literal["keep", "left", "right"]
+"""Which lane to drive in, relative to the NPC's own lane when the gene begins."""
+
+SHIFTS: tuple[Shift, ...] = get_args(Shift)
+
+LANE_STARTS = (1, 2, 3, 8, 4, 6, 7, 5)
+"""The cells in which NPCs with Lane-Instructions start, by their index; the nearest ones whose lane exists. The first
+two are where AV-Fuzzer's NPCs start in its release: ahead to the left of the ego, and ahead in its lane."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaneInstruction:
+    """A gene without a cell: keep the own lane or change it by one, at a speed, wherever the ego is.
+
+    It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). Towards a lane that does not exist, the NPC keeps its own.
+
+    Attributes:
+        lane: ``"keep"``, ``"left"`` or ``"right"``, as seen from the NPC's lane when the gene begins.
+        speed: target speed from the gene's first tick on [m/s], >= 0, in steps of 0.1.
+    """
+
+    lane: Shift
+    speed: float
+
+    def __post_init__(self) -> None:
+        if self.lane not in SHIFTS:
+            raise ScenarioError(f"lane: expected one of {', '.join(SHIFTS)}, received {self.lane!r}")
+        object.__setattr__(self, "lane", str(self.lane))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+
+    @property
+    def target(self) -> Shift:
+        """The lane, as files and canonical texts have it."""
+        return self.lane
+
+    @property
+    def column(self) -> int:
+        """Lanes to the right of the NPC's own: -1, 0 or +1."""
+        return (0, -1, 1)[SHIFTS.index(self.lane)]
+
+    @property
+    def goal(self) -> str:
+        """Where to, in words: ``lane left``."""
+        return "keep lane" if self.lane == "keep" else f"lane {self.lane}"
+
+
+Gene = PositionInstruction | LaneInstruction
+
+Chromosome = tuple[Gene, ...]
+"""One NPC's chain of instructions, executed one after the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +115,7 @@ class Scenario:
 
     Attributes:
         npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
-            its lane and speed (paper, section 2).
+            its lane and speed (paper, section 2). All genes are Position-Instructions, or all are Lane-Instructions.
         seed: of the draws by which chains are repaired inside the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: everybody's first speed [m/s].
@@ -78,28 +139,39 @@ class Scenario:
         object.__setattr__(self, "ego_speed", _number("ego_speed", self.ego_speed))
         object.__setattr__(self, "gene_seconds", _number("gene_seconds", self.gene_seconds))
         _check_start(self)
-        _check_adjacency(self.npcs)
-        _check_distinct(self.npcs)
+        _check_adjacency(self.positions)
+        _check_distinct(self.positions)
 
     @classmethod
     def repaired(
         cls,
-        npcs: Sequence[Sequence[PositionInstruction]],
+        npcs: Sequence[Sequence[Gene]],
         *,
         seed: int = 0,
         ego_lane: int = 1,
         ego_speed: float = 22.0,
         gene_seconds: float = 10.0,
     ) -> Scenario:
-        """A scenario from chains that may break the ring; the speeds stay, the cells are repaired."""
-        npcs = _checked_chains(npcs)
+        """A scenario from chains that may break the ring; the speeds stay, the cells are repaired.
+
+        Lane-Instructions need no repair.
+        """
+        chains = _checked_chains(npcs)
         seed = _checked_whole("seed", seed, MAX_SEED)
-        cells = repair_chains([[gene.cell for gene in chain] for chain in npcs], seed)
-        chains = tuple(
+        positions = positions_of(chains)
+        cells = repair_chains([[gene.cell for gene in chain] for chain in positions], seed)
+        repaired = tuple(
             tuple(replace(gene, cell=cell) for gene, cell in zip(chain, row, strict=True))
-            for chain, row in zip(npcs, cells, strict=True)
+            for chain, row in zip(positions, cells, strict=True)
         )
-        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+        return cls(
+            npcs=repaired or chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds
+        )
+
+    @property
+    def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
+        """The chains where they are of Position-Instructions, else nothing."""
+        return positions_of(self.npcs)
 
     @property
     def genes(self) -> int:
@@ -113,7 +185,7 @@ class Scenario:
 
     def canonical(self) -> str:
         """A text that is equal for equal scenarios, on any machine."""
-        npcs = [[[int(gene.cell), gene.speed] for gene in chain] for chain in self.npcs]
+        npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
         fields = [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
         return json.dumps(fields, separators=(",", ":"))
 
@@ -122,7 +194,7 @@ class Scenario:
         return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
 
     def __repr__(self) -> str:
-        chains = "; ".join(" ".join(f"{int(g.cell)}@{g.speed:g}" for g in chain) for chain in self.npcs)
+        chains = "; ".join(" ".join(f"{g.target}@{g.speed:g}" for g in chain) for chain in self.npcs)
         return f"<Scenario {self.id}: {chains}>"
 
 
@@ -185,17 +257,36 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
             "[[PositionInstruction(cell, speed), ...], ...]"
         ) from None
     _check_counts(chains)
+    _check_kinds(chains)
     return chains
 
 
-def _check_counts(npcs: Sequence[Chromosome]) -> None:
+def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
+    """Chains of one kind where that is Position-Instructions, else nothing."""
+    chains = tuple(map(tuple, npcs))
+    is_positions = bool(chains) and isinstance(chains[0][0], PositionInstruction)
+    return cast("tuple[tuple[PositionInstruction, ...], ...]", chains) if is_positions else ()
+
+
+def _check_kinds(npcs: Sequence[Sequence[Gene]]) -> None:
+    kind = type(npcs[0][0])
+    for npc, chain in enumerate(npcs):
+        for gene, instruction in enumerate(chain):
+            if type(instruction) is not kind:
+                raise ScenarioError(
+                    f"npcs[{npc}][{gene}]: expected a {kind.__name__} like npcs[0][0], received {instruction!r}; "
+                    "give all NPCs of a scenario instructions of one kind"
+                )
+
+
+def _check_counts(npcs: Sequence[Sequence[Gene]]) -> None:
     if not 1 <= len(npcs) <= 8:
         raise ScenarioError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {len(npcs)}")
     for npc, chain in enumerate(npcs):
         if not chain:
             raise ScenarioError(f"npcs[{npc}]: expected at least one Position-Instruction, received an empty chain")
         for gene, instruction in enumerate(chain):
-            if not isinstance(instruction, PositionInstruction):
+            if not isinstance(instruction, (PositionInstruction, LaneInstruction)):
                 raise ScenarioError(
                     f"npcs[{npc}][{gene}]: expected a PositionInstruction, received {instruction!r}; "
                     "write PositionInstruction(cell, speed)"
@@ -209,7 +300,7 @@ def _check_start(scenario: Scenario) -> None:
         raise ScenarioError(f"gene_seconds: expected seconds, more than 0, received {scenario.gene_seconds!r}")
 
 
-def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
+def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
     for npc, chain in enumerate(npcs):
         for gene in range(1, len(chain)):
             before, cell = chain[gene - 1].cell, chain[gene].cell
@@ -221,8 +312,8 @@ def _check_adjacency(npcs: Sequence[Chromosome]) -> None:
                 )
 
 
-def _check_distinct(npcs: Sequence[Chromosome]) -> None:
-    for gene in range(max(map(len, npcs))):
+def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
+    for gene in range(max(map(len, npcs), default=0)):
         holders: dict[Cell, int] = {}
         for npc, chain in enumerate(npcs):
             if gene >= len(chain):

@@ -10,7 +10,8 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "grid", "scenario", "trace", "criticality", "findings", "searching", "world", "strategies", "report", "plugin",
+    "grid", "scenario", "trace", "criticality", "findings", "searching", "world", "evaluation", "strategies", "report",
+    "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""
 
@@ -23,6 +24,12 @@ HOMES = {
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},
+    "pandas": {"evaluation"},
+    "scipy": {"evaluation"},
+    "matplotlib": {"evaluation"},
+    "pymoo": {"searching"},
+    "ribs": {"searching"},
+    "cmaes": {"searching"},
     "pytest_html": {"plugin"},
 }
 """Libraries that only some rooms may know."""

@@ -14,7 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.scenario import MAX_SEED, LaneInstruction, PositionInstruction, Scenario, ScenarioError
 
 instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
 raw_chains = st.lists(st.lists(instructions, min_size=1, max_size=6), min_size=1, max_size=8)
@@ -211,4 +211,52 @@ def test_a_scenario_is_accepted_exactly_when_repair_has_nothing_to_do(chains):
         assert Scenario(npcs=chains).npcs == repaired
     else:
         with pytest.raises(ScenarioError, match=r"npcs\[\d\]\[\d\]: expected .*Scenario\.repaired"):
+            Scenario(npcs=chains)
+
+
+class TestLaneInstructions:
+    """Genes without a cell: keep the own lane or change it by one, at a speed."""
+
+    def test_they_take_the_three_lanes_and_speeds_in_tenths(self):
+        assert LaneInstruction("left", 12).speed == 12.0
+        assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [0, -1, 1]
+
+    @pytest.mark.parametrize("lane", ["up", "", None, 1, "Left"])
+    def test_another_lane_is_refused_with_those_that_exist(self, lane):
+        with pytest.raises(ScenarioError, match="lane: expected one of keep, left, right, received"):
+            LaneInstruction(lane, 10.0)
+
+    def test_a_speed_between_two_tenths_is_refused_as_in_other_genes(self):
+        with pytest.raises(ScenarioError, match=r"speed: expected m/s, .* the nearest valid speed is 12\.3"):
+            LaneInstruction("keep", 12.34)
+
+    def test_a_scenario_of_them_needs_no_repair_and_may_repeat_itself(self):
+        chain = (LaneInstruction("left", 10.0),) * 3
+        scenario = Scenario(npcs=(chain, chain))
+        assert Scenario.repaired(scenario.npcs) == scenario
+        assert scenario.positions == ()
+        assert scenario.truncated(1).npcs == ((chain[0],), (chain[0],))
+
+    def test_the_canonical_text_tells_them_from_cells(self):
+        scenario = Scenario(npcs=((LaneInstruction("right", 10.0),),))
+        assert scenario.canonical() == '[[[["right",10.0]]],0,1,22.0,10.0]'
+        assert "right@10" in repr(scenario)
+        assert (
+            len(
+                {
+                    scenario.id,
+                    Scenario(npcs=((LaneInstruction("left", 10.0),),)).id,
+                    Scenario(npcs=((one(4, 10.0),),)).id,
+                }
+            )
+            == 3
+        )
+
+    @pytest.mark.parametrize(
+        "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
+    )
+    def test_two_kinds_of_genes_in_one_scenario_are_refused_at_their_place(self, chains):
+        with pytest.raises(
+            ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
+        ):
             Scenario(npcs=chains)

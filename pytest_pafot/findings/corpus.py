@@ -24,7 +24,7 @@ from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
 from pytest_pafot.findings.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.scenario import SHIFTS, Gene, LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.trace import Outcome, Side
 
 __all__ = [
@@ -245,7 +245,7 @@ def _world(field: Field) -> dict[str, Any]:
 def _scenario(field: Field) -> Scenario:
     fields = field.mapping(("seed", "ego", "npcs"), ("gene_seconds",))
     ego = fields["ego"].mapping(("lane", "speed"))
-    chains = tuple(tuple(_gene(gene) for gene in chain.items()) for chain in fields["npcs"].items())
+    chains: Any = tuple(tuple(_gene(gene) for gene in chain.items()) for chain in fields["npcs"].items())
     try:
         return Scenario(
             npcs=chains,
@@ -258,11 +258,12 @@ def _scenario(field: Field) -> Scenario:
         raise _rule_broken(field, error) from None
 
 
-def _gene(field: Field) -> PositionInstruction:
-    fields = field.mapping(("cell", "speed"))
-    cell = Cell(fields["cell"].whole(1, 8))
+def _gene(field: Field) -> Gene:
+    has_lane = "lane" in field.any_mapping() and "cell" not in field.any_mapping()
+    fields = field.mapping(("lane", "speed") if has_lane else ("cell", "speed"))
+    target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
     try:
-        return PositionInstruction(cell, fields["speed"].number())
+        return (LaneInstruction if has_lane else PositionInstruction)(target, fields["speed"].number())
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
 
@@ -276,7 +277,7 @@ def _rule_broken(field: Field, error: ScenarioError) -> CorpusError:
     key = name.partition("[")[0]
     inner: tuple[str | int, ...] = _SCENARIO_FIELDS.get(key, (key,) if key else ())
     inner += tuple(int(index) for index in re.findall(r"\[(\d+)\]", name))
-    if key == "npcs" and len(inner) == 3:
+    if key == "npcs" and len(inner) == 3 and "cell" in field.at(*inner).any_mapping():
         inner += ("cell",)
     received, _, hint = rule["received"].partition("; ")
     fix = hint if hint and "Scenario.repaired" not in hint else "correct it, or delete the file"

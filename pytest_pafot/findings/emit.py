@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import PositionInstruction, Scenario
 
 VERSION = 1
 WIDTH = 120
@@ -59,8 +59,11 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
     for chain in scenario.npcs:
         for gene, instruction in enumerate(chain):
             bullet = "    - - " if gene == 0 else "      - "
-            entry = f"{bullet}{{cell: {int(instruction.cell)}, speed: {_number(instruction.speed)}}}"
-            yield f"{entry:{COMMENT_COLUMN}}# {instruction.cell.label}"
+            if isinstance(instruction, PositionInstruction):
+                entry = f"{bullet}{{cell: {instruction.target}, speed: {_number(instruction.speed)}}}"
+                yield f"{entry:{COMMENT_COLUMN}}# {instruction.cell.label}"
+            else:
+                yield f"{bullet}{{lane: {instruction.target}, speed: {_number(instruction.speed)}}}"
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:

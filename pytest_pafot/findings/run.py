@@ -305,13 +305,13 @@ def _gene(trace: Trace, npc: int, gene: int, wide: bool) -> str:
     chain = trace.executed.npcs[npc]
     if gene >= len(chain):
         return "-"
-    cell, speed = chain[gene].cell, chain[gene].speed
+    goal, speed = chain[gene].goal, chain[gene].speed
     if not wide:
-        return f"{int(cell)} {speed:.1f}"
+        return f"{chain[gene].target} {speed:.1f}"
     arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
     arrival = arrivals[gene] if gene < len(arrivals) else None
     reached = "not reached" if arrival is None else f"at {arrival / trace.physics_hz:.1f}"
-    return f"{int(cell)} {cell.label} {speed:.1f} m/s {reached}"
+    return f"{goal} {speed:.1f} m/s {reached}"
 
 
 def _ascii(line: str) -> str:

@@ -18,9 +18,12 @@ from pytest_pafot.scenario import (
     MAX_SPEED,
     SPEED_STEPS_PER_MPS,
     Chromosome,
+    Gene,
+    LaneInstruction,
     PositionInstruction,
     Scenario,
     ScenarioError,
+    positions_of,
 )
 
 Attempt = Callable[[Scenario], Scenario | None]
@@ -87,7 +90,7 @@ def sort_key(scenario: Scenario) -> Key:
 
     1. NPCs, since each of them is a participant to understand.
     2. Instructions to read: equal ones that follow each other count once.
-    3. Moves from one cell to another; staying is simpler.
+    3. Moves from one cell or lane to another; staying is simpler.
     4. Genes of the longest chain, which is the length of the run; then genes in total.
     5. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
     6. The sum of the speeds of the instructions: slower is simpler.
@@ -99,7 +102,7 @@ def sort_key(scenario: Scenario) -> Key:
     return (
         len(scenario.npcs),
         len(speeds),
-        sum(a.cell != b.cell for chain in scenario.npcs for a, b in pairwise(chain)),
+        sum(map(_moves, scenario.npcs)),
         scenario.genes,
         sum(map(len, scenario.npcs)),
         sum(map(_roughness, speeds)),
@@ -249,10 +252,12 @@ def _merged(scenario: Scenario) -> Candidates:
 
 
 def _staying(scenario: Scenario) -> Candidates:
-    """From one gene to the end, or to the end of its block, an NPC stays in the cell that it was in before."""
+    """From one gene to the end, or to the end of its block, an NPC stays in the cell or lane that it was in before."""
     for npc, chain in enumerate(scenario.npcs):
-        for (_, gene), (_, end) in pairwise(_blocks(chain)):
-            stays = tuple(replace(instruction, cell=chain[gene - 1].cell) for instruction in chain[gene:])
+        for gene, end in _blocks(chain):
+            if gene == 0 and isinstance(chain[0], PositionInstruction):
+                continue
+            stays = tuple(_staying_gene(instruction, chain[max(gene - 1, 0)]) for instruction in chain[gene:])
             yield _with_chain(scenario, npc, chain[:gene] + stays)
             yield _with_chain(scenario, npc, chain[:gene] + stays[: end - gene] + chain[end:])
 
@@ -357,7 +362,7 @@ def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int)
     if tenths < 0:
         return None
     chain = scenario.npcs[npc]
-    changed = tuple(PositionInstruction(gene.cell, _mps(tenths)) for gene in chain[start:end])
+    changed = tuple(replace(gene, speed=_mps(tenths)) for gene in chain[start:end])
     return _with_chain(scenario, npc, chain[:start] + changed + chain[end:])
 
 
@@ -367,7 +372,9 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 
 def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
     """The scenario with other chains, or None where these break a rule."""
-    if any(not chain or not all(is_adjacent(a.cell, b.cell) for a, b in pairwise(chain)) for chain in npcs):
+    if not all(npcs) or not all(
+        is_adjacent(a.cell, b.cell) for chain in positions_of(npcs) for a, b in pairwise(chain)
+    ):
         return None
     try:
         return replace(scenario, npcs=npcs)
@@ -375,7 +382,20 @@ def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
         return None
 
 
-def _tenths(instruction: PositionInstruction) -> int:
+def _moves(chain: Chromosome) -> int:
+    """Changes of cell; of lane those that Lane-Instructions ask for."""
+    cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]
+    shifts = sum(isinstance(each, LaneInstruction) and each.lane != "keep" for each in chain)
+    return shifts + sum(a != b for a, b in pairwise(cells))
+
+
+def _staying_gene(instruction: Gene, before: Gene) -> Gene:
+    if isinstance(instruction, PositionInstruction) and isinstance(before, PositionInstruction):
+        return replace(instruction, cell=before.cell)
+    return LaneInstruction("keep", instruction.speed)
+
+
+def _tenths(instruction: Gene) -> int:
     return round(instruction.speed * SPEED_STEPS_PER_MPS)
 
 

@@ -106,9 +106,10 @@ OPTIONS: tuple[Option, ...] = (
         name="algorithm",
         kind="text",
         default="distinct",
-        choices=("distinct", "pafot", "random"),
-        help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same looking "
-        "for other failures once it has found one, random the baseline.",
+        choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
+        help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
+        "looking for other failures once it has found one, the others are baselines; the last three need "
+        "pytest-pafot[search].",
     ),
     Option(
         name="max_time",

@@ -74,7 +74,7 @@ def read_request(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed
         arg=_identifier("arg", arguments.get("arg", DEFAULT_ARG)),
         blame=_blame(arguments.get("blame", "any")),
         decision_limit=_positive("decision_limit", arguments.get("decision_limit")),
-        fitness=_fitness(arguments.get("fitness", "default")),
+        fitness=_fitness(arguments.get("fitness"), settings.algorithm),
         world=arguments.get("world"),
         road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
         space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
@@ -204,12 +204,15 @@ def _positive(name: str, value: object) -> float | None:
     return float(value)
 
 
-def _fitness(value: object) -> Any:
+def _fitness(value: object, algorithm: str) -> Any:
+    from pytest_pafot.searching.catalogue import fitness_of  # noqa: PLC0415
     from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
 
+    if value is None:
+        return fitness_of(algorithm)
     if not isinstance(value, (str, Weights)) and not callable(value):
         raise RequestError(
-            "@pafot.search(fitness=...): expected default, paper, pafot.Weights(...) or a function of a Trace that "
-            f"returns a float, received {value!r}"
+            "@pafot.search(fitness=...): expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a "
+            f"Trace that returns a float, received {value!r}"
         )
     return value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -25,7 +25,7 @@ from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import algorithm_named, run_campaign, sample
+from pytest_pafot.searching import Algorithm, algorithm_named, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 
@@ -154,7 +154,7 @@ class Searching:
         hunt.replayed = [each for each in replayed if each is not None]
         limit = 1 if _stops_at_first(self.bench.item.config) else settings.stop_after
         events = run_campaign(
-            algorithm_named(settings.algorithm, space, population=settings.population),
+            checked_algorithm(self.bench, space),
             hunt.evaluate,
             generations=settings.generations,
             seed=self.seed,
@@ -279,6 +279,19 @@ def checked_space(bench: Bench) -> SearchSpace:
         given = ", ".join(f"{name}={value!r}" for name, value in bench.request.space.items())
         raise RequestError(f"@pafot.search({given}): {error}") from None
     return space
+
+
+def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
+    """The search algorithm.
+
+    Raises:
+        RequestError: where it does not take the settings, or its library is not installed.
+    """
+    settings = bench.request.settings
+    try:
+        return algorithm_named(settings.algorithm, space, population=settings.population)
+    except ValueError as error:
+        raise RequestError(f"{bench.item.name}: {error}") from None
 
 
 def checked_fitness(bench: Bench) -> Fitness:

@@ -18,7 +18,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.keeping import what_happened
 from pytest_pafot.plugin.paging import MESSAGE, NEW
 from pytest_pafot.plugin.shrinking import speed_sentences
-from pytest_pafot.report.campaign_views import Arrivals, campaign_view
+from pytest_pafot.report.campaign_views import campaign_view
 from pytest_pafot.report.finding_views import finding_view, shrink_view
 from pytest_pafot.report.plain import to_plain
 from pytest_pafot.searching.events import Event
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.settings import Settings
     from pytest_pafot.report.terminal import Find
     from pytest_pafot.report.views import FindingView, ShrinkView
-    from pytest_pafot.scenario import Scenario
     from pytest_pafot.trace import Trace
 
 
@@ -55,14 +54,12 @@ class Showing:
         item: that runs.
         settings: of it; they name the page.
         events: of the search so far.
-        arrivals: of its runs, by scenario as driven.
         responsibilities: of its runs.
     """
 
     item: pytest.Item
     settings: Settings
     events: list[Event] = field(default_factory=list)
-    arrivals: dict[Scenario, Arrivals] = field(default_factory=dict)
     responsibilities: Counter[str] = field(default_factory=Counter)
 
     def judging(self, judge: Callable[[Run], Verdict]) -> Callable[[Run], Verdict]:
@@ -71,7 +68,6 @@ class Showing:
         def judged(run: Run) -> Verdict:
             __tracebackhide__ = True
             verdict = judge(run)
-            self.arrivals[run.trace.executed] = run.trace.arrivals
             self.responsibilities[run.responsibility or "none"] += 1
             return verdict
 
@@ -140,7 +136,6 @@ class Showing:
             self.item.nodeid,
             self.events,
             speed_limit=speed_limit,
-            arrivals=self.arrivals,
             responsibilities=self.responsibilities,
         )
         self._tell(

@@ -17,7 +17,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
 from pytest_pafot.report import terminal
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import LANE, SPEED
 
 if TYPE_CHECKING:
@@ -205,9 +205,10 @@ def speed_sentences(finding: Finding) -> list[str]:
 
 
 def _sentence(finding: Finding, interval: SpeedInterval) -> str:
-    cell = finding.scenario.npcs[interval.npc][interval.gene].cell
+    gene = finding.scenario.npcs[interval.npc][interval.gene]
+    place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
     from_to = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
     if interval.low == interval.high:
         from_to = f"only a speed of {interval.low:.1f} m/s"
     seconds = interval.gene * finding.scenario.gene_seconds
-    return f"NPC {interval.npc} from {seconds:g} s in cell {int(cell)} ({cell.label}): {from_to} still fails"
+    return f"NPC {interval.npc} from {seconds:g} s {place}: {from_to} still fails"

@@ -285,7 +285,7 @@ def _state(finding: FindingView, scene: Scene) -> str:
     parts = [f"ego {scene.boxes[0].speed:.1f} m/s"] if scene.boxes and scene.boxes[0] is not None else []
     for npc, box in enumerate(scene.boxes[1:]):
         told = instruction_at(finding, npc, scene.time)
-        goal = f" to cell {told[0].cell}" if told is not None and told[1] == "approach" else ""
+        goal = f" to cell {told[0].cell}" if told is not None and told[0].cell and told[1] == "approach" else ""
         parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
     return "   ".join(parts)
 

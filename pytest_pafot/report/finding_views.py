@@ -21,7 +21,7 @@ from pytest_pafot.report.views import (
     ShrinkView,
     VehicleView,
 )
-from pytest_pafot.scenario import Chromosome, Scenario
+from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import HEADING, SPEED, FloatArray, Trace, X, Y
 
 FRAMES_PER_SECOND = 7
@@ -169,26 +169,33 @@ def _projected(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, 
 def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:
     asked, driven = (finding.scenario,) * 2 if trace is None else (trace.scenario, trace.executed)
     return tuple(
-        _instruction(trace, driven, npc, gene, int(request.cell))
+        _instruction(trace, npc, gene, request, driven.npcs[npc][gene], driven.gene_seconds)
         for npc, chain in enumerate(asked.npcs)
         for gene, request in enumerate(chain)
     )
 
 
-def _instruction(trace: Trace | None, driven: Scenario, npc: int, gene: int, requested: int) -> InstructionView:
+def _instruction(
+    trace: Trace | None, npc: int, gene: int, requested: Gene, driven: Gene, seconds: float
+) -> InstructionView:
     arrivals = trace.arrivals[npc] if trace is not None and npc < len(trace.arrivals) else ()
     arrival = arrivals[gene] if gene < len(arrivals) else None
     return InstructionView(
         npc=npc,
         gene=gene,
-        start=round(gene * driven.gene_seconds, 3),
-        end=round((gene + 1) * driven.gene_seconds, 3),
-        requested=requested,
-        cell=int(driven.npcs[npc][gene].cell),
-        speed=driven.npcs[npc][gene].speed,
+        start=round(gene * seconds, 3),
+        end=round((gene + 1) * seconds, 3),
+        requested=_cell_of(requested),
+        cell=_cell_of(driven),
+        speed=driven.speed,
         started=gene < len(arrivals),
         arrived=None if arrival is None or trace is None else round(arrival / trace.physics_hz, 3),
+        lane=driven.lane if isinstance(driven, LaneInstruction) else "",
     )
+
+
+def _cell_of(instruction: Gene) -> int:
+    return int(instruction.cell) if isinstance(instruction, PositionInstruction) else 0
 
 
 def _event(trace: Trace | None, finding: Finding) -> EventView:
@@ -215,8 +222,7 @@ def _chain_text(chain: Chromosome) -> str:
     starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
     spans = pairwise([*starts, len(chain)])
     return ", ".join(
-        f"{int(chain[start].cell)} {chain[start].cell.label} {chain[start].speed:.1f} m/s"
-        + (f" x{end - start}" if end - start > 1 else "")
+        f"{chain[start].goal} {chain[start].speed:.1f} m/s" + (f" x{end - start}" if end - start > 1 else "")
         for start, end in spans
     )
 

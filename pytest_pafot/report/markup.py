@@ -10,7 +10,15 @@ from textwrap import dedent
 from urllib.parse import quote
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.views import CampaignView, CoverageRow, FindingView, GenerationView, Report, ShrinkView
+from pytest_pafot.report.views import (
+    CampaignView,
+    CoverageRow,
+    FindingView,
+    GenerationView,
+    InstructionView,
+    Report,
+    ShrinkView,
+)
 
 SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013"}
 """Beside the word, so that a glance tells responsibilities apart without colour."""
@@ -184,15 +192,21 @@ def _shrink_section(shrink: ShrinkView | None) -> str:
 def _instruction_table(finding: FindingView) -> str:
     rows = "".join(
         f'<tr{"" if row.started else " class=unstarted"}><th scope="row">NPC {row.npc}</th><td>{row.start:.1f}</td>'
-        f"<td>{_cell(row.cell)}{_repaired(row.requested, row.cell)}</td><td>{row.speed:.1f}</td>"
+        f"<td>{_goal(row)}</td><td>{row.speed:.1f}</td>"
         f"<td>{_reached(row.started, row.arrived)}</td></tr>"
         for row in finding.instructions
     )
     head = "".join(
-        f'<th scope="col">{name}</th>' for name in ("NPC", "from [s]", "cell", "then speed [m/s]", "cell reached")
+        f'<th scope="col">{name}</th>' for name in ("NPC", "from [s]", "cell or lane", "speed [m/s]", "reached")
     )
     table = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-    return _details("Position-Instructions as a table", table)
+    return _details("Instructions as a table", table)
+
+
+def _goal(row: InstructionView) -> str:
+    if row.lane:
+        return "keep lane" if row.lane == "keep" else f"lane {row.lane}"
+    return f"{_cell(row.cell)}{_repaired(row.requested, row.cell)}"
 
 
 def _reached(started: bool, arrived: float | None) -> str:

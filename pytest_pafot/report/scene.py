@@ -83,7 +83,9 @@ def scene_at(finding: FindingView, time: float) -> Scene:
         time=time,
         boxes=boxes,
         cells=cells,
-        targets=tuple(cells[row[0].cell - 1] if row is not None and row[1] == "approach" else None for row in rows),
+        targets=tuple(
+            cells[row[0].cell - 1] if row is not None and row[0].cell and row[1] == "approach" else None for row in rows
+        ),
         trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(boxes))),
         impact=_impact(finding, boxes, time),
     )

@@ -259,7 +259,7 @@ def search_lines(search: Search, *, verbose: bool = False) -> list[str]:
     """A search in the summary: two lines when it is well, more where there is something to say."""
     lines = [ascii_text(search.node_id), *_wrapped(_figures(search)), *_wrapped(_origin(search))]
     if verbose and search.coverage:
-        lines += _wrapped(f"covered {search.coverage}")
+        lines += _wrapped(f"coverage: {search.coverage}")
     lines += [*_find_lines(search.finds), *_unsaved_lines(search.unsaved)]
     lines += [f"  known: {_plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     for warning in search.warnings:

@@ -58,17 +58,18 @@ class VehicleView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
-    """One Position-Instruction of one NPC.
+    """One instruction of one NPC.
 
     Attributes:
         npc: index in the scenario.
         gene: position in the chain.
         start, end: of the gene's time [s].
         requested: cell asked for; another one than ``cell`` where the repair inside the run changed it.
-        cell: as driven.
+        cell: as driven; 0 in a Lane-Instruction, and so is ``requested``.
         speed: [m/s].
         started: whether the run came to it.
-        arrived: when the cell was reached [s]; None if it was not.
+        arrived: when the cell or the lane was reached [s]; None if it was not.
+        lane: of a Lane-Instruction, ``keep``, ``left`` or ``right``; else empty.
     """
 
     npc: int
@@ -80,6 +81,7 @@ class InstructionView:
     speed: float
     started: bool
     arrived: float | None
+    lane: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,53 +5,32 @@ Nothing here simulates. How a scenario becomes an evaluation is given to :func:`
 
 from __future__ import annotations
 
-import inspect
-from typing import Any
-
+from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.campaign import Algorithm, Evaluate, SearchState, run_campaign
+from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, fitness_of
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.genetic import PafotSearch
 from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.random_search import RandomSearch
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
+from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
     "ALGORITHMS",
     "Algorithm",
+    "AvFuzzerSearch",
     "DistinctSearch",
     "Evaluate",
     "Evaluation",
     "Health",
     "PafotSearch",
+    "RandomManoeuvreSearch",
     "RandomSearch",
     "SearchSpace",
     "SearchState",
     "algorithm_named",
+    "fitness_of",
     "run_campaign",
     "sample",
+    "sample_manoeuvres",
 ]
-
-_CLASSES: dict[str, type[DistinctSearch | PafotSearch | RandomSearch]] = {
-    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch)
-}
-
-ALGORITHMS = tuple(_CLASSES)
-"""Names that :func:`algorithm_named` takes."""
-
-
-def algorithm_named(name: str, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
-    """The search algorithm of a name, with its own parameters, such as ``population=4``.
-
-    Raises:
-        ValueError: for a name or a parameter that does not exist; the message lists those that do.
-    """
-    if name not in _CLASSES:
-        raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {name!r}")
-    known = [parameter for parameter in inspect.signature(_CLASSES[name]).parameters if parameter != "space"]
-    for parameter in parameters:
-        if parameter not in known:
-            raise ValueError(
-                f"{parameter}: expected a parameter of the algorithm {name!r}, which takes {', '.join(known)}"
-            )
-    return _CLASSES[name](space, **parameters)

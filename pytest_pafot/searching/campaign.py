@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
@@ -58,7 +59,7 @@ class Algorithm(Protocol[StateT]):
         ...
 
     def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next, at least one."""
+        """The scenarios to evaluate next; none where a generation brings nothing new."""
         ...
 
     def tell(
@@ -92,6 +93,7 @@ class _Tally:
     evaluated: int = 0
     simulated: int = 0
     best: Evaluation | None = None
+    coverage: Coverage = field(default_factory=Coverage)
 
     def counted(self, event: Event) -> _Tally:
         if isinstance(event, GenerationFinished) and event.local_generation == 0:
@@ -103,6 +105,7 @@ class _Tally:
             evaluated=self.evaluated + 1,
             simulated=self.simulated + (not event.reused),
             best=event.evaluation if improves(event.evaluation, self.best) else self.best,
+            coverage=self.coverage if event.reused else self.coverage.counted(event.evaluation),
         )
 
     def finished(self, reason: EndReason, seconds: float) -> CampaignFinished:
@@ -112,6 +115,7 @@ class _Tally:
             evaluated=self.evaluated,
             simulated=self.simulated,
             best=self.best,
+            coverage=self.coverage,
             seconds=seconds,
         )
 

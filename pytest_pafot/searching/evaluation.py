@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import HEADING, LANE, SPEED, FloatArray, Outcome, Trace, X, Y
+from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
 """Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
@@ -44,12 +44,15 @@ class Evaluation:
         outcome: how the run ended.
         duration: simulated time [s].
         genes_started: genes that the run came to, counted over all NPCs.
-        genes_reached: those of them whose cell was reached.
+        genes_reached: those of them whose cell, or lane, was reached.
         interaction: whether an NPC ever gave the ego a reason to react, see :func:`interacted`.
         discarded: whether the user's function declined to judge the run.
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
+        arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
+        collision: of the run; None without one.
+        note: whatever the evaluator wants to have back with the evaluation, also where it is used again.
     """
 
     scenario: Scenario
@@ -65,6 +68,9 @@ class Evaluation:
     outran: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
+    arrived: tuple[tuple[bool, ...], ...] = ()
+    collision: Collision | None = None
+    note: Any = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         # One NaN object for all: equal evaluations then compare equal, since tuples compare by identity first.
@@ -90,6 +96,8 @@ class Evaluation:
             outran=outran(trace),
             barely_moved=barely_moved(trace),
             kind=kind,
+            arrived=tuple(tuple(tick is not None for tick in arrivals) for arrivals in trace.arrivals),
+            collision=trace.collision,
         )
 
     @property

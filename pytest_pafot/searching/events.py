@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 
 EndReason = Literal["generations", "time", "stopped"]
@@ -111,6 +112,7 @@ class CampaignFinished:
         evaluated: scenarios that were evaluated.
         simulated: those of them that were run.
         best: None when no run was eligible.
+        coverage: of the instructions of the simulated scenarios.
         seconds: by the campaign's clock; not reproducible.
     """
 
@@ -119,6 +121,7 @@ class CampaignFinished:
     evaluated: int
     simulated: int
     best: Evaluation | None
+    coverage: Coverage = field(default_factory=Coverage)
     seconds: float = field(compare=False)
 
 

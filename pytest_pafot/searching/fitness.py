@@ -21,6 +21,7 @@ from types import MappingProxyType
 import numpy as np
 
 from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, execution_time, planned_duration
+from pytest_pafot.searching.av_fuzzer_fitness import av_fuzzer_fitness
 from pytest_pafot.trace import Outcome, Trace
 
 Fitness = Callable[[Trace], float]
@@ -109,7 +110,9 @@ def paper(trace: Trace) -> float:
     )
 
 
-FITNESSES: Mapping[str, Fitness] = MappingProxyType({"default": weighted, "paper": paper})
+FITNESSES: Mapping[str, Fitness] = MappingProxyType(
+    {"default": weighted, "paper": paper, "av-fuzzer": av_fuzzer_fitness}
+)
 """What ``fitness=`` accepts by name."""
 
 
@@ -117,8 +120,8 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
     """The function that a search maximises.
 
     Args:
-        fitness: ``"default"``, ``"paper"``, :class:`Weights` for the default with other weights, or a function
-            of a Trace that returns a number, higher = worse for the ego.
+        fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
+            a function of a Trace that returns a number, higher = worse for the ego.
         responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
             then :func:`steered` by it.
 

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
 from pytest_pafot.trace import Outcome
-
-SPEED_BIN = 5.0
-"""Width of a bin of target speeds [m/s]."""
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.3
@@ -21,36 +17,6 @@ MAX_USELESS_SHARE = 0.5
 
 IMMEDIATE = 1.0
 """A collision before this time was hardly caused by driving [s]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coverage:
-    """Which Position-Instructions the simulated runs came to.
-
-    Attributes:
-        cells: of the eight.
-        steps: pairs of successive cells of an NPC, of the 24 that a valid chain can take.
-        speed_bins: target speeds in bins of 5 m/s, numbered from 0.
-    """
-
-    cells: frozenset[int] = frozenset()
-    steps: frozenset[tuple[int, int]] = frozenset()
-    speed_bins: frozenset[int] = frozenset()
-
-    def counted(self, scenario: Scenario, genes: int) -> Coverage:
-        """With the first genes of every NPC of a scenario."""
-        chains = [[(int(gene.cell), gene.speed) for gene in chain[:genes]] for chain in scenario.npcs]
-        cells = {cell for chain in chains for cell, _ in chain}
-        steps = {(a, b) for chain in chains for (a, _), (b, _) in pairwise(chain)}
-        bins = {int(speed // SPEED_BIN) for chain in chains for _, speed in chain}
-        if cells <= self.cells and steps <= self.steps and bins <= self.speed_bins:
-            return self
-        return Coverage(cells=self.cells | cells, steps=self.steps | steps, speed_bins=self.speed_bins | bins)
-
-    def describe(self, speed_limit: float) -> str:
-        """One line for a summary; the limit [m/s] says how many bins there are."""
-        bins = int(speed_limit // SPEED_BIN) + 1
-        return f"{len(self.cells)}/8 cells, {len(self.steps)}/24 ring steps, {len(self.speed_bins)}/{bins} speed bins"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +36,7 @@ class Health:
         outran: runs in which the ego left all NPCs behind.
         barely_moved: runs in which the ego hardly drove.
         immediate: collisions within the first second.
-        coverage: of the Position-Instructions that the runs came to.
+        coverage: of the instructions, requested, driven and reached.
     """
 
     evaluated: int = 0
@@ -119,7 +85,7 @@ class Health:
             outran=self.outran + (driven and evaluation.outran),
             barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
             immediate=self.immediate + (valid and collided and evaluation.duration < IMMEDIATE),
-            coverage=self.coverage.counted(evaluation.executed, evaluation.depth if evaluation.genes_started else 0),
+            coverage=self.coverage.counted(evaluation),
         )
 
     @property

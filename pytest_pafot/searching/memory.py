@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.repair import repaired
 
@@ -71,7 +71,11 @@ def _driven(known: Evaluation, scenario: Scenario, depth: int) -> Scenario:
 
 def _chains(scenario: Scenario) -> _Chains:
     """The genes as whole numbers, which hash faster than the values themselves."""
-    return tuple(tuple(gene.cell * 1_000_000 + round(gene.speed * 10) for gene in chain) for chain in scenario.npcs)
+    return tuple(tuple(_code(gene) * 1_000_000 + round(gene.speed * 10) for gene in chain) for chain in scenario.npcs)
+
+
+def _code(gene: Gene) -> int:
+    return gene.cell if isinstance(gene, PositionInstruction) else 9 + SHIFTS.index(gene.lane)
 
 
 def _key(scenario: Scenario, chains: _Chains, depth: int, seed: int | None) -> _Key:

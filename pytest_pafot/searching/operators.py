@@ -34,7 +34,7 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: np.random.Generator) -> 
     The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
     it instead would rewrite the rest of the chain and lose what the parent was selected for.
     """
-    chains = scenario.npcs
+    chains = scenario.positions
     places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
     npc, gene = places[int(rng.integers(len(places)))]
     chain = chains[npc]
@@ -45,7 +45,11 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: np.random.Generator) -> 
 
 
 def _fitted(
-    chains: Sequence[Chromosome], npc: int, gene: int, new: PositionInstruction, clockwise_first: bool
+    chains: Sequence[tuple[PositionInstruction, ...]],
+    npc: int,
+    gene: int,
+    new: PositionInstruction,
+    clockwise_first: bool,
 ) -> PositionInstruction:
     """A new instruction with a cell that is adjacent to the ones before and after it and that nobody else holds.
 

@@ -1,4 +1,8 @@
-"""Random search, the baseline: every scenario is drawn anew and nothing is learnt."""
+"""Random search, the baseline: every scenario is drawn anew and nothing is learnt.
+
+The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can be read
+as random Position-Instructions or as random manoeuvres. Both are here.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
 from pytest_pafot.searching.operators import best_of, improves
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 from pytest_pafot.searching.turns import check_ask, check_evaluations
 
 
@@ -55,6 +59,10 @@ class RandomSearch:
         """The state before the first generation; it needs no draw."""
         return RandomState()
 
+    def drawn(self, rng: np.random.Generator) -> Scenario:
+        """One scenario."""
+        return sample(self.space, rng)
+
     def ask(self, state: RandomState, rng: np.random.Generator) -> tuple[RandomState, tuple[Scenario, ...]]:
         """The scenarios of the next generation.
 
@@ -62,7 +70,7 @@ class RandomSearch:
             RuntimeError: when the last ask has not been told.
         """
         check_ask(state.asked)
-        asked = tuple(sample(self.space, rng) for _ in range(self.population))
+        asked = tuple(self.drawn(rng) for _ in range(self.population))
         return replace(state, asked=asked), asked
 
     def tell(
@@ -87,3 +95,20 @@ class RandomSearch:
             events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
             state = replace(state, best=candidate)
         return state, tuple(events)
+
+
+@dataclass(frozen=True, slots=True)
+class RandomManoeuvreSearch(RandomSearch):
+    """Random manoeuvres in the slices of AV-Fuzzer, see :class:`~pytest_pafot.searching.av_fuzzer.AvFuzzerSearch`.
+
+    Attributes:
+        slices: manoeuvres of each NPC, which together last as long as the genes of the space.
+    """
+
+    name: ClassVar[str] = "random-manoeuvre"
+
+    slices: int = field(default=5, kw_only=True)
+
+    def drawn(self, rng: np.random.Generator) -> Scenario:
+        """One scenario of Lane-Instructions."""
+        return sample_manoeuvres(self.space.sliced(self.slices), rng)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
+from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.repair import repaired
 
 
@@ -45,6 +45,10 @@ class SearchSpace:
         if not (math.isfinite(self.speed_limit) and self.speed_limit >= 0):
             raise ValueError(f"speed_limit: expected a finite speed in m/s, at least 0, received {self.speed_limit!r}")
 
+    def sliced(self, slices: int) -> SearchSpace:
+        """The same with so many genes, which together last as long."""
+        return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
+
     @property
     def top_step(self) -> int:
         """The highest target speed in steps of 0.1 m/s."""
@@ -67,6 +71,20 @@ def sample(space: SearchSpace, rng: np.random.Generator) -> Scenario:
         for chain in zip(walks, speeds, strict=True)
     ]
     return repaired(chains, fresh_seed(rng), space)
+
+
+def sample_manoeuvres(space: SearchSpace, rng: np.random.Generator) -> Scenario:
+    """A random scenario of Lane-Instructions: uniform speeds up to the limit, and keep, left or right.
+
+    Nothing in it is left to repair, so that its seed is 0.
+    """
+    shifts = rng.integers(len(SHIFTS), size=(space.npcs, space.genes)).tolist()
+    speeds = rng.integers(space.top_step + 1, size=(space.npcs, space.genes)).tolist()
+    chains = [
+        [LaneInstruction(SHIFTS[shift], speed / SPEED_STEPS_PER_MPS) for shift, speed in zip(*chain, strict=True)]
+        for chain in zip(shifts, speeds, strict=True)
+    ]
+    return repaired(chains, 0, space)
 
 
 def random_instruction(space: SearchSpace, rng: np.random.Generator) -> PositionInstruction:

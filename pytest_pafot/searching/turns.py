@@ -15,10 +15,15 @@ def check_ask(asked: Sequence[Scenario]) -> None:
         RuntimeError: when the state's last ask has not been told.
     """
     if asked:
-        raise RuntimeError(
-            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios; received another ask; "
-            "evaluate them and pass the state that ask returned to tell"
-        )
+        raise asked_again(len(asked))
+
+
+def asked_again(scenarios: int) -> RuntimeError:
+    """The error of an ask while so many scenarios of the last one are out, which may be none."""
+    return RuntimeError(
+        f"ask: expected tell after the last ask, which gave {scenarios} scenarios; received another ask; "
+        "evaluate them and pass the state that ask returned to tell"
+    )
 
 
 def check_evaluations(asked: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:

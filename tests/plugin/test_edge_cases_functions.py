@@ -126,7 +126,7 @@ def test_given_and_search_on_one_function_are_refused(project, order):
         ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
         ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
         ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
-        ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot or random, received 'magic'*"),
+        ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
     ],
 )
 def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project, arguments, message):

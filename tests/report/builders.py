@@ -75,24 +75,22 @@ def rear_trace():
 
 @cache
 def campaign_parts():
-    """A real search of the constant-speed policy: (events, arrivals by scenario as driven)."""
-    world, fitness, arrivals = pafot.Highway(duration=30.0), resolve("default"), {}
+    """The events of a real search of the constant-speed policy."""
+    world, fitness = pafot.Highway(duration=30.0), resolve("default")
 
     def evaluate(scenarios):
         evaluations = []
         for each in scenarios:
             trace = world.rollout(each, constant_speed)
-            arrivals[trace.executed] = trace.arrivals
             evaluations.append(Evaluation.of(trace, fitness=fitness(trace), failing=trace.collision is not None))
         return evaluations
 
-    return tuple(run_campaign(PafotSearch(restart_after=2), evaluate, generations=8, seed=5)), arrivals
+    return tuple(run_campaign(PafotSearch(restart_after=2), evaluate, generations=8, seed=5))
 
 
 @cache
 def real_report():
-    events, arrivals = campaign_parts()
-    campaign = campaign_view(f"{TEST}[search]", events, arrivals=arrivals, responsibilities={"ego": 3, "npc": 2})
+    campaign = campaign_view(f"{TEST}[search]", campaign_parts(), responsibilities={"ego": 3, "npc": 2})
     return Report(
         title="Constant speed",
         facts=(("pytest-pafot", "0.1.0"), ("base seed", "5")),

@@ -74,7 +74,8 @@ def test_local_searches_and_restarts_are_marked_at_their_generations():
 
 def test_coverage_tells_requested_from_driven_from_reached():
     asked, driven = scenario([(1, 20.0), (2, 8.0), (3, 4.0)]), scenario([(1, 20.0), (1, 8.0), (2, 4.0)])
-    shown = view(evaluated(evaluation(asked=asked, driven=driven, genes_started=2)), arrivals={driven: ((15, None),)})
+    run = evaluation(asked=asked, driven=driven, genes_started=2, arrived=((True, False),))
+    shown = view(evaluated(run))
     one, two, three = shown.cells[:3]
     assert (one.requested, one.driven, one.reached) == (1, 2, 1)
     assert (two.requested, two.driven, two.reached) == (1, 0, 0)
@@ -89,10 +90,6 @@ def test_speeds_are_counted_in_bins_up_to_the_limit():
     shown = view(evaluated(evaluation(asked=asked)), speed_limit=26.8)
     assert [row.label for row in shown.speeds][-1] == "25 to 26.8 m/s"
     assert [row.requested for row in shown.speeds] == [2, 1, 0, 0, 0, 1]
-
-
-def test_without_arrivals_nothing_is_said_of_reached_cells():
-    assert all(row.reached is None for row in view(evaluated(evaluation())).cells)
 
 
 def test_scenarios_that_were_not_run_again_count_nowhere_but_as_reused():
@@ -117,8 +114,8 @@ def test_warnings_are_those_of_the_searchs_health():
 
 @pytest.fixture(scope="module")
 def real():
-    events, arrivals = campaign_parts()
-    return events, campaign_view("n", iter(events), arrivals=arrivals)
+    events = campaign_parts()
+    return events, campaign_view("n", iter(events))
 
 
 def test_a_real_search_adds_up(real):

@@ -202,12 +202,14 @@ class TestResolve:
         assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
     def test_a_misspelt_name_is_answered_with_the_nearest(self):
-        with pytest.raises(FitnessError, match=r"expected 'default', 'paper' or a function .* did you mean 'paper'"):
+        with pytest.raises(
+            FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer' or a function .* did you mean 'paper'"
+        ):
             resolve("papr")
 
     @pytest.mark.parametrize("value", [3, None, ["default"]])
     def test_anything_else_is_refused(self, value):
-        with pytest.raises(FitnessError, match="expected 'default', 'paper', Weights"):
+        with pytest.raises(FitnessError, match="expected 'default', 'paper', 'av-fuzzer', Weights"):
             resolve(value)
 
     def test_a_function_of_two_arguments_is_refused_before_anything_runs(self):

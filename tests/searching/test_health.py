@@ -2,9 +2,7 @@
 
 import pytest
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
-from pytest_pafot.searching.health import Coverage
 from pytest_pafot.trace import Outcome
 
 WELL = {"genes_started": 12, "genes_reached": 9}
@@ -97,29 +95,3 @@ def test_it_can_be_counted_from_the_events_of_a_campaign(cheap_world):
     health = Health.of(events)
     assert (health.evaluated, health.simulated) == (events[-1].evaluated, len(world.simulated))
     assert 0 < health.failing <= health.valid == health.simulated
-
-
-def test_coverage_counts_the_genes_that_runs_came_to():
-    chains = (
-        (PositionInstruction(8, 0.0), PositionInstruction(1, 5.0), PositionInstruction(2, 26.8)),
-        (PositionInstruction(4, 4.9), PositionInstruction(4, 4.9)),
-    )
-    coverage = Coverage().counted(Scenario(npcs=chains), 2)
-    assert coverage.cells == {8, 1, 4}
-    assert coverage.steps == {(8, 1), (4, 4)}
-    assert coverage.speed_bins == {0, 1}
-    assert coverage.describe(26.8) == "3/8 cells, 2/24 ring steps, 2/6 speed bins"
-    assert coverage.counted(Scenario(npcs=chains), 1) is coverage
-
-
-def test_an_evaluation_without_a_started_gene_covers_nothing(make_evaluation):
-    assert Health().counted(make_evaluation(genes_started=0, genes_reached=0)).coverage == Coverage()
-
-
-def test_a_long_random_search_covers_all_there_is(cheap_world):
-    events = run_campaign(RandomSearch(), cheap_world(crash_speed=99.0), generations=40, seed=1)
-    # The cheap world has no left lane, so that no run comes to its three cells.
-    coverage = Health.of(events).coverage
-    assert coverage.cells == {2, 3, 4, 5, 6}
-    assert len(coverage.steps) == 13
-    assert coverage.describe(26.8).endswith("6/6 speed bins")

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.memory import Memory
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -102,3 +103,13 @@ def test_the_genes_after_a_repaired_run_are_the_scenarios_own_and_fit(make_evalu
     assert first == PI(4, 1.0)
     assert second.speed == 9.0
     assert second.cell in (3, 5)
+
+
+@pytest.mark.parametrize("lane", SHIFTS)
+def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
+    known = make_evaluation(Scenario(npcs=((LaneInstruction(lane, 10.0),),)))
+    memory = remembered(known)
+    assert memory.recall(known.scenario) == known
+    others = [LaneInstruction(other, 10.0) for other in SHIFTS if other != lane]
+    for gene in (*others, *(PI(cell, 10.0) for cell in range(1, 9))):
+        assert memory.recall(Scenario(npcs=((gene,),))) is None

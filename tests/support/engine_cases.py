@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
+from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
 from pytest_pafot.world import Highway
 from tests.support.world_cases import EGOS, random_scenario
 
@@ -64,7 +65,7 @@ class Case:
 
     @classmethod
     def random(cls, seed: int) -> Case:
-        """One to eight NPCs on three to six lanes, at any frequencies."""
+        """One to eight NPCs on three to six lanes, at any frequencies; every fourth with Lane-Instructions."""
         rng = random.Random(seed)
         lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
         world = Highway(
@@ -78,10 +79,18 @@ class Case:
         scenario = random_scenario(rng, lanes=lanes, speed_limit=world.speed_limit)
         if rng.random() < 0.3:
             scenario = replace(scenario, gene_seconds=10.0)
+        if seed % 4 == 3:
+            scenario = in_lanes(scenario, rng)
         return cls(world, scenario, rng.choice(ALL_EGOS))
 
     def run(self, engine: str):
         return replace(self.world, engine=engine).rollout(self.scenario, self.ego)
+
+
+def in_lanes(scenario: Scenario, rng: random.Random) -> Scenario:
+    """The scenario with the same speeds, and Lane-Instructions in the place of cells."""
+    chains = [[LaneInstruction(rng.choice(SHIFTS), gene.speed) for gene in chain] for chain in scenario.npcs]
+    return replace(scenario, npcs=tuple(map(tuple, chains)))
 
 
 def differences(first, second) -> list[str]:

@@ -38,7 +38,7 @@ class Charts {
   }
 
   timeline() {
-    this.heading("instructions: cell, then speed", "m/s");
+    this.heading("instructions: cell or lane, speed", "m/s");
     this.y += 2;
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
       this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name));
@@ -53,7 +53,7 @@ class Charts {
     const height = CHART.timeline - 4;
     const box = { x: px(x0 + 0.5), y: px(this.y), height, rx: 3 };
     const wide = Math.max(0, x1 - x0 - 1);
-    const what = `NPC ${npc}, ${fixed(row.start, 1)} s: cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s; ` +
+    const what = `NPC ${npc}, ${fixed(row.start, 1)} s: ${row.lane ? "" : "cell "}${goalName(row)}, ${row.lane ? "" : "then "}${fixed(row.speed, 1)} m/s; ` +
       (row.arrived === null ? "not reached" : `reached at ${fixed(row.arrived, 1)} s`) +
       (row.requested === row.cell ? "" : `; requested was cell ${cellName(row.requested)}`);
     this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, what)));
@@ -64,7 +64,7 @@ class Charts {
     }
     this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
     const mark = row.requested === row.cell ? "" : "*";
-    const texts = [`${cellName(row.cell)}${mark}, ${fixed(row.speed, 1)}`, `${row.cell}${mark}, ${fixed(row.speed, 1)}`, `${row.cell}${mark}`];
+    const texts = [`${goalName(row)}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}`];
     const text = texts.find((each) => each.length * 6.4 + 12 <= wide);
     if (text) this.parts.push(svg("text", { x: px(x0 + 7), y: px(this.y + 14.5), class: "small", "pointer-events": "none" }, text));
   }

@@ -87,3 +87,5 @@ const CELL_NAMES = ["own", "front-left", "front", "front-right", "right", "rear-
 const ROWS = [0, 1, 1, 1, 0, -1, -1, -1, 0];
 const COLUMNS = [0, -1, 0, 1, 1, 1, 0, -1, -1];
 const cellName = (cell) => `${cell} ${CELL_NAMES[cell]}`;
+// Where an instruction leads: to a cell, or, without one, to a lane seen from the NPC's own.
+const goalName = (row) => (row.lane ? (row.lane === "keep" ? "keep lane" : `lane ${row.lane}`) : cellName(row.cell));

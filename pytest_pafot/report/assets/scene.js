@@ -71,8 +71,8 @@ function cellCentre(finding, ego, cell) {
 }
 
 const PHASES = {
-  approach: (row) => `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`,
-  arrived: (row) => `reached cell ${cellName(row.cell)} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
+  approach: (row) => (row.lane ? `${goalName(row)} at ${fixed(row.speed, 1)} m/s` : `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`),
+  arrived: (row) => `reached ${row.lane ? "its lane" : `cell ${cellName(row.cell)}`} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
   ended: () => "keeps its lane and speed, its instructions are over",
 };
 
@@ -222,7 +222,7 @@ class Scene {
     this.lines.forEach(([line, ring], npc) => {
       const state = states[npc + 1];
       const row = instructionAt(this.finding, npc, time);
-      const isDrawn = state && row && row.phase === "approach";
+      const isDrawn = state && row && row.cell && row.phase === "approach";
       change(line, { visibility: isDrawn ? "visible" : "hidden" });
       change(ring, { visibility: isDrawn ? "visible" : "hidden" });
       if (!isDrawn) return;

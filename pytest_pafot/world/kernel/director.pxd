@@ -9,12 +9,12 @@ cdef class Npc(Body):
     cdef public object chain
     cdef public list executed, arrivals
     cdef readonly int index
-    cdef public int row, column, kept_lane, heading_for
+    cdef public int row, column, kept_lane, shift_lane, heading_for
     cdef public double target, target_speed, kept_speed, asked, course
 
 cdef class Director:
     cdef readonly list npcs
-    cdef object _scenario, _road
+    cdef object _scenario, _positions, _road
     cdef double _clearance, _row, _length, _width, _lane_width, _far
     cdef int _last_lane, _genes, _gene_ticks, _tick, _gene, _left
     cdef NpcDriver _driver
@@ -25,6 +25,9 @@ cdef class Director:
     @cython.locals(npc=Npc)
     cdef _begin_gene(self, int ego_lane)
 
+    @cython.locals(npc=Npc, wanted=int)
+    cdef _begin_shifts(self)
+
     @cython.locals(npc=Npc)
     cdef _end_chains(self)
 
@@ -34,8 +37,8 @@ cdef class Director:
     @cython.locals(beside=bint)
     cdef void _keep_lane_if_due(self, Npc npc, int target_lane, double distance) except *
 
-    @cython.locals(lane=int, target_lane=int, step=int, other=Npc, beside_ego=bint)
-    cdef int _next_lane(self, Npc npc, Body ego) except -2
+    @cython.locals(lane=int, step=int, other=Npc, beside_ego=bint)
+    cdef int _next_lane(self, Npc npc, int target_lane, Body ego) except -2
 
     @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
     cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1

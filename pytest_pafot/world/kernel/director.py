@@ -1,4 +1,4 @@
-"""Who drives where: turns Position-Instructions into controls of all NPCs, tick by tick.
+"""Who drives where: turns the instructions of NPCs into controls of all of them, tick by tick.
 
 The director keeps the gene clock, repairs requests at gene boundaries (paper, section 2.1), latches arrivals
 and lets NPCs give way to each other. It sees road coordinates only.
@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pytest_pafot.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
+from pytest_pafot.scenario import LANE_STARTS, Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
 from pytest_pafot.world.limits import NpcLimits
@@ -40,6 +40,7 @@ class Npc(Body):
         target_speed: of the present gene [m/s].
         kept_lane: the lane held until the gene ends: after arriving, or because the target's lane is gone.
         kept_speed: the speed driven in it [m/s].
+        shift_lane: the lane that a Lane-Instruction leads to, at the kept speed; none under Position-Instructions.
         heading_for: the lane steered to in the previous tick.
         asked: the acceleration asked for in the previous tick [m/s^2].
         course: direction of motion that the previous tick's steering gave [rad].
@@ -61,6 +62,7 @@ class Npc(Body):
         self.target_speed = 0.0
         self.kept_lane = NO_LANE
         self.kept_speed = 0.0
+        self.shift_lane = NO_LANE
         self.heading_for = 0
         self.asked = 0.0
         self.course = 0.0
@@ -99,6 +101,7 @@ class Director:
         top_speed = limits.overspeed * road.speed_limit
         self.npcs = [Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)]
         self._scenario = scenario
+        self._positions = scenario.positions
         self._road = road
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
@@ -117,7 +120,11 @@ class Director:
     @property
     def executed(self) -> Scenario:
         """The scenario with the genes so far as driven, and those to come as requested."""
-        if all(cell == gene.cell for npc in self.npcs for cell, gene in zip(npc.executed, npc.chain, strict=False)):
+        if all(
+            cell == gene.cell
+            for npc, chain in zip(self.npcs, self._positions, strict=False)
+            for cell, gene in zip(npc.executed, chain, strict=False)
+        ):
             return self._scenario
         chains = [
             [*(PositionInstruction(c, g.speed) for c, g in zip(npc.executed, npc.chain, strict=False)),
@@ -146,7 +153,10 @@ class Director:
         if self._left == 0:
             self._left = self._gene_ticks
             if self._gene < self._genes:
-                self._begin_gene(ego.lane)
+                if self._positions:
+                    self._begin_gene(ego.lane)
+                else:
+                    self._begin_shifts()
                 self._end_chains()
             self._gene += 1
         self._left -= 1
@@ -168,6 +178,19 @@ class Director:
             for npc in self.npcs:
                 npc.heading_for = npc.lane
 
+    def _begin_shifts(self) -> None:
+        """Set out for the lanes and speeds of Lane-Instructions; a lane that does not exist is the own one."""
+        for npc in self.npcs:
+            instruction = npc.chain[self._gene] if self._gene < len(npc.chain) else None
+            if isinstance(instruction, LaneInstruction):
+                wanted = npc.lane + instruction.column
+                npc.shift_lane = wanted if 0 <= wanted <= self._last_lane else npc.lane
+                npc.kept_speed = instruction.speed
+                npc.kept_lane = NO_LANE
+                npc.arrivals.append(None)
+                if self._gene == 0:
+                    npc.heading_for = npc.lane
+
     def _end_chains(self) -> None:
         """Have NPCs without a further gene keep their lane and speed (paper, section 2)."""
         for npc in self.npcs:
@@ -178,23 +201,31 @@ class Director:
     def _repaired(self, gene: int, ego_lane: int, active: list[int]) -> tuple[Cell, ...]:
         return repair_gene(
             [self.npcs[index].executed[-1] for index in active] if gene else None,
-            [self.npcs[index].chain[gene].cell for index in active],
+            [self._positions[index][gene].cell for index in active]
+            if self._positions
+            else [Cell(start) for start in LANE_STARTS[: len(active)]],
             self._road.cells(ego_lane),
             partial(_toss, self._scenario.seed, gene, active),
         )
 
     def _control(self, npc: Npc, ego: Body) -> None:
         distance = ego.x + npc.target - npc.x
-        if npc.kept_lane == NO_LANE:
+        if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
-        if npc.kept_lane == NO_LANE:
-            wanted_speed = ego.speed + gap_speed(distance)
-            goal = self._next_lane(npc, ego)
-            if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
-                wanted_speed = max(wanted_speed, CREEP_SPEED)
-        else:
+        elif npc.kept_lane == NO_LANE and abs(npc.y - npc.shift_lane * self._lane_width) <= ARRIVED_LATERAL:
+            npc.kept_lane = npc.shift_lane
+            npc.arrivals[-1] = self._tick
+        if npc.kept_lane != NO_LANE:
             wanted_speed = npc.kept_speed
             goal = npc.kept_lane
+        elif npc.shift_lane != NO_LANE:
+            wanted_speed = npc.kept_speed
+            goal = self._next_lane(npc, npc.shift_lane, ego)
+        else:
+            wanted_speed = ego.speed + gap_speed(distance)
+            goal = self._next_lane(npc, ego.lane + npc.column, ego)
+            if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
+                wanted_speed = max(wanted_speed, CREEP_SPEED)
         npc.heading_for = goal
         wanted_speed = self._following(npc, wanted_speed)
         driver = self._driver
@@ -214,9 +245,9 @@ class Director:
             npc.kept_speed = npc.target_speed
             npc.arrivals[-1] = self._tick
 
-    def _next_lane(self, npc: Npc, ego: Body) -> int:
+    def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
         """The lane to steer to now: one step nearer to the target, where nobody is in the way."""
-        lane, target_lane = npc.lane, ego.lane + npc.column
+        lane = npc.lane
         if lane == target_lane:
             return lane
         step = lane + 1 if target_lane > lane else lane - 1

@@ -1,0 +1,352 @@
+"""AV-Fuzzer, the baseline of the paper's evaluation: a genetic algorithm over manoeuvres, without a grid.
+
+Source: Li et al., "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, as its authors
+released it. docs/explanation.md says what is otherwise here, and why.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import (
+    AlgorithmEvent,
+    GenerationFinished,
+    LocalSearchFinished,
+    LocalSearchStarted,
+    NewBest,
+    Restarted,
+)
+from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
+from pytest_pafot.searching.turns import asked_again, check_evaluations, check_order
+from pytest_pafot.trace import FloatArray
+
+LANE_CHANGE = 34.0
+"""What a change of lane counts in the distance of two scenarios, where speeds count in m/s."""
+
+RESTART_CANDIDATES = 1000
+
+LEAST_WEIGHT = 0.001
+"""In place of a fitness of 0, which no turn of the roulette would select."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AvFuzzerState:
+    """Where a search is, between two calls.
+
+    Attributes:
+        generation: of the main search, from 0, which is the random population.
+        local_generation: 0 in the main search; in a local search 1 for the mutants and then upwards.
+        population: selected at the end of the last generation; empty before a random population.
+        local_population: the same within a local search.
+        global_best: of all generations, by fitness, kept aside.
+        local_best: of the local search that is going on.
+        best_since_restart: the highest fitness of a selected population since the last random one.
+        slot: of the best in the population, which the result of a local search may take.
+        bests: the highest fitness of each selected population since the last random one, that one first.
+        restarted_at: the generation whose population was random.
+        checkpoints: all selected populations so far, those of local searches included, as distances see them.
+        fresh: a random population to ask for next.
+        asked: positions and scenarios that are out; None when it is time to ask.
+    """
+
+    generation: int = 0
+    local_generation: int = 0
+    population: tuple[Evaluation, ...] = ()
+    local_population: tuple[Evaluation, ...] = ()
+    global_best: Evaluation | None = None
+    local_best: Evaluation | None = None
+    best_since_restart: float = -math.inf
+    slot: int = 0
+    bests: tuple[float, ...] = ()
+    restarted_at: int = 0
+    checkpoints: tuple[FloatArray, ...] = ()
+    fresh: tuple[Scenario, ...] = ()
+    asked: tuple[tuple[int, Scenario], ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AvFuzzerSearch:
+    """AV-Fuzzer. Its released numbers are the defaults, but for the length of a slice.
+
+    Attributes:
+        space: of the scenarios; its NPCs, speed limit and start are used. All its genes together last as long as all
+            slices: five slices of 12 s stand for the released 15 s in five, for a comparison over equal times.
+        population: scenarios in a generation.
+        slices: manoeuvres of each NPC.
+        crossover_rate: probability of a trial, of which there are half as many as scenarios, to swap two NPCs.
+        mutation_rate: probability of a scenario to have one manoeuvre changed.
+        local_generations: generations of a local search after its mutants; 0 turns local searches off.
+        local_mutation_factor: by which the mutation rate is multiplied in them, up to a rate of 1.
+        local_after: generations after a random population in which no local search starts.
+        restart_after: generations without progress after which the population is given up.
+    """
+
+    name: ClassVar[str] = "av-fuzzer"
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+    slices: int = field(default=5, kw_only=True)
+    crossover_rate: float = field(default=0.4, kw_only=True)
+    mutation_rate: float = field(default=0.4, kw_only=True)
+    local_generations: int = field(default=5, kw_only=True)
+    local_mutation_factor: float = field(default=1.5, kw_only=True)
+    local_after: int = field(default=2, kw_only=True)
+    restart_after: int = field(default=5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
+        for name, least in (("slices", 1), ("local_generations", 0), ("local_after", 0), ("restart_after", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: expected a count of at least {least}, received {getattr(self, name)!r}")
+        for name in ("crossover_rate", "mutation_rate"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(self, name)!r}")
+        if not 0 <= self.local_mutation_factor < math.inf:
+            raise ValueError(
+                f"local_mutation_factor: expected a finite number, at least 0, received {self.local_mutation_factor!r}"
+            )
+
+    @property
+    def sliced(self) -> SearchSpace:
+        """The space with slices for genes."""
+        return self.space.sliced(self.slices)
+
+    def start(self, rng: np.random.Generator) -> AvFuzzerState:
+        """The state before the first generation, whose population is random."""
+        return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
+
+    def ask(self, state: AvFuzzerState, rng: np.random.Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
+        """The scenarios of the next generation that crossover or mutation touched; there may be none.
+
+        Raises:
+            RuntimeError: when the last ask has not been told.
+        """
+        if state.asked is not None:
+            raise asked_again(len(state.asked))
+        asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
+        return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
+
+    def tell(
+        self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order.
+
+        Raises:
+            RuntimeError: without an ask before.
+            ValueError: when the evaluations are not those of the scenarios asked for.
+        """
+        if state.asked is None:
+            check_evaluations((), evaluations)
+        asked = state.asked or ()
+        check_order("tell", [scenario for _, scenario in asked], evaluations)
+        population = list(state.local_population if state.local_generation else state.population)
+        is_random = not population
+        for (index, _), evaluation in zip(asked, evaluations, strict=True):
+            population[index : index + 1] = [evaluation]
+        finished = GenerationFinished(
+            generation=state.generation,
+            local_generation=state.local_generation,
+            population=tuple(population),
+            elites=len(population) - len(evaluations),
+        )
+        state = replace(state, asked=None)
+        # Neither a random population nor the mutants of an incumbent are selected from before they are varied.
+        selected = tuple(population)
+        if not is_random and state.local_generation != 1:
+            selected = roulette(selected, rng)
+        state = replace(state, checkpoints=(*state.checkpoints, _features(selected)))
+        step = self._after_local_generation if state.local_generation else self._after_generation
+        state, events = step(state, selected, rng)
+        return state, (finished, *events)
+
+    def _varied(self, state: AvFuzzerState, rng: np.random.Generator) -> tuple[tuple[int, Scenario], ...]:
+        """Positions and scenarios of a population that crossover or mutation touched, unchanged ones among them."""
+        is_local = state.local_generation > 0
+        members = state.local_population if is_local else state.population
+        scenarios = [member.scenario for member in members]
+        if state.local_generation == 1:
+            return tuple((index, self._mutated(scenario, rng)) for index, scenario in enumerate(scenarios))
+        rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
+        touched: set[int] = set()
+        for _ in range(len(scenarios) // 2):
+            if rng.random() < self.crossover_rate:
+                first, second = (int(index) for index in rng.choice(len(scenarios), size=2, replace=False))
+                scenarios[first], scenarios[second] = swapped(scenarios[first], scenarios[second], rng)
+                touched |= {first, second}
+        for index, scenario in enumerate(scenarios):
+            if rng.random() < rate:
+                scenarios[index] = self._mutated(scenario, rng)
+                touched.add(index)
+        return tuple((index, scenarios[index]) for index in sorted(touched))
+
+    def _mutated(self, scenario: Scenario, rng: np.random.Generator) -> Scenario:
+        return mutated(scenario, self.sliced.top_step, rng)
+
+    def _after_generation(
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: np.random.Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
+        best, generation = selected[slot], state.generation
+        fitness = _weight(best)
+        earlier, age = state.bests, generation - state.restarted_at
+        events: list[AlgorithmEvent] = []
+        if best.eligible and (state.global_best is None or fitness > _weight(state.global_best)):
+            events.append(NewBest(generation=generation, local_generation=0, evaluation=best))
+            state = replace(state, global_best=best)
+        state = replace(state, population=selected, bests=(*earlier, fitness), slot=slot)
+        stagnant = earlier[-self.restart_after :]
+        if age >= self.restart_after and sum(stagnant) / len(stagnant) >= fitness:
+            events.append(Restarted(generation=generation + 1, stagnant=self.restart_after))
+            return self._restarted(state, rng), tuple(events)
+        improves = fitness > state.best_since_restart
+        state = replace(state, best_since_restart=max(fitness, state.best_since_restart))
+        incumbent = state.global_best
+        if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
+            return replace(state, generation=generation + 1), tuple(events)
+        events.append(LocalSearchStarted(generation=generation, incumbent=incumbent))
+        copies = (incumbent,) * self.population
+        return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
+
+    def _restarted(self, state: AvFuzzerState, rng: np.random.Generator) -> AvFuzzerState:
+        generation = state.generation + 1
+        candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
+        fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
+        return replace(
+            state,
+            generation=generation,
+            population=(),
+            restarted_at=generation,
+            best_since_restart=-math.inf,
+            bests=(),
+            fresh=fresh,
+        )
+
+    def _after_local_generation(
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: np.random.Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        best = max((*selected, *_some(state.local_best)), key=_weight)
+        state = replace(state, local_population=selected, local_best=best)
+        if state.local_generation <= self.local_generations:
+            return replace(state, local_generation=state.local_generation + 1), ()
+        incumbent = state.global_best
+        assert incumbent is not None, "a local search starts from a best"  # noqa: S101
+        replaced = best.eligible and _weight(best) > _weight(incumbent)
+        finished = LocalSearchFinished(
+            generation=state.generation,
+            incumbent=incumbent,
+            best=best if replaced else incumbent,
+            replaced=replaced,
+        )
+        events: tuple[AlgorithmEvent, ...] = (finished,)
+        population = list(state.population)
+        if replaced:
+            population[state.slot] = best
+            new = NewBest(generation=state.generation, local_generation=state.local_generation, evaluation=best)
+            events = (new, finished)
+        state = replace(
+            state,
+            generation=state.generation + 1,
+            local_generation=0,
+            population=tuple(population),
+            local_population=(),
+            local_best=None,
+            global_best=best if replaced else incumbent,
+        )
+        return state, events
+
+
+def swapped(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:
+    """Two scenarios that have exchanged the NPC of one random index, the same in both."""
+    npc = int(rng.integers(len(a.npcs)))
+    first = (*a.npcs[:npc], b.npcs[npc], *a.npcs[npc + 1 :])
+    second = (*b.npcs[:npc], a.npcs[npc], *b.npcs[npc + 1 :])
+    return replace(a, npcs=first), replace(b, npcs=second)
+
+
+def mutated(scenario: Scenario, top_step: int, rng: np.random.Generator) -> Scenario:
+    """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
+
+    Args:
+        scenario: with Lane-Instructions.
+        top_step: highest speed, in steps of 0.1 m/s.
+        rng: of the draws.
+    """
+    npc = int(rng.integers(len(scenario.npcs)))
+    chain = scenario.npcs[npc]
+    gene = int(rng.integers(len(chain)))
+    before = chain[gene]
+    assert isinstance(before, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
+    kind = int(rng.integers(3))
+    after = before
+    if kind == 0:
+        after = replace(before, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
+    elif kind == 1:
+        after = replace(before, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
+    changed = (*chain[:gene], after, *chain[gene + 1 :])
+    return replace(scenario, npcs=(*scenario.npcs[:npc], changed, *scenario.npcs[npc + 1 :]))
+
+
+def roulette(population: Sequence[Evaluation], rng: np.random.Generator) -> tuple[Evaluation, ...]:
+    """As many members, drawn with replacement in proportion to their fitness, shifted where one is negative.
+
+    Runs that are not eligible, such as crashes between NPCs, weigh nothing, unless there are no others.
+    """
+    fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
+    finite = np.isfinite(fitness)
+    low = min(0.0, float(fitness[finite].min(initial=0.0)))
+    weights = np.where(finite, fitness - low, 0.0)
+    total = float(weights.sum())
+    shares = weights / total if 0 < total < math.inf else np.full(len(population), 1 / len(population))
+    return tuple(population[int(index)] for index in rng.choice(len(population), size=len(population), p=shares))
+
+
+def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
+    """The candidates with the greatest mean distance to earlier scenarios, the first of equals.
+
+    Args:
+        candidates: scenarios.
+        checkpoints: earlier scenarios as :func:`features` has them, shape [scenarios, NPCs, slices, 2].
+        count: how many to take.
+    """
+    distances = [float(np.mean(distance(features(candidate), checkpoints))) for candidate in candidates]
+    order = sorted(range(len(candidates)), key=lambda index: -distances[index])
+    return tuple(candidates[index] for index in order[:count])
+
+
+def features(scenario: Scenario) -> FloatArray:
+    """What AV-Fuzzer compares scenarios by, shape [NPCs, slices, 2].
+
+    Per slice the sum of the speeds so far, and of -34 for each change to the left and 34 for each to the right.
+    """
+    rows = [
+        [(gene.speed, LANE_CHANGE * gene.column) for gene in chain if isinstance(gene, LaneInstruction)]
+        for chain in scenario.npcs
+    ]
+    return np.cumsum(np.array(rows, dtype=np.float64), axis=1)
+
+
+def distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Between scenarios: Euclidean per slice, summed over the slices, averaged over the NPCs; shapes broadcast."""
+    per_slice = np.sqrt(np.sum((a - b) ** 2, axis=-1))
+    mean: FloatArray = per_slice.sum(axis=-1).mean(axis=-1)
+    return mean
+
+
+def _features(population: Sequence[Evaluation]) -> FloatArray:
+    return np.stack([features(member.scenario) for member in population])
+
+
+def _weight(evaluation: Evaluation) -> float:
+    return evaluation.fitness if evaluation.eligible else -math.inf
+
+
+def _some(best: Evaluation | None) -> tuple[Evaluation, ...]:
+    return () if best is None else (best,)

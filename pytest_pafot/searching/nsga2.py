@@ -1,0 +1,151 @@
+"""NSGA-II with the paper's genes and operators: risk, severity and novelty at once, instead of one fitness.
+
+The paper names it as its next step (section 5). Sorting by dominance and crowding is pymoo's.
+
+Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE TEC 6(2), 2002.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from pymoo.core.population import Population
+from pymoo.core.problem import Problem
+from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
+from pytest_pafot.searching.operators import best_of, crossover, improves, mutate
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.trace import FloatArray
+
+WORST = 1e9
+"""The objectives of a run that is not eligible; finite, since crowding is a difference."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nsga2State:
+    """Where a search is, between two calls.
+
+    Attributes:
+        generation: from 0, which is random.
+        local_generation: always 0; there is no local search.
+        population: survivors, the best rank first, and within a rank the least crowded.
+        best: so far, by the search's own order; None before the first eligible run.
+        asked: scenarios that are out for evaluation.
+    """
+
+    generation: int = 0
+    local_generation: int = 0
+    population: tuple[Evaluation, ...] = ()
+    best: Evaluation | None = None
+    asked: tuple[Scenario, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Nsga2Search:
+    """NSGA-II over chains of Position-Instructions.
+
+    Attributes:
+        space: of the scenarios.
+        population: survivors, and children in a generation.
+        crossover_rate: probability that a pair of parents swaps two NPCs, as in the paper.
+        mutation_rate: probability that a child has one Position-Instruction replaced, as in the paper.
+    """
+
+    name: ClassVar[str] = "nsga2"
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+    crossover_rate: float = field(default=0.5, kw_only=True)
+    mutation_rate: float = field(default=0.5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
+        for name in ("crossover_rate", "mutation_rate"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(self, name)!r}")
+
+    def start(self, rng: np.random.Generator) -> Nsga2State:
+        """The state before the first generation; it needs no draw."""
+        return Nsga2State()
+
+    def ask(self, state: Nsga2State, rng: np.random.Generator) -> tuple[Nsga2State, tuple[Scenario, ...]]:
+        """The scenarios of the next generation.
+
+        Raises:
+            RuntimeError: when the last ask has not been told.
+        """
+        check_ask(state.asked)
+        asked: list[Scenario] = []
+        while len(asked) < self.population:
+            asked += self._pair(state.population, rng) if state.population else [sample(self.space, rng)]
+        children = tuple(asked[: self.population])
+        return replace(state, asked=children), children
+
+    def tell(
+        self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> tuple[Nsga2State, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order.
+
+        Raises:
+            RuntimeError: without an ask before.
+            ValueError: when the evaluations are not those of the scenarios asked for.
+        """
+        check_evaluations(state.asked, evaluations)
+        generation = state.generation
+        together = (*state.population, *evaluations)
+        events: list[AlgorithmEvent] = [
+            GenerationFinished(
+                generation=generation, local_generation=0, population=together, elites=len(state.population)
+            )
+        ]
+        candidate = best_of(evaluations)
+        if candidate is not None and improves(candidate, state.best):
+            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
+            state = replace(state, best=candidate)
+        survivors = surviving(together, self.population, rng)
+        return replace(state, generation=generation + 1, population=survivors, asked=()), tuple(events)
+
+    def _pair(self, population: Sequence[Evaluation], rng: np.random.Generator) -> list[Scenario]:
+        """Two children; the population is in the order in which tournaments prefer it."""
+        first, second = (int(rng.integers(len(population), size=2).min()) for _ in range(2))
+        a, b = population[first].executed, population[second].executed
+        if rng.random() < self.crossover_rate:
+            a, b = crossover(a, b, rng)
+        return [mutate(child, self.space, rng) if rng.random() < self.mutation_rate else child for child in (a, b)]
+
+
+def surviving(evaluations: Sequence[Evaluation], count: int, rng: np.random.Generator) -> tuple[Evaluation, ...]:
+    """As many as may survive, by rank of dominance, then the least crowded first."""
+    values = objectives(evaluations)
+    members = Population.new(F=values, index=np.arange(len(evaluations)))
+    problem = Problem(n_var=1, n_obj=values.shape[1])
+    chosen = RankAndCrowding().do(problem, members, n_survive=min(count, len(evaluations)), random_state=rng)
+    order = sorted(chosen, key=lambda member: (member.get("rank"), -member.get("crowding")))
+    return tuple(evaluations[int(member.get("index"))] for member in order)
+
+
+def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
+    """To be minimised, shape [evaluations, 3]: minus fitness, minus closing speed at the impact [m/s], minus novelty.
+
+    Novelty is the least share of genes in which a scenario, as driven, has another cell than another one.
+    """
+    chains = np.array([[gene.cell for chain in each.executed.positions for gene in chain] for each in evaluations])
+    differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
+    np.fill_diagonal(differ, 1.0)
+    rows = [
+        (-each.fitness, -_severity(each), -float(differ[index].min())) if each.eligible else (WORST, WORST, WORST)
+        for index, each in enumerate(evaluations)
+    ]
+    return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)
+
+
+def _severity(evaluation: Evaluation) -> float:
+    return 0.0 if evaluation.collision is None else evaluation.collision.closing_speed

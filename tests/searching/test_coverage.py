@@ -1,0 +1,63 @@
+"""What a search asked for, had driven and saw reached."""
+
+from pytest_pafot.grid import is_adjacent
+from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
+
+CHAINS = (
+    (PositionInstruction(8, 0.0), PositionInstruction(1, 5.0), PositionInstruction(2, 26.8)),
+    (PositionInstruction(4, 4.9), PositionInstruction(4, 4.9)),
+)
+
+
+def keys(counter, kind):
+    return {key[1:] for key in counter if key[0] == kind}
+
+
+def test_all_that_there_is_to_cover_is_listed_once():
+    assert [key[1] for key in CELLS] == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert len(set(STEPS)) == len(STEPS) == 24
+    assert all(is_adjacent(a, b) for _, a, b in STEPS)
+    assert [key[1] for key in speed_bins(26.8)] == [0, 1, 2, 3, 4, 5]
+
+
+def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluation):
+    run = make_evaluation(
+        Scenario(npcs=CHAINS), genes_started=4, genes_reached=2, arrived=((True, False), (True, False))
+    )
+    coverage = Coverage.of([run])
+    assert keys(coverage.requested, "cell") == {(8,), (1,), (2,), (4,)}
+    assert keys(coverage.driven, "cell") == {(8,), (1,), (4,)}
+    assert keys(coverage.reached, "cell") == {(8,), (4,)}
+    assert keys(coverage.driven, "step") == {(8, 1), (4, 4)}
+    assert keys(coverage.reached, "step") == set()
+    assert keys(coverage.driven, "bin") == {(0,), (1,)}
+    assert coverage.describe(26.8) == "reached 2/8 cells, 0/24 ring steps, 1/6 speed bins; requested 4/8, 3/24, 3/6"
+
+
+def test_every_run_counts(make_evaluation):
+    run = make_evaluation(Scenario(npcs=CHAINS), arrived=((True,) * 3, (True,) * 2))
+    assert Coverage.of([run, run, run]).driven["cell", 4] == 6
+
+
+def test_lane_instructions_cover_speeds_and_no_cells(make_evaluation):
+    run = make_evaluation(Scenario(npcs=((LaneInstruction("left", 12.0), LaneInstruction("keep", 3.0)),)))
+    coverage = Coverage.of([run])
+    assert set(coverage.requested) == {("bin", 2), ("bin", 0)} == set(coverage.driven)
+
+
+def test_a_run_without_a_started_gene_drives_nothing(make_evaluation):
+    coverage = Health().counted(make_evaluation(genes_started=0, genes_reached=0)).coverage
+    assert not coverage.driven
+    assert not coverage.reached
+
+
+def test_a_long_random_search_covers_all_there_is(cheap_world):
+    events = list(run_campaign(RandomSearch(), cheap_world(crash_speed=99.0), generations=40, seed=1))
+    coverage = Health.of(events).coverage
+    assert keys(coverage.requested, "cell") == {(cell,) for cell in range(1, 9)}
+    # The cheap world has no left lane, so that no run comes to its three cells.
+    assert keys(coverage.driven, "cell") == {(cell,) for cell in (2, 3, 4, 5, 6)}
+    assert len(keys(coverage.driven, "step")) == 13
+    assert events[-1].coverage == coverage

@@ -1,0 +1,179 @@
+"""The searches that rest on pymoo, pyribs and cmaes, each behind the same interface."""
+
+import sys
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pytest_pafot.grid import Cell, is_adjacent
+from pytest_pafot.searching import Evaluation, SearchSpace, algorithm_named, run_campaign
+from pytest_pafot.searching.catalogue import CATALOGUE
+from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
+from pytest_pafot.trace import Collision, Outcome
+
+NAMES = [name for name, entry in CATALOGUE.items() if entry.library]
+
+for entry in CATALOGUE.values():
+    if entry.library:
+        pytest.importorskip(entry.library)
+
+
+def hit(cell=Cell.FRONT, closing=10.0):
+    return Collision(
+        tick=15,
+        time=1.0,
+        npc=0,
+        side="front",
+        cell=cell,
+        ego_speed=20.0,
+        npc_speed=20.0 - closing,
+        closing_speed=closing,
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scenarios_are_valid_distinct_in_cells_and_within_the_space(name, cheap_world):
+    space = SearchSpace(npcs=3, genes=4, speed_limit=20.0)
+    events = list(run_campaign(algorithm_named(name, space), cheap_world(genes=4), generations=12, seed=1))
+    scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
+    assert len(scenarios) == 48
+    for scenario in scenarios:
+        assert [len(chain) for chain in scenario.npcs] == [4, 4, 4]
+        assert all(gene.speed <= 20.0 for chain in scenario.npcs for gene in chain)
+        assert all(is_adjacent(a.cell, b.cell) for chain in scenario.npcs for a, b in pairwise(chain))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_seeds_give_equal_events_whatever_the_batch_and_others_differ(name, cheap_world):
+    runs = [
+        list(run_campaign(algorithm_named(name, SearchSpace()), cheap_world(), generations=8, seed=seed, batch=batch))
+        for seed, batch in ((3, 1), (3, 4), (4, 1))
+    ]
+    assert runs[0] == runs[1] != runs[2]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_states_are_values_so_that_a_turn_can_be_taken_again(name, cheap_world):
+    search, world = algorithm_named(name, SearchSpace()), cheap_world()
+    state = search.start(np.random.default_rng(0))
+    for _ in range(3):
+        asked_state, asked = search.ask(state, np.random.default_rng(1))
+        assert search.ask(state, np.random.default_rng(1))[1] == asked
+        told = search.tell(asked_state, world(asked), np.random.default_rng(1))
+        again = search.tell(asked_state, world(asked), np.random.default_rng(1))
+        assert told[1] == again[1]
+        assert search.ask(told[0], np.random.default_rng(2))[1] == search.ask(again[0], np.random.default_rng(2))[1]
+        state = told[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_learns(name, cheap_world):
+    """More failing scenarios in the second half than random search has."""
+
+    def failing(name):
+        search, world = algorithm_named(name, SearchSpace()), cheap_world(crash_speed=25.0)
+        events = run_campaign(search, world, generations=120, seed=2)
+        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 60)
+
+    assert failing(name) > 1.3 * failing("random")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_new_bests_rise(name, cheap_world):
+    events = run_campaign(algorithm_named(name, SearchSpace()), cheap_world(), generations=30, seed=1)
+    ranks = [event.evaluation.rank for event in events if isinstance(event, NewBest)]
+    assert ranks == sorted(set(ranks))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_out_of_turn_is_refused(name):
+    search, rng = algorithm_named(name, SearchSpace()), np.random.default_rng(0)
+    state = search.start(rng)
+    with pytest.raises(RuntimeError, match="tell: expected an ask before"):
+        search.tell(state, [], rng)
+    with pytest.raises(RuntimeError, match="ask: expected tell after"):
+        search.ask(search.ask(state, rng)[0], rng)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_population_that_is_too_small_is_refused(name):
+    with pytest.raises(ValueError, match="population: expected"):
+        algorithm_named(name, SearchSpace(), population=0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_its_library_the_error_tells_how_to_install_it(name, monkeypatch):
+    entry = CATALOGUE[name]
+    for module in list(sys.modules):
+        if module.partition(".")[0] == entry.library or module == f"pytest_pafot.searching.{entry.module}":
+            monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, entry.library, None)
+    with pytest.raises(ValueError, match=f"pip install {entry.library}"):
+        algorithm_named(name, SearchSpace())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_world_in_which_every_run_is_invalid_is_searched_to_the_end(name, make_evaluation):
+    def invalid(scenarios):
+        return [make_evaluation(each, outcome=Outcome.INVALID, fitness=-np.inf) for each in scenarios]
+
+    events = list(run_campaign(algorithm_named(name, SearchSpace()), invalid, generations=8, seed=1))
+    assert (events[-1].reason, events[-1].best) == ("generations", None)
+    assert sum(isinstance(event, GenerationFinished) for event in events) == 8
+
+
+def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
+    from pytest_pafot.searching.nsga2 import objectives, surviving
+
+    scenarios = [each.scenario for each in make_population(4)]
+    mild, fierce, both, invalid = (
+        make_evaluation(scenarios[0], fitness=1.9, collision=hit(closing=1.0)),
+        make_evaluation(scenarios[1], fitness=1.1, collision=hit(closing=20.0)),
+        make_evaluation(scenarios[2], fitness=1.0, collision=None),
+        make_evaluation(scenarios[3], fitness=9.0, outcome=Outcome.INVALID),
+    )
+    values = objectives([mild, fierce, both, invalid])
+    assert values[0, :2].tolist() == [-1.9, -1.0]
+    assert np.all(values[3] > values[:3])
+    kept = surviving([both, invalid, mild, fierce], 3, np.random.default_rng(0))
+    assert {id(each) for each in kept} == {id(mild), id(fierce), id(both)}
+
+
+def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluation, make_population):
+    from pytest_pafot.searching.nsga2 import objectives
+
+    a, b, _ = (each.scenario for each in make_population(3))
+    values = objectives([make_evaluation(a), make_evaluation(a), make_evaluation(b)])
+    assert values[:2, 2].tolist() == [0.0, 0.0]
+    differ = np.mean([x.cell != y.cell for p, q in zip(a.npcs, b.npcs, strict=True) for x, y in zip(p, q, strict=True)])
+    assert values[2, 2] == pytest.approx(-differ)
+
+
+def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, make_population):
+    from pytest_pafot.searching.map_elites import MapElitesSearch, _elites
+
+    search, rng = MapElitesSearch(population=5), np.random.default_rng(0)
+    state, asked = search.ask(search.start(rng), rng)
+    told = [
+        make_evaluation(asked[0], fitness=1.2, collision=hit(Cell.FRONT, 2.0), outcome=Outcome.COLLISION),
+        make_evaluation(asked[1], fitness=1.8, collision=hit(Cell.FRONT, 3.0), outcome=Outcome.COLLISION),
+        make_evaluation(asked[2], fitness=1.1, collision=hit(Cell.FRONT, 22.0), outcome=Outcome.COLLISION),
+        make_evaluation(asked[3], fitness=1.0, collision=hit(Cell.REAR, 2.0), outcome=Outcome.COLLISION),
+        make_evaluation(asked[4], fitness=0.3),
+    ]
+    state, _ = search.tell(state, told, rng)
+    assert Counter(each.fitness for each in _elites(state)) == Counter([0.3, 1.8, 1.1, 1.0])
+
+
+def test_cma_es_gives_runs_without_a_fitness_the_worst_place(make_evaluation):
+    from pytest_pafot.searching.cma_es import losses
+
+    population: list[Evaluation] = [
+        make_evaluation(fitness=0.5),
+        make_evaluation(fitness=-2.0),
+        make_evaluation(fitness=float("nan")),
+        make_evaluation(outcome=Outcome.INVALID, fitness=-np.inf),
+    ]
+    assert losses(population) == [-0.5, 2.0, 3.0, 3.0]

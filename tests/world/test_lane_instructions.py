@@ -1,0 +1,134 @@
+"""NPCs under Lane-Instructions: their own lane or the next one, at a speed, wherever the ego is."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.scenario import LaneInstruction, Scenario
+from pytest_pafot.trace import LANE, SPEED, Outcome, X, Y
+from pytest_pafot.world import Highway
+from pytest_pafot.world.confirm import replay_in_gym
+from tests.support.world_cases import EGOS, constant_speed, violations
+
+
+def chain(*genes):
+    """From texts such as "left@22.5"."""
+    pairs = (gene.split("@") for gene in genes)
+    return tuple(LaneInstruction(lane, float(speed)) for lane, speed in pairs)
+
+
+def scenario(*chains, **fields):
+    return Scenario(npcs=chains, **({"gene_seconds": 5.0} | fields))
+
+
+def random_lanes(rng, npcs=2, genes=4, **fields):
+    return scenario(
+        *(
+            chain(*(f"{rng.choice(['keep', 'left', 'right'])}@{rng.randint(0, 268) / 10}" for _ in range(genes)))
+            for _ in range(npcs)
+        ),
+        **fields,
+    )
+
+
+def drive(given, ego=constant_speed, **world):
+    return Highway(**({"duration": 20.0} | world)).rollout(given, ego)
+
+
+def test_npcs_start_ahead_on_the_left_then_ahead_as_in_av_fuzzer():
+    trace = drive(scenario(chain("keep@22"), chain("keep@22")))
+    assert trace.npcs[0, :, LANE].tolist() == [0, 1]
+    assert np.all(trace.npcs[0, :, X] - trace.ego[0, X] > 40)
+
+
+@pytest.mark.parametrize("ego_lane", [0, 3])
+def test_beside_a_missing_lane_they_start_in_the_nearest_cells_that_exist(ego_lane):
+    trace = drive(scenario(*[chain("keep@22")] * 5, ego_lane=ego_lane, ego_speed=20.0))
+    places = {tuple(row) for row in trace.npcs[0, :, [X, Y]].T.tolist()}
+    assert len(places) == 5
+    assert np.all(trace.npcs[0, :, LANE] >= 0)
+
+
+def test_keep_drives_the_speed_from_the_first_tick_in_the_own_lane():
+    trace = drive(scenario(chain("keep@10"), ego_speed=22.0))
+    assert trace.npcs[75, 0, SPEED] == pytest.approx(10.0, abs=0.2)
+    assert np.all(trace.npcs[:, 0, LANE] == 0)
+    assert trace.arrivals == ((0,),)
+
+
+@pytest.mark.parametrize(("lane", "end"), [("left", 0), ("right", 2)])
+def test_left_and_right_are_one_lane_from_where_the_npc_is(lane, end):
+    trace = drive(scenario(chain("keep@26"), chain(f"{lane}@15"), ego_speed=15.0))
+    (tick,) = trace.arrivals[1]
+    assert 0 < tick <= 75
+    assert trace.npcs[0, 1, LANE] == 1
+    assert np.all(trace.npcs[tick:, 1, LANE] == end)
+    assert trace.npcs[tick, 1, Y] == pytest.approx(4.0 * end, abs=0.5)
+
+
+def test_each_gene_counts_lanes_anew():
+    trace = drive(scenario(chain("right@26", "right@26", "right@26", "left@26"), ego_speed=10.0))
+    assert trace.npcs[[0, 74, 149, 224, 299], 0, LANE].tolist() == [0, 1, 2, 3, 2]
+
+
+def test_towards_a_lane_that_does_not_exist_an_npc_keeps_its_own():
+    trace = drive(scenario(chain("left@20", "left@12")))
+    assert np.all(trace.npcs[:, 0, LANE] == 0)
+    assert trace.arrivals == ((0, 75),)
+    assert trace.npcs[149, 0, SPEED] == pytest.approx(12.0, abs=0.2)
+
+
+def test_an_npc_does_not_steer_into_another_and_gives_up_at_the_end_of_the_gene():
+    """NPC 0, to the left of NPC 1 and as fast, is told to move over; NPC 1 stays where it is."""
+    trace = drive(scenario(chain("right@22", "keep@22"), chain("keep@22", "keep@22")), duration=10.0)
+    assert trace.outcome is Outcome.SAFE
+    assert trace.arrivals[0] == (None, 75)
+    assert np.all(trace.npcs[:, 0, LANE] == 0)
+
+
+def test_after_its_last_gene_an_npc_keeps_its_lane_and_speed():
+    trace = drive(scenario(chain("right@26"), chain(*["left@26"] * 4), ego_speed=10.0))
+    assert np.all(trace.npcs[80:, 0, LANE] == trace.npcs[80, 0, LANE])
+    assert np.ptp(trace.npcs[80:, 0, SPEED]) < 0.5
+
+
+def test_the_repair_changes_nothing_of_them():
+    given = random_lanes(random.Random(1))
+    assert drive(given).executed == given
+
+
+@pytest.mark.parametrize("ego", EGOS, ids=lambda ego: ego.__name__)
+def test_all_limits_of_npcs_hold_and_runs_repeat_to_the_last_bit(ego):
+    rng = random.Random(ego.__name__)
+    outcomes = set()
+    for number in range(60):
+        world = Highway(lanes=rng.randint(3, 6), duration=8.0, physics_hz=rng.choice([5, 15]))
+        given = random_lanes(rng, npcs=number % 5 + 1, ego_lane=rng.randrange(world.lanes), gene_seconds=2.0)
+        trace = world.rollout(given, ego)
+        assert violations(trace, world.limits, world.speed_limit) == [], given.canonical()
+        if number % 10 == 0:
+            assert world.rollout(given, ego).states.tobytes() == trace.states.tobytes()
+        outcomes.add(trace.outcome)
+    assert Outcome.COLLISION in outcomes
+
+
+def test_npcs_seldom_crash_into_each_other():
+    rng = random.Random(3)
+    traces = [drive(random_lanes(rng), lambda: IDMVehicle) for _ in range(20)]
+    assert sum(trace.outcome is Outcome.INVALID for trace in traces) <= 4
+
+
+def test_a_find_is_the_same_through_env_step():
+    rng, world = random.Random(5), Highway(duration=20.0)
+    hits = [trace for trace in (world.rollout(random_lanes(rng), constant_speed) for _ in range(12)) if trace.collision]
+    assert len(hits) >= 3
+    for trace in hits:
+        again = replay_in_gym(world, trace.executed, constant_speed)
+        assert again.collision is not None
+        assert (again.collision.npc, again.collision.side, again.collision.tick) == (
+            trace.collision.npc, trace.collision.side, trace.collision.tick,
+        )  # fmt: skip
