@@ -10,8 +10,6 @@ FOLDER = Path("pytest_pafot/world/kernel")
 DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are those of the .pxd files
-    "boundscheck": False,
-    "initializedcheck": False,
 }
 FLAGS = ["-O2", "-ffp-contract=off", "-fno-math-errno"]  # no fused multiply-add: the same numbers as interpreted
 

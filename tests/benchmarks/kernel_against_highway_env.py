@@ -42,7 +42,10 @@ def main() -> None:
         if differs:
             print(f"seed {seed}: {case.ego.__name__} in {case.world}: {', '.join(differs)}")
         if (fast.outcome, fast.states.shape) == (stock.outcome, stock.states.shape):
-            furthest = max(furthest, float(np.abs(fast.states[..., :2] - stock.states[..., :2]).max()))
+            apart = float(np.abs(fast.states[..., :2] - stock.states[..., :2]).max())
+            furthest = max(furthest, apart)
+            if apart > 0.01:
+                print(f"seed {seed}: {case.ego.__name__}: {apart * 1e3:.1f} mm apart with numpy's; {fast!r}")
         else:
             flips.append(f"seed {seed}: {case.ego.__name__}: {fast!r} and {stock!r}")
     print(f"kernel {'compiled' if kernel.is_compiled() else 'interpreted'}, {arguments.runs} runs")
