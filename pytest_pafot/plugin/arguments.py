@@ -37,6 +37,7 @@ class SearchArguments(TypedDict, total=False):
     max_saved: int
     corpus: str
     save: str
+    workers: int | str
     report: str
     profile: str
     strict_drift: bool

@@ -16,6 +16,7 @@ from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.findings.inflight import InFlight
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import places
+from pytest_pafot.plugin.crew import Errand
 from pytest_pafot.plugin.flights import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge
@@ -24,6 +25,7 @@ from pytest_pafot.plugin.request import Request, RequestError, build_world
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
+    from pytest_pafot.trace import Trace
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 """Whose versions a finding depends on."""
@@ -81,13 +83,26 @@ class Bench:
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
+        return self.seen(self.rolled_out(scenario, world), world)
+
+    def rolled_out(self, scenario: Scenario, world: Any) -> Trace:
+        """The same, as its trace alone.
+
+        Raises:
+            RequestError: for a world, factory or scenario that does not fit.
+        """
+        __tracebackhide__ = True
         from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:
-            trace = world.rollout(scenario, self.ads)
+            trace: Trace = world.rollout(scenario, self.ads)
         except (WorldError, AdsFactoryError, ScenarioError) as error:
             raise RequestError(f"{self.item.name}: {error}") from None
+        return trace
+
+    def seen(self, trace: Trace, world: Any) -> Run:
+        """The run that a trace from a world is the record of."""
         prevent = getattr(world, "preventable_by", None)  # A world of the user's own need not have it.
         return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent)
 
@@ -113,6 +128,17 @@ class Bench:
             flight.record(scenario)
             run = self.simulate(scenario, world)
             return run, self.judge(run)
+
+    @property
+    def errand(self) -> Errand:
+        """What other processes do for this item."""
+        return Errand(
+            world=self.world,
+            ads=self.ads,
+            folder=flight_folder(self.item, self.request),
+            owner=owner_of(self.item),
+            plain_world=_plain(self.world),
+        )
 
     @contextmanager
     def in_flight(self, world: Any, owner: str = "") -> Iterator[InFlight]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.run import Run
+from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -37,10 +38,12 @@ class Stage:
     """What a search runs on.
 
     Attributes:
-        run: simulates a scenario; the scenario is on disk while it does.
+        run: simulates a scenario; the scenario is on disk while it does. Raises ``ProcessLostError`` where that took
+            place in another process, which did not come back.
         judge: says what the user's function makes of a run; likewise.
         fitness: of a trace, higher is worse for the ego.
         keep: takes a new find (run, verdict, generation, number of the run), saves and announces it.
+        keep_lost: takes the first scenario whose process did not come back, likewise.
         lethal: scenarios in which a process died; they are not run.
     """
 
@@ -48,6 +51,7 @@ class Stage:
     judge: Callable[[Run], Verdict]
     fitness: Callable[[Trace], float]
     keep: Callable[[Run, Verdict, int, int], str]
+    keep_lost: Callable[[Lost, int, int], str]
     lethal: frozenset[Scenario] = frozenset()
 
 
@@ -65,6 +69,7 @@ class Hunt:
         generation: of the main search, from 0.
         finished: the last event, once the campaign is over.
         skip: the last exception by which the function declined to judge.
+        died: scenarios whose process did not come back to this search.
     """
 
     stage: Stage
@@ -77,6 +82,12 @@ class Hunt:
     generation: int = 0
     finished: CampaignFinished | None = None
     skip: BaseException | None = None
+    died: set[Scenario] = field(default_factory=set)
+
+    @property
+    def lethal(self) -> frozenset[Scenario]:
+        """Scenarios in which a process died, now or earlier; they are not run."""
+        return self.stage.lethal | self.died
 
     @property
     def runs(self) -> int:
@@ -107,7 +118,9 @@ class Hunt:
     def _evaluated(self, scenario: Scenario) -> Evaluation:
         if scenario in self.stage.lethal:
             return _not_run(scenario)
-        run = self.stage.run(scenario)
+        run = self._run(scenario)
+        if isinstance(run, Lost):
+            return self._lost(run)
         verdict = self.stage.judge(run)
         self.verdicts[verdict.kind] += 1
         kind = self._failed(run, verdict) if verdict.failed else None
@@ -121,19 +134,34 @@ class Hunt:
             kind=kind,
         )
 
+    def _run(self, scenario: Scenario) -> Run | Lost:
+        try:
+            return self.stage.run(scenario)
+        except ProcessLostError as error:  # A find is made of it outside of the handler: it is no consequence of this.
+            return error.lost
+
     def _failed(self, run: Run, verdict: Verdict) -> Signature | None:
         """A failure is known, or one of this search's own again, or new; returns which it is."""
         if verdict.failure is None:
             return None
         signature = of_failure(run, verdict.failure)
+        self._sort(signature, lambda: self.stage.keep(run, verdict, self.generation, self.runs))
+        return signature
+
+    def _lost(self, lost: Lost) -> Evaluation:
+        """A scenario that is not to be run again; what the search knows of it is that, as in later sessions."""
+        self.died.add(lost.scenario)
+        self._sort(lost.expect.signature, lambda: self.stage.keep_lost(lost, self.generation, self.runs + 1))
+        return _not_run(lost.scenario)
+
+    def _sort(self, signature: Signature, keep: Callable[[], str]) -> None:
         saved = covered_by(signature, self.replayed)
         if saved is not None:
             self.known[saved] += 1
         elif signature in self.finds:
             self.repeats[self.finds[signature]] += 1
         else:
-            self.finds[signature] = self.stage.keep(run, verdict, self.generation, self.runs)
-        return signature
+            self.finds[signature] = keep()
 
 
 def _counted(health: Health, event: Event) -> Health:

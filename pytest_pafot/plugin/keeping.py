@@ -18,12 +18,14 @@ from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.bench import Bench
+from pytest_pafot.plugin.crew import Lost
 from pytest_pafot.plugin.oracle import Verdict, plain_failure
 from pytest_pafot.report import terminal
 from pytest_pafot.trace import Outcome
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.showing import Showing
+    from pytest_pafot.scenario import Scenario
 
 NOT_SAVED = "--pafot-save=none"
 
@@ -169,29 +171,63 @@ class Keeper:
         """Save what was in flight when a process died, and announce it."""
         if leftover.scenario is None:
             return
-        world: Mapping[str, Any] = leftover.world or self.bench.world.to_dict()
-        finding = Finding(
-            id=f"crash-{leftover.scenario.id}",
-            test=places.base_id(self.bench.item),
-            scenario=leftover.scenario,
-            world=world,
-            expect=Expect(
-                failure=places.CRASH,
-                # Nobody saw how the run ended; the ADS is the code that a process can die in.
-                outcome=Outcome.ADS_ERROR,
-                time=0.0,
-                message="the process ended while it ran this scenario",
-            ),
-            found=Found(seed=self.seed, generation=0, algorithm="crash", versions=self.bench.versions),
+        expect = Expect(
+            failure=places.CRASH,
+            # Nobody saw how the run ended; the ADS is the code that a process can die in.
+            outcome=Outcome.ADS_ERROR,
+            time=0.0,
+            message="the process ended while it ran this scenario",
         )
-        headline = "crash: a process died while it ran this scenario"
-        kept = self._saved(finding, headline, "the record of a session that died")
+        found = Found(seed=self.seed, generation=0, algorithm="crash", versions=self.bench.versions)
         text = (
             f"a process (pid {leftover.pid}) died while it ran this scenario, by a crash of native code, a lack of "
             "memory or a kill from outside; if it was killed from outside, delete the file"
         )
-        self.tell(kept, plain_failure(text), terminal.found_line(kept.find))
+        headline = "crash: a process died while it ran this scenario"
+        finding = self._death(leftover.scenario, expect, found, leftover.world)
+        self._tell_death(self._saved(finding, headline, "the record of a session that died"), text)
         leftover.discard()
+
+    def keep_lost(self, lost: Lost, generation: int, number: int) -> str:
+        """Save a scenario whose process did not come back to this search, and announce it; returns its id.
+
+        Args:
+            lost: the scenario, and what became of the process.
+            generation: of the search, from 0.
+            number: of the run in the search, from 1.
+        """
+        algorithm = self.bench.request.settings.algorithm
+        found = Found(seed=self.seed, generation=generation, algorithm=algorithm, versions=self.bench.versions)
+        text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
+        if lost.is_hang:
+            text += (
+                ": the ADS hangs in code that does not return to the interpreter, or uses a library that does not "
+                "work in a forked process (then --pafot-workers=1 finds nothing here; delete the file)"
+            )
+        else:
+            text += ", and so it was when nothing else ran: by a crash of native code, an exit or a lack of memory"
+        headline = f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
+        origin = f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
+        finding = self._death(lost.scenario, lost.expect, found)
+        kept = self._saved(finding, headline, origin, is_timed=lost.is_hang)
+        self._tell_death(kept, text)
+        return kept.find.id
+
+    def _tell_death(self, kept: Kept, text: str) -> None:
+        """Announce a find whose run nobody saw."""
+        self.tell(kept, plain_failure(text), terminal.found_line(kept.find))
+
+    def _death(
+        self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None = None
+    ) -> Finding:
+        return Finding(
+            id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
+            test=places.base_id(self.bench.item),
+            scenario=scenario,
+            world=world or self.bench.world.to_dict(),
+            expect=expect,
+            found=found,
+        )
 
     def _is_full(self) -> bool:
         """Whether the test has as many saved scenarios as it may have."""

@@ -15,10 +15,12 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
-Kind = Literal["integer", "seconds", "text", "page", "switch"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers"]
 Source = Literal["command line", "marker", "environment", "ini"]
 
 SEED_LIMIT = 2**63
+
+AUTO = "auto"
 
 FULL, LOCAL = "ci", "local"
 
@@ -72,8 +74,8 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        shown = {"integer": "N", "seconds": "SECONDS", "text": self.name.upper(), "page": "PATH", "switch": ""}
-        return shown[self.kind]
+        shown = {"integer": "N", "seconds": "SECONDS", "page": "PATH", "switch": "", "workers": "N"}
+        return shown.get(self.kind, self.name.upper())
 
     def read(self, value: object) -> Any:
         """The typed value of a text or of a Python value.
@@ -149,6 +151,14 @@ OPTIONS: tuple[Option, ...] = (
         default="new",
         choices=("new", "none"),
         help="Whether new findings are written to the corpus.",
+    ),
+    Option(
+        name="workers",
+        kind="workers",
+        default=1,
+        least=1,
+        help="Processes that simulate the scenarios of a generation once runs turn out to take long; auto is one for "
+        "each core. What is found is the same. 1 under pytest-xdist.",
     ),
     Option(
         name="report",
@@ -296,6 +306,22 @@ def _read_integer(option: Option, value: object) -> int:
     return number
 
 
+def _read_workers(option: Option, value: object) -> int:
+    if value == AUTO:
+        return cores()
+    try:
+        return _read_integer(option, value)
+    except OptionError:
+        raise OptionError(f"expected {AUTO} or a whole number, at least {option.least:g}, received {value!r}") from None
+
+
+def cores() -> int:
+    """Those that this process may use, at least one."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def _read_seconds(option: Option, value: object) -> float:
     try:
         seconds = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else -1.0
@@ -340,6 +366,7 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "text": _read_text,
     "page": _read_page,
     "switch": _read_switch,
+    "workers": _read_workers,
 }
 
 _INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
@@ -348,4 +375,5 @@ _INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
     "text": "string",
     "page": "string",
     "switch": "bool",
+    "workers": "string",
 }

@@ -35,6 +35,7 @@ class Reporter:
         self._replays: list[terminal.Replay] = []
         self._orphans: dict[Path, int] = {}
         self._problems: list[str] = []
+        self._notes: dict[str, None] = {}
         self._has_line = False
 
     @pytest.hookimpl(trylast=True)
@@ -97,6 +98,7 @@ class Reporter:
             problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
             written=[line for line, is_problem in written if not is_problem],
             interrupted=list(self._running),
+            notes=list(self._notes),
         )
         lines = terminal.session_lines(session, verbose=self._config.get_verbosity() > 0)
         if not lines:
@@ -127,6 +129,8 @@ class Reporter:
         elif kind == "search":
             self._running.pop(report.nodeid, None)
             self._searches.append(terminal.Search.from_plain(_without_kind(message)))
+        elif kind == "note":
+            self._notes[message["text"]] = None
         elif kind == "replay":
             self._replays.append(
                 terminal.Replay(node_id=report.nodeid, label=message["label"], detail=message["detail"])

@@ -12,6 +12,7 @@ from pytest_pafot.findings.inflight import InFlight
 from pytest_pafot.findings.responsibility import rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin.ahead import Ahead, ahead_of
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.confirming import difference
 from pytest_pafot.plugin.flights import left_behind
@@ -31,6 +32,7 @@ from pytest_pafot.searching.space import SearchSpace
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.showing import Showing
+    from pytest_pafot.trace import Trace
 
 REASONS = {"generations": "all generations done", "time": "--pafot-max-time", "stopped": "enough findings"}
 
@@ -44,12 +46,23 @@ class Watched:
 
     bench: Bench
     flight: InFlight
+    ahead: Ahead
 
     def run(self, scenario: Scenario) -> Run:
-        """One run, whose verdict follows."""
+        """One run, whose verdict follows.
+
+        Raises:
+            ProcessLostError: where another process made it, and did not come back.
+        """
+        __tracebackhide__ = True
+        trace = self.ahead.run(scenario, self._run_here)
+        self.flight.record(scenario)
+        return self.bench.seen(trace, self.bench.world)
+
+    def _run_here(self, scenario: Scenario) -> Trace:
         __tracebackhide__ = True
         self.flight.record(scenario)
-        return self.bench.simulate(scenario, self.bench.world)
+        return self.bench.rolled_out(scenario, self.bench.world)
 
     def judge(self, run: Run) -> Verdict:
         """The verdict on the last run."""
@@ -108,7 +121,7 @@ class Searching:
         fitness = checked_fitness(self.bench)
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
-            watched = Watched(bench=self.bench, flight=flight)
+            watched = Watched(bench=self.bench, flight=flight, ahead=ahead_of(self.bench))
             keeper = Keeper(
                 bench=self.bench,
                 seed=self.seed,
@@ -125,17 +138,20 @@ class Searching:
                     judge=watched.judge if self.showing is None else self.showing.judging(watched.judge),
                     fitness=fitness,
                     keep=keeper.keep,
+                    keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
                 )
             )
             reason = "interrupted"
             try:
-                reason = self._hunted(hunt, keeper, saved)
+                with watched.ahead as ahead:
+                    reason = self._hunted(hunt, keeper, saved, ahead)
                 self._shrunk(hunt, keeper, watched)
             except Exception:
                 reason = "error"
                 raise
             finally:
+                self.notes += watched.ahead.notes
                 if flight.error is not None:
                     self.notes.append(str(flight.error))
                 search = self._summary(hunt, keeper, reason)
@@ -143,7 +159,7 @@ class Searching:
                 self._show(hunt, search)
         self._conclude(hunt, keeper, search)
 
-    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved]) -> str:
+    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: Ahead) -> str:
         """Run the campaign; returns why it ended."""
         __tracebackhide__ = True
         settings = self.bench.request.settings
@@ -161,6 +177,7 @@ class Searching:
             max_seconds=settings.max_time,
             clock=self.clock,
             stop=lambda: limit is not None and keeper.count >= limit,
+            foresee=lambda scenarios: ahead.foresee([each for each in scenarios if each not in hunt.lethal]),
         )
         try:
             followed = events if self.showing is None else self.showing.noted(events)
@@ -179,7 +196,7 @@ class Searching:
             keeper=keeper,
             run=watched.run,
             judge=watched.judge,
-            lethal=hunt.stage.lethal,
+            lethal=hunt.lethal,
             rollouts=settings.shrink_rollouts,
             is_over=lambda: self.clock() > limit,
             tell=lambda phase: self._tick(hunt, keeper, phase),

@@ -25,6 +25,7 @@ class Settings:
     max_saved: int
     corpus: str
     save: str
+    workers: int
     report: str | None
     profile: str
     strict_drift: bool

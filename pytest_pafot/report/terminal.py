@@ -183,6 +183,7 @@ class Session:
         problems: anything that went wrong beside the tests.
         written: where reports are.
         interrupted: node ids of searches that began and did not end.
+        notes: on the whole session.
     """
 
     searches: Sequence[Search] = ()
@@ -192,6 +193,7 @@ class Session:
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -303,6 +305,8 @@ def session_lines(session: Session, *, verbose: bool = False) -> list[str]:
     if session.orphans and not session.pruned:
         lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune")
     lines += [ascii_text(line) for line in session.written]
+    for note in session.notes:
+        lines += _wrapped(f"note: {note}")
     for problem in session.problems:
         lines += _wrapped(f"problem: {problem}")
     return [part for line in lines for part in line.splitlines()]

@@ -120,7 +120,7 @@ class _Tally:
         )
 
 
-def run_campaign(
+def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     algorithm: Algorithm[StateT],
     evaluate: Evaluate,
     *,
@@ -130,6 +130,7 @@ def run_campaign(
     clock: Callable[[], float] | None = None,
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
+    foresee: Callable[[Sequence[Scenario]], None] | None = None,
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
@@ -151,6 +152,8 @@ def run_campaign(
         stop: asked between two calls of ``evaluate`` whether to end the campaign.
         batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
             larger ones let ``evaluate`` simulate in parallel.
+        foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
+            them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
@@ -163,7 +166,7 @@ def run_campaign(
     if max_seconds is not None and clock is None:
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
     limits = _Limits(max_seconds=max_seconds, clock=clock or _timeless, stop=stop)
-    return _campaign(algorithm, _Evaluator(evaluate, batch), limits, generations=generations, seed=seed)
+    return _campaign(algorithm, _Evaluator(evaluate, batch, foresee), limits, generations=generations, seed=seed)
 
 
 def _timeless() -> float:
@@ -185,6 +188,7 @@ def _campaign(
         rng = generation_rng(seed, state.generation, state.local_generation)
         state, scenarios = algorithm.ask(state, rng)
         evaluations: list[Evaluation] = []
+        evaluator.foresee(scenarios)
         for batch in evaluator.batches(scenarios):
             reason = limits.exceeded(started) if tally.evaluated else None
             if reason is not None:
@@ -213,10 +217,18 @@ def _campaign(
 class _Evaluator:
     """The one gate before each simulation."""
 
-    def __init__(self, evaluate: Evaluate, batch: int) -> None:
+    def __init__(
+        self, evaluate: Evaluate, batch: int, foresee: Callable[[Sequence[Scenario]], None] | None = None
+    ) -> None:
         self._evaluate = evaluate
         self._batch = batch
+        self._foresee = foresee
         self._memory = Memory()
+
+    def foresee(self, scenarios: Sequence[Scenario]) -> None:
+        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
+        if self._foresee is not None:
+            self._foresee(self._unknown(scenarios))
 
     def batches(self, scenarios: Sequence[Scenario]) -> Iterator[Sequence[Scenario]]:
         for first in range(0, len(scenarios), self._batch):
@@ -228,7 +240,7 @@ class _Evaluator:
         Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
         though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
         """
-        unknown = tuple(dict.fromkeys(scenario for scenario in batch if self._memory.recall(scenario) is None))
+        unknown = self._unknown(batch)
         results = tuple(self._evaluate(unknown)) if unknown else ()
         check_order("evaluate", unknown, results)
         new = dict(zip(unknown, results, strict=True))
@@ -237,3 +249,6 @@ class _Evaluator:
             if known is None:
                 self._memory.add(new[scenario])
             yield (new[scenario], False) if known is None else (known, True)
+
+    def _unknown(self, scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
+        return tuple(dict.fromkeys(scenario for scenario in scenarios if self._memory.recall(scenario) is None))

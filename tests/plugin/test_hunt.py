@@ -10,6 +10,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.execution import item_seed
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.oracle import Verdict
@@ -35,6 +36,15 @@ def quiet_trace(scenario, outcome=Outcome.SAFE):
     )
 
 
+def quiet_run(scenario):
+    return Run(quiet_trace(scenario))
+
+
+def lost(scenario, *, is_hang=False):
+    """A run whose process does not come back."""
+    raise ProcessLostError(Lost(scenario=scenario, pid=7, how="ended with exit code 9", is_hang=is_hang))
+
+
 def failed(kind="AssertionError"):
     return Verdict(kind="failed", exception=AssertionError(), failure=Failure(kind=kind))
 
@@ -49,16 +59,23 @@ class Kept:
         self.finds.append((verdict.failure.kind, generation, number))
         return f"id-{len(self.finds)}"
 
+    def keep_lost(self, lost, generation, number):
+        self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
+        return f"id-{len(self.finds)}"
 
-def hunt(verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), lethal=frozenset()):
+
+def hunt(
+    verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), lethal=frozenset(), run=quiet_run
+):
     """A random search in which run ``n`` gets the ``n``-th verdict."""
     count = iter(range(10**6))
     kept = Kept([])
     stage = Stage(
-        run=lambda scenario: Run(quiet_trace(scenario)),
+        run=run,
         judge=lambda run: verdicts(next(count)),
         fitness=lambda trace: 0.0,
         keep=kept.keep,
+        keep_lost=kept.keep_lost,
         lethal=lethal,
     )
     found = Hunt(stage=stage, replayed=replayed)
@@ -111,11 +128,41 @@ def test_a_scenario_in_which_a_process_died_is_not_run():
         judge=lambda run: Verdict(kind="passed"),
         fitness=lambda trace: 0.0,
         keep=lambda *find: "",
+        keep_lost=lambda *find: "",
     )
     search = RandomSearch(SPACE, population=2)
     Hunt(stage=stage).follow(run_campaign(search, Hunt(stage=stage).evaluate, generations=3, seed=1), lambda: None)
     found, _ = hunt(lambda number: Verdict(kind="passed"), lethal=frozenset(scenarios[:1]))
     assert found.runs == everything.runs - 1
+
+
+def test_processes_that_die_are_one_find_with_a_count_and_no_runs():
+    found, finds = hunt(lambda number: failed(), run=lost)
+    assert finds == [("crash", 0, 1)]
+    assert found.repeats == {"id-1": 5}
+    assert found.runs == 0
+    assert len(found.lethal) == 6
+
+
+def test_a_process_that_hangs_is_another_find_than_one_that_dies():
+    count = iter(range(10**6))
+    _, finds = hunt(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
+    assert [kind for kind, *_ in finds] == ["crash", "hang"]
+
+
+def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
+    signature = Lost(
+        scenario=sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV"
+    ).expect.signature
+    covering = Replayed(id="saved", signature=signature, observed=signature)
+    found, finds = hunt(lambda number: failed(), run=lost, replayed=[covering])
+    assert finds == []
+    assert found.known == {"saved": 6}
+
+
+def test_a_scenario_whose_process_did_not_come_back_tells_the_search_nothing():
+    found, _ = hunt(lambda number: failed(), run=lost)
+    assert found.finished.best is None
 
 
 def test_the_seed_of_an_item_is_a_function_of_base_seed_and_node_id():

@@ -63,7 +63,7 @@ def test_a_profile_may_be_named_anywhere(project, source):
 @pytest.mark.parametrize("option", [option for option in OPTIONS if option.everywhere], ids=lambda option: option.name)
 def test_every_option_is_an_ini_key_a_variable_and_a_marker_argument(project, option):
     word = option.choices[-1] if option.choices else "x"
-    text = {"integer": "7", "seconds": "7", "text": word, "page": "x.html", "switch": "true"}
+    text = {"integer": "7", "seconds": "7", "text": word, "page": "x.html", "switch": "true", "workers": "7"}
     expected = option.read(text[option.kind])
     for source in (
         {"ini": f"{option.key} = {text[option.kind]}"},

@@ -56,6 +56,25 @@ def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(che
     assert one_by_one == list(run_campaign(algorithm, shuffled, generations=8, seed=seed, batch=batch))
 
 
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
+def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_generation(cheap_world, algorithm):
+    world, foreseen, evaluated = cheap_world(), [], []
+
+    def foresee(scenarios):
+        assert all(each not in evaluated for each in scenarios)
+        foreseen.append(list(scenarios))
+
+    def evaluate(scenarios):
+        evaluated.extend(scenarios)
+        while foreseen[-1].pop(0) != scenarios[0]:  # Not evaluated, since another one showed what it does.
+            pass
+        return world(scenarios)
+
+    events = list(run_campaign(algorithm, evaluate, generations=8, seed=1, foresee=foresee))
+    assert len(foreseen) == len(of(GenerationFinished, events))
+    assert events == list(run_campaign(algorithm, cheap_world(), generations=8, seed=1))
+
+
 def test_another_seed_is_another_search(cheap_world):
     first, second = (list(run_campaign(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2))
     assert of(Evaluated, first) != of(Evaluated, second)

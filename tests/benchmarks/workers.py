@@ -1,0 +1,137 @@
+"""What do several processes gain a search whose ADS is dear?
+
+    python -m tests.benchmarks.workers [--workers 1 2] [--decision 0.005] [--kind computes waits] [--population 4 8]
+        [--generations 5] [--gene-seconds 5] [--rounds 3]
+
+One search per number of workers and round, one after the other in turn, of an ADS each of whose decisions takes 5 ms:
+`computes` needs a core for that long, `waits` does not, as a client of a planner on another machine. The events of all
+searches are compared. Prints what bare loops gain on this machine now, which bounds what `computes` can, and a row for
+each setting, in Markdown, with the median time and the speed-up over the first number of workers. With a population
+of four, of which one passes on, two processes gain at most 1.5: three scenarios take two turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot import Highway, Observation, Scenario
+from pytest_pafot.plugin.ahead import METHOD, Ahead, hired
+from pytest_pafot.plugin.crew import Errand
+from pytest_pafot.searching import SearchSpace, algorithm_named, run_campaign
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import Event
+from pytest_pafot.searching.fitness import resolve
+
+HEADER = "| ADS | population | workers | runs | median [s] | speed-up | same events |\n|---|---|---|---|---|---|---|"
+GENES = 2
+
+
+class Driver:
+    """Keeps its lane and speed, and takes its time.
+
+    Args:
+        kind: of what takes the time: `computes` or `waits`.
+        seconds: of each decision.
+    """
+
+    def __init__(self, kind: str, seconds: float) -> None:
+        self._kind = kind
+        self._seconds = seconds
+
+    def __call__(self, observation: Observation | None) -> tuple[float, float]:
+        if self._kind == "waits":
+            time.sleep(self._seconds)
+            return 0.0, 0.0
+        until = time.thread_time() + self._seconds
+        while time.thread_time() < until:
+            pass
+        return 0.0, 0.0
+
+
+def searched(ads: Callable[[], Any], workers: int, population: int, options: argparse.Namespace) -> list[Event]:
+    """All events of one search."""
+    world = Highway(duration=GENES * options.gene_seconds)
+    fitness = resolve("default")
+    with tempfile.TemporaryDirectory() as folder:
+        errand = Errand(world=world, ads=ads, folder=Path(folder), owner="benchmark")
+        with Ahead(size=workers, hire=lambda: hired(errand, workers, METHOD, [])) as ahead:
+
+            def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
+                traces = [ahead.run(each, lambda scenario: world.rollout(scenario, ads)) for each in scenarios]
+                return [
+                    Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome == "collision")
+                    for trace in traces
+                ]
+
+            space = SearchSpace(genes=GENES, gene_seconds=options.gene_seconds)
+            algorithm = algorithm_named("pafot", space, population=population)
+            campaign = run_campaign(algorithm, evaluate, generations=options.generations, seed=1, foresee=ahead.foresee)
+            return list(campaign)
+
+
+def compare(kind: str, population: int, options: argparse.Namespace) -> None:
+    """Rows for one ADS and population."""
+    ads = partial(Driver, kind, options.decision)
+    times: dict[int, list[float]] = {workers: [] for workers in options.workers}
+    histories: dict[int, list[Event]] = {}
+    for _ in range(options.rounds):
+        for workers in options.workers:
+            started = time.perf_counter()
+            histories[workers] = searched(ads, workers, population, options)
+            times[workers].append(time.perf_counter() - started)
+    first = options.workers[0]
+    for workers, seconds in times.items():
+        speed_up = statistics.median(times[first]) / statistics.median(seconds)
+        is_same = "yes" if histories[workers] == histories[first] else "NO"
+        simulated = getattr(histories[workers][-1], "simulated", 0)
+        print(
+            f"| {kind} | {population} | {workers} | {simulated} | {statistics.median(seconds):.2f} "
+            f"| {speed_up:.2f} | {is_same} |",
+            flush=True,
+        )
+
+
+def capacity(processes: int) -> float:
+    """How much more loops compute at the same time than one after the other, on this machine now."""
+    busy = Driver("computes", 1.0)
+    durations: list[float] = []
+    for count in (1, processes, 1, processes):
+        several = [multiprocessing.Process(target=busy, args=(None,)) for _ in range(count)]
+        started = time.perf_counter()
+        for each in several:
+            each.start()
+        for each in several:
+            each.join()
+        durations.append(time.perf_counter() - started)
+    return processes * (durations[0] + durations[2]) / (durations[1] + durations[3])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
+    parser.add_argument("--decision", type=float, default=0.005)
+    parser.add_argument("--kind", nargs="*", choices=["computes", "waits"], default=["computes", "waits"])
+    parser.add_argument("--population", type=int, nargs="*", default=[4, 8])
+    parser.add_argument("--generations", type=int, default=5)
+    parser.add_argument("--gene-seconds", type=float, default=5.0)
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    searched(partial(Driver, "waits", 0.0), 1, 4, options)  # Loads highway-env, which is not what is measured.
+    for workers in options.workers[1:]:
+        print(f"{workers} loops at once gain {capacity(workers):.2f}")
+    print(HEADER)
+    for kind in options.kind:
+        for population in options.population:
+            compare(kind, population, options)
+
+
+if __name__ == "__main__":
+    main()

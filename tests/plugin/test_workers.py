@@ -1,0 +1,269 @@
+"""The option `workers`: several processes, the same search."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+from pytest_pafot.findings.corpus import read
+from pytest_pafot.trace import Outcome
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+IN_USE = "*note: --pafot-workers=2: in use after 3 runs of this process"
+
+DEAR = """
+import os
+import time
+
+import pytest
+
+SESSION = os.getpid()
+
+def in_worker():
+    return os.getpid() != SESSION
+
+@pytest.fixture
+def ads():
+    def make():
+        time.sleep(0.015)
+        return DRIVE
+    return make
+
+def keep(observation):
+    return 0.0, 0.0
+"""
+
+MANY = """
+@pafot.search(genes=2, gene_seconds=4, shrink_rollouts=0, npcs=2)
+def test_many(run):
+    assert not run.collision
+    assert run.min_distance > 1.9
+"""
+
+
+@pytest.fixture
+def dear(project):
+    """A project whose ADS takes long enough for workers, and which makes it of some source text."""
+
+    def write(drive="keep", more="", test=MANY):
+        project.pytester.makeconftest(DEAR.replace("DRIVE", drive) + more)
+        project.write(test)
+        return project
+
+    return write
+
+
+def forget(project):
+    for name in project.files:
+        (project.path / name).unlink()
+
+
+def summary(result):
+    """What a session says, without times and process ids, and without the note that workers were in use."""
+    lines = [line for line in result.stdout.lines if "pafot-workers" not in line]
+    return [re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line) for line in lines]
+
+
+def session(project, workers, *args, **options):
+    """A session that begins without saved scenarios, and what is saved after it."""
+    forget(project)
+    result = project.run(f"--pafot-workers={workers}", "-p", "no:cacheprovider", *args, **options)
+    return result, project.contents
+
+
+def test_any_number_of_workers_finds_says_and_saves_the_same(dear):
+    project = dear()
+    alone, contents = session(project, 1, generations=3)
+    assert len(contents) > 1
+    for workers in (2, 3):
+        several, same = session(project, workers, generations=3)
+        several.stdout.fnmatch_lines([IN_USE.replace("2", str(workers))])
+        assert same == contents
+        assert summary(several) == summary(alone)
+
+
+def test_a_search_that_ends_early_ends_at_the_same_run(dear):
+    project = dear()
+    alone, contents = session(project, 1, "--pafot-stop-after=2", generations=5)
+    several, same = session(project, 2, "--pafot-stop-after=2", generations=5)
+    assert len(contents) == 2
+    assert same == contents
+    assert summary(several) == summary(alone)
+
+
+def test_cheap_runs_stay_in_one_process_and_the_summary_says_so(project):
+    project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
+    result = project.run("--pafot-workers=2", generations=3)
+    result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
+
+
+@pytest.mark.parametrize("capture", ["fd", "sys"])
+def test_what_the_ads_prints_is_captured_as_ever(dear, capture):
+    project = dear("chatty", "def chatty(observation):\n    print('at', observation.time)\n    return 0.0, 0.0\n")
+    printed = []
+    for workers in (1, 2):
+        result, _ = session(project, workers, f"--capture={capture}", generations=2)
+        printed.append([line for line in result.stdout.lines if line.startswith("at ")])
+    assert len(printed[0]) > 100
+    assert printed[0] == printed[1]
+
+
+def test_an_ads_that_raises_is_the_same_finding(dear):
+    more = (
+        "def fails(observation):\n    if observation.time > 3:\n        raise KeyError('lane')\n    return 0.0, 0.0\n"
+    )
+    project = dear("fails", more)
+    _, contents = session(project, 1, generations=2)
+    several, same = session(project, 2, generations=2)
+    several.stdout.fnmatch_lines([IN_USE])
+    assert same == contents
+    assert any("ads-error-" in name for name in contents)
+
+
+@pytest.mark.parametrize(
+    ("drive", "test", "message"),
+    [
+        ("keep if not in_worker() else 1 / 0", MANY, None),
+        (
+            "keep",
+            MANY.replace("npcs=2", "fitness=lambda trace: 'high'"),
+            "*fitness: expected*a number, received 'high'*",
+        ),
+    ],
+    ids=["factory", "fitness"],
+)
+def test_what_goes_wrong_outside_of_the_ads_goes_wrong_as_in_one_process(dear, drive, test, message):
+    project = dear(drive, test=test)
+    alone, contents = session(project, 1, generations=2)
+    several, same = session(project, 2, generations=2)
+    assert same == contents
+    assert summary(several) == summary(alone)
+    if message:
+        several.stdout.fnmatch_lines([message])
+
+
+DIES = """
+def dies(observation):
+    ego, other = observation.ego, observation.others[0]
+    if in_worker() and observation.time == 1 and other.lane == ego.lane:
+        os._exit(9)
+    return 0.0, 0.0
+"""
+
+
+IMPATIENT = """
+@pytest.fixture
+def pafot_world():
+    from pytest_pafot import Highway
+
+    return Highway(hang_limit=0.1)
+"""
+
+
+def test_a_worker_that_dies_is_a_finding_at_once_and_the_search_goes_on(dear):
+    project = dear("dies", DIES)
+    result, contents = session(project, 2, generations=4)
+    (crash,) = [name for name in contents if "crash-" in name]
+    finding = read(project.path / crash)
+    assert finding.expect.message == "the process that ran this scenario ended with exit code 9"
+    assert finding.found.generation > 0
+    assert [name for name in contents if "crash-" not in name]
+    result.assert_outcomes(failed=1 + len(contents))
+    result.stdout.fnmatch_lines(
+        [
+            "the process (pid *) that ran this scenario ended with exit code 9, and so it was when nothing else ran:*",
+            "*ended: all generations done*",
+        ]
+    )
+    assert "During handling" not in result.stdout.str()
+    assert not list(project.path.rglob("*.inflight"))
+
+
+def test_further_deaths_are_counted_and_later_known(dear):
+    project = dear("dies", DIES)
+    result, contents = session(project, 2, generations=6)
+    (crash,) = [name.rpartition("/")[2] for name in contents if "crash-" in name]
+    id_ = crash.removesuffix(".pafot.yaml")
+    result.stdout.re_match_lines([rf"  saved-{id_}, \d+ more runs?"])
+    again = project.run("--pafot-workers=2", "-p", "no:cacheprovider", generations=6)
+    again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{id_}"])
+    assert project.contents.keys() == contents.keys()
+
+
+def test_a_worker_whose_decision_hangs_interrupts_it(dear):
+    hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "time.sleep(60)")
+    project = dear("hangs", hangs + IMPATIENT)
+    result, contents = session(project, 2, generations=4)
+    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    assert finding.expect.outcome is Outcome.HANG
+    result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
+
+
+def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scenario_is_a_hang(dear, monkeypatch):
+    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    blocked = (
+        "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1, signal.SIGUSR2]); time.sleep(60)"
+    )
+    hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", blocked)
+    project = dear("hangs", hangs + IMPATIENT)
+    result, contents = session(project, 2, generations=4)
+    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    assert finding.expect.outcome is Outcome.HANG
+    assert finding.expect.message == "the process that ran this scenario did not answer for 0.5 s and was killed"
+    result.stdout.fnmatch_lines(["*ended: all generations done*"])
+
+
+def test_an_interrupt_from_the_keyboard_ends_all_processes_and_loses_no_find(dear):
+    more = """
+def noting(observation):
+    open(f"pid-{os.getpid()}", "w").close()
+    time.sleep(0.002)
+    return 0.0, 0.0
+"""
+    project = dear("noting", more, test=MANY)
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
+    with subprocess.Popen(
+        [*command, "--pafot-workers=2"],
+        cwd=project.path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        saved = next(line.strip() for line in process.stdout if "saved as" in line).rpartition(" ")[2]
+        while len(list(project.path.glob("pid-*"))) < 3:
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        rest = process.stdout.read()
+    assert process.returncode == pytest.ExitCode.INTERRUPTED
+    assert "Traceback" not in rest
+    assert saved in project.files
+    assert f"FAILED test_it.py::test_many[saved-{saved.rpartition('/')[2].removesuffix('.pafot.yaml')}]" in rest
+    with pytest.raises(ProcessLookupError):  # No process of its group is left.
+        os.killpg(process.pid, 0)
+    assert not list(project.path.rglob("*.inflight"))
+
+
+def test_under_xdist_there_is_one_process_for_each_search_and_one_note(dear):
+    pytest.importorskip("xdist")
+    project = dear(test=MANY + MANY.replace("test_many", "test_more"))
+    _, contents = session(project, 1, generations=2)
+    result, same = session(project, 2, "-n1", generations=2)
+    assert same == contents
+    text = result.stdout.str()
+    assert text.count("--pafot-workers is 1 under pytest-xdist") == 1
+    assert "in use after" not in text
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "many", "1.5"])
+def test_a_wrong_number_of_workers_names_what_was_expected(project, value):
+    project.write("def test_ordinary():\n    pass\n")
+    result = project.run(f"--pafot-workers={value}", generations=None)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"*--pafot-workers: expected auto or a whole number, at least 1, received '{value}'*"])
