@@ -190,7 +190,8 @@ def _details(finding: Finding, first: Scenario, tried: Sequence[str]) -> list[st
     """Lines for the report of a find: its size before and after, speeds that still fail, who would prevent it."""
     lines: list[str] = []
     if finding.shrunk is not None:
-        spent = f"{finding.shrunk.rollouts} runs{'' if finding.shrunk.is_minimal else ', and could be simpler'}"
+        runs = f"{finding.shrunk.rollouts} run{'' if finding.shrunk.rollouts == 1 else 's'}"
+        spent = f"{runs}{'' if finding.shrunk.is_minimal else ', and could be simpler'}"
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
         lines.append(f"shrunk     from {size_of(first)} {after}, in {spent}")
         lines += [f"still      {sentence}" for sentence in speed_sentences(finding)]

@@ -218,11 +218,10 @@ class PafotSearch:
             )
         if generation - state.improved_at >= self.restart_after:
             restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
-            return self.restarted(generation + 1, rng), (restarted,)
+            return self._restarted(generation + 1, rng), (restarted,)
         return replace(state, generation=generation + 1), ()
 
-    def restarted(self, generation: int, rng: np.random.Generator) -> PafotState:
-        """The state in which the population was given up: that of the coming generation is random."""
+    def _restarted(self, generation: int, rng: np.random.Generator) -> PafotState:
         return PafotState(
             generation=generation,
             restarted_at=generation,

@@ -5,6 +5,11 @@ import sys
 
 import pytest
 
+# pytester forgets modules that a run imports; compiled ones of libraries cannot be loaded a second time
+import pytest_pafot.searching.cma_es
+import pytest_pafot.searching.map_elites
+import pytest_pafot.searching.nsga2  # noqa: F401
+
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
 
 

@@ -1,6 +1,5 @@
-"""The default search is the paper's, until it has found a kind of failure."""
+"""The default search: niches, and each kind of failure once."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.searching import DistinctSearch, PafotSearch, run_campaign
-from pytest_pafot.searching.events import Evaluated, GenerationFinished, LocalSearchStarted, Restarted
+from pytest_pafot.grid import Cell
+from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching.distinct import NO_IMPACT, niche
+from pytest_pafot.searching.events import Evaluated, NewBest
+from pytest_pafot.trace import Outcome
+from tests.support.traces import collision_at
 
 
 class Judge:
@@ -23,63 +26,91 @@ class Judge:
 
     def _one(self, scenario):
         kind = self.kind(scenario)
-        fitness = self.fitness(scenario)
-        return self.make_evaluation(scenario, fitness=fitness, failing=kind is not None, kind=kind)
+        return self.make_evaluation(scenario, fitness=self.fitness(scenario), failing=kind is not None, kind=kind)
 
 
-def search(tester, algorithm, seed=0, generations=12):
-    return list(run_campaign(algorithm, tester, generations=generations, seed=seed))
+def search(judge, algorithm, seed=0, generations=20):
+    return list(run_campaign(algorithm, judge, generations=generations, seed=seed))
 
 
 def of(kind, events):
     return [event for event in events if isinstance(event, kind)]
 
 
-@given(st.integers(0, 50))
-def test_while_nothing_fails_it_is_the_papers_search(make_evaluation, seed):
-    tester = Judge(make_evaluation, lambda scenario: None)
-    distinct, pafot = search(tester, DistinctSearch(), seed), search(tester, PafotSearch(), seed)
-    assert distinct[1:] == pafot[1:]
+def crash(make_evaluation, scenario, cell, closing_speed, **fields):
+    hit = replace(collision_at(30, cell=Cell(cell)), closing_speed=closing_speed)
+    return make_evaluation(scenario, outcome=Outcome.COLLISION, collision=hit, **fields)
 
 
-def test_failures_of_no_known_kind_are_the_papers_search_too(make_evaluation):
-    """A failure that nobody can name cannot be known."""
-
-    def unnamed(scenarios):
-        return [make_evaluation(each, fitness=each.npcs[0][0].speed, failing=True) for each in scenarios]
-
-    distinct, pafot = search(unnamed, DistinctSearch()), search(unnamed, PafotSearch())
-    assert distinct[1:] == pafot[1:]
+def told(algorithm, state, evaluate, rng):
+    state, asked = algorithm.ask(state, rng)
+    state, _ = algorithm.tell(state, [evaluate(index, scenario) for index, scenario in enumerate(asked)], rng)
+    return state
 
 
-def test_a_new_kind_is_followed_by_a_random_population(make_evaluation):
-    events = search(Judge(make_evaluation, lambda scenario: "crash"), DistinctSearch())
-    assert of(Restarted, events)[0] == Restarted(generation=1, stagnant=0)
-    second = [event for event in of(Evaluated, events) if event.generation == 1]
-    assert len(second) == 4, "no elite passes on"
-    assert [event.generation for event in of(LocalSearchStarted, events)] == []
+def test_the_first_generations_are_random_ones(make_evaluation):
+    judge = Judge(make_evaluation, lambda scenario: None)
+    distinct, random = (search(judge, each, generations=5) for each in (DistinctSearch(), RandomSearch()))
+    assert [e.evaluation for e in of(Evaluated, distinct)] == [e.evaluation for e in of(Evaluated, random)]
 
 
-def test_a_kind_is_new_once(make_evaluation):
-    events = search(Judge(make_evaluation, lambda scenario: "crash"), DistinctSearch(), generations=20)
-    assert [event.stagnant for event in of(Restarted, events)].count(0) == 1
+def test_a_niche_is_an_impact_cell_and_a_closing_speed(make_evaluation):
+    assert niche(make_evaluation()) == NO_IMPACT
+    speeds = [0.0, 4.9, 5.0, 24.9, 25.0, 60.0]
+    assert [niche(crash(make_evaluation, None, 2, speed)) for speed in speeds] == [
+        (2, 0), (2, 0), (2, 1), (2, 4), (2, 5), (2, 5)
+    ]  # fmt: skip
 
 
-def test_a_known_failure_is_worth_less_than_any_run_that_does_not_fail(make_evaluation):
-    rng = np.random.default_rng(0)
-    algorithm = DistinctSearch()
+def test_the_worst_run_of_each_niche_stays(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    cells = [2, 2, 6, 6]
+    first = told(algorithm, algorithm.start(rng), lambda i, s: crash(make_evaluation, s, cells[i], 3.0, fitness=i), rng)
+    assert [(key, each.fitness) for key, each in first.elites] == [((2, 0), 1.0), ((6, 0), 3.0)]
+    second = told(algorithm, first, lambda i, s: crash(make_evaluation, s, 2, 3.0, fitness=0.5 + i / 4), rng)
+    assert [(key, each.fitness) for key, each in second.elites] == [((2, 0), 1.25), ((6, 0), 3.0)]
+
+
+@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": float("nan")}])
+def test_what_is_never_a_best_is_no_parent(make_evaluation, fields):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, **fields), rng)
+    assert state.elites == ()
+
+
+def test_what_shows_a_known_failure_is_no_parent(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    kinds = ["front", "front", None, None]
+
+    def evaluate(index, scenario):
+        return make_evaluation(scenario, fitness=9.0 - index, failing=kinds[index] is not None, kind=kinds[index])
+
+    state = told(algorithm, algorithm.start(rng), evaluate, rng)
+    assert state.kinds == {"front"}
+    assert [each.fitness for _, each in state.elites] == [7.0]
+
+
+def test_a_failure_that_nobody_names_cannot_be_known(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, failing=True), rng)
+    assert state.kinds == frozenset()
+    assert len(state.elites) == 1
+
+
+def test_children_differ_from_a_parent_in_one_to_three_instructions(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(crossover_rate=0.0)
     state = algorithm.start(rng)
-    state, asked = algorithm.ask(state, rng)
-    state, _ = algorithm.tell(state, [make_evaluation(each, failing=True, kind="crash") for each in asked], rng)
-    state, asked = algorithm.ask(state, rng)
-    told = [make_evaluation(each, fitness=9.0, failing=True, kind="crash") for each in asked]
-    told[2] = make_evaluation(asked[2], fitness=-5.0)
-    told[3] = make_evaluation(asked[3], fitness=-7.0, failing=True, kind="another")
-    _, (finished, *_) = algorithm.tell(state, told, rng)
-    assert isinstance(finished, GenerationFinished)
-    ranked = sorted(finished.population, key=lambda each: each.rank)
-    assert [each.scenario for each in ranked[2:]] == [asked[2], asked[3]]
-    assert {each.fitness for each in ranked[:2]} == {-math.inf}
+    for _ in range(5):
+        state = told(algorithm, state, lambda i, s: make_evaluation(s, fitness=s.npcs[0][0].speed), rng)
+    ((_, parent),) = state.elites
+    counts = set()
+    for _ in range(50):
+        _, children = algorithm.ask(state, rng)
+        for child in children:
+            pairs = zip(child.npcs, parent.executed.npcs, strict=True)
+            counts.add(sum(a != b for own, other in pairs for a, b in zip(own, other, strict=True)))
+    assert counts <= {0, 1, 2, 3}  # none where a later mutation takes an earlier one back
+    assert {1, 2, 3} <= counts
 
 
 def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the_papers_search(make_evaluation):
@@ -97,31 +128,31 @@ def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the
             for seed in range(20)
         )
 
-    assert found(DistinctSearch()) >= 2 * found(PafotSearch()) > 0
+    assert found(DistinctSearch()) >= 1.5 * found(PafotSearch()) > 0
 
 
-def test_the_same_draws_give_the_same_search(make_evaluation):
-    tester = Judge(make_evaluation, lambda scenario: "fast" if scenario.npcs[0][0].speed > 20 else None)
-    assert search(tester, DistinctSearch(), 3) == search(tester, DistinctSearch(), 3)
+@given(st.integers(0, 20))
+def test_the_same_draws_give_the_same_search(make_evaluation, seed):
+    judge = Judge(make_evaluation, lambda scenario: "fast" if scenario.npcs[0][0].speed > 20 else None)
+    assert search(judge, DistinctSearch(), seed, 8) == search(judge, DistinctSearch(), seed, 8)
 
 
-def test_a_new_kind_in_a_local_search_ends_it(make_evaluation):
-    rng = np.random.default_rng(0)
-    algorithm = DistinctSearch()
-    state, fitness = algorithm.start(rng), 0.0
-    while not state.local_generation:
-        state, asked = algorithm.ask(state, rng)
-        fitness += 1.0
-        state, _ = algorithm.tell(state, [make_evaluation(each, fitness=fitness) for each in asked], rng)
-    before = state
-    state, asked = algorithm.ask(state, rng)
-    told = [make_evaluation(each, failing=True, kind="crash") for each in asked]
-    state, events = algorithm.tell(state, told, rng)
-    assert state.local_generation == 0
-    assert state.generation == before.generation + 1
-    assert events[-1] == Restarted(generation=state.generation, stagnant=0)
+def test_every_best_is_announced_once(make_evaluation):
+    events = search(Judge(make_evaluation, lambda scenario: None), DistinctSearch())
+    fitnesses = [event.evaluation.fitness for event in of(NewBest, events)]
+    assert fitnesses == sorted(set(fitnesses))
+    assert fitnesses[-1] == max(event.evaluation.fitness for event in of(Evaluated, events))
 
 
-def test_a_population_that_cannot_be_is_refused():
-    with pytest.raises(ValueError, match="population: expected at least 2"):
-        replace(DistinctSearch(), population=1)
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"population": 0}, "population: expected a count of at least 1, received 0"),
+        ({"random_generations": 0}, "random_generations: expected a count of at least 1, received 0"),
+        ({"most_mutations": 0}, "most_mutations: expected a count of at least 1, received 0"),
+        ({"crossover_rate": 1.5}, "crossover_rate: expected a number from 0 to 1, received 1.5"),
+    ],
+)
+def test_a_search_that_cannot_work_is_refused(parameters, message):
+    with pytest.raises(ValueError, match=message):
+        DistinctSearch(**parameters)
