@@ -1,4 +1,4 @@
-"""The header of a session says how the kernel runs."""
+"""The header of a verbose session says how the kernel runs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from pytest_pafot.plugin import header
 from pytest_pafot.world import kernel
 
 
-def test_every_session_says_it_once(pytester):
-    result = pytester.runpytest_subprocess()
+def test_a_session_that_is_not_verbose_says_nothing(pytester):
+    pytester.runpytest_subprocess().stdout.no_fnmatch_line("*kernel*")
+
+
+def test_a_verbose_session_says_it_once(pytester):
+    result = pytester.runpytest_subprocess("-v")
     told = [line for line in result.outlines if line.startswith("pafot: kernel")]
     expected = "compiled" if kernel.is_compiled() else "interpreted"
     assert len(told) == 1
@@ -18,16 +22,17 @@ def test_every_session_says_it_once(pytester):
 
 def test_an_environment_that_demands_the_interpreted_one_is_named(pytester, monkeypatch):
     monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
-    pytester.runpytest_subprocess().stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
+    pytester.runpytest_subprocess("-v").stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, compiled):
+def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, pytester, compiled):
     monkeypatch.delenv("PAFOT_KERNEL", raising=False)
     monkeypatch.setattr(header, "KERNEL", tmp_path)
     (tmp_path / "loop.py").touch()
     if compiled:
         (tmp_path / f"loop{header.EXTENSION_SUFFIXES[0]}").touch()
-    assert header.pytest_report_header() == (
+    config = pytester.parseconfig("-v")
+    assert header.pytest_report_header(config) == (
         "pafot: kernel compiled" if compiled else "pafot: kernel interpreted (not compiled at installation)"
     )

@@ -244,7 +244,7 @@ def test_many(run):
     result = run(project, "--pafot-max-saved=2", "--pafot-shrink-rollouts=1", generations=2)
     assert len(project.files) == 2
     result.assert_outcomes(failed=3)
-    result.stdout.fnmatch_lines(["* new findings in *", "* further findings not saved (--pafot-max-saved): *-?????? (1*"])
+    result.stdout.fnmatch_lines(["* new findings in *", "* findings not saved (--pafot-max-saved): *-?????? (1*"])
 
 
 def test_a_test_with_as_many_files_as_it_may_have_still_fails_for_a_new_find(project):

@@ -1,0 +1,170 @@
+"""What the parts of a search contribute: one changed at a time, at equal simulated time.
+
+    python -m tests.benchmarks.ablation [--runs 20] [--hours 3] [--workers 2]
+
+The ego is highway-env's IDM+MOBIL on the default road. The first table counts collisions, as the paper does: its
+algorithm with other grids, fitness terms, populations and genes. The second counts distinct failures for which the ego
+answers (``blame="ego"``): the default search with and without what it adds to the paper's operators. Both are Markdown;
+values are means of a run, with the standard error of the mean.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from example_ads import idm_mobil
+from pytest_pafot import Highway, Run, Scenario
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
+from pytest_pafot.searching.fitness import Weights, resolve
+from pytest_pafot.trace import Outcome, Trace
+
+COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
+ENDLESS = 100_000
+"""Generations; the simulated time ends a run before."""
+
+
+def by_ego(trace: Trace) -> bool:
+    """Whether the ego answers for a collision."""
+    return trace.outcome is Outcome.COLLISION and rss_rule(trace).blames_ego
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A search to measure."""
+
+    algorithm: Any = PafotSearch
+    world: Highway = field(default_factory=Highway)
+    space: SearchSpace = field(default_factory=SearchSpace)
+    fitness: Any = "default"
+    parameters: tuple[tuple[str, float], ...] = ()
+    tells_kinds: bool = True
+
+
+DEFAULT = Variant()
+OFF = {"ttc": 0.0, "gap": 0.0, "shortfall": 0.0, "time": 0.0}
+COLLISIONS: Mapping[str, Variant] = {
+    "random": Variant(algorithm=RandomSearch),
+    "pafot, as it is": DEFAULT,
+    "the paper's literal grid, clearance 0 m": replace(DEFAULT, world=Highway(clearance=0.0)),
+    "clearance 10 m": replace(DEFAULT, world=Highway(clearance=10.0)),
+    "fitness: the paper's sum": replace(DEFAULT, fitness="paper"),
+    **{f"fitness: {name} alone": replace(DEFAULT, fitness=Weights(**(OFF | {name: 1.0}))) for name in OFF},
+    "children bred again: never (the paper's)": replace(DEFAULT, parameters=(("breeding_attempts", 0),)),
+    "no local fuzzer": replace(DEFAULT, parameters=(("local_generations", 0),)),
+    "no restarts": replace(DEFAULT, parameters=(("restart_after", ENDLESS),)),
+    **{f"population {size}": replace(DEFAULT, parameters=(("population", size),)) for size in (2, 8, 16)},
+    "3 genes of 20 s": replace(DEFAULT, space=SearchSpace(genes=3, gene_seconds=20.0)),
+    "12 genes of 5 s": replace(DEFAULT, space=SearchSpace(genes=12, gene_seconds=5.0)),
+    "1 NPC": replace(DEFAULT, space=SearchSpace(npcs=1)),
+    "4 NPCs": replace(DEFAULT, space=SearchSpace(npcs=4)),
+}
+DISTINCT = Variant(algorithm=DistinctSearch)
+FAILURES: Mapping[str, Variant] = {
+    "random": Variant(algorithm=RandomSearch),
+    "pafot": DEFAULT,
+    "distinct, as it is": DISTINCT,
+    "known failures stay parents": replace(DISTINCT, tells_kinds=False),
+    "no random generations but the first": replace(DISTINCT, parameters=(("random_generations", 1),)),
+    "10 random generations": replace(DISTINCT, parameters=(("random_generations", 10),)),
+    "one mutation a child": replace(DISTINCT, parameters=(("most_mutations", 1),)),
+    "no crossover": replace(DISTINCT, parameters=(("crossover_rate", 0.0),)),
+}
+
+
+@dataclass
+class Tally:
+    """What one run came to."""
+
+    runs: int = 0
+    collisions: int = 0
+    seconds: float = 0.0
+    blamed: int = 0
+    kinds: set[Any] = field(default_factory=set)
+
+
+def measured(variant: Variant, seed: int, hours: float, blame: bool) -> Tally:
+    """One search of so many simulated hours."""
+    tally = Tally()
+    fitness = resolve(variant.fitness, responsible=by_ego if blame else None)
+
+    def one(scenario: Scenario) -> Evaluation:
+        trace = variant.world.rollout(scenario, idm_mobil.make)
+        is_hit, is_blamed = trace.outcome is Outcome.COLLISION, by_ego(trace)
+        kind = of_failure(Run(trace), COLLIDES) if is_blamed else None
+        tally.runs += 1
+        tally.seconds += trace.duration
+        tally.collisions += is_hit
+        tally.blamed += is_blamed
+        tally.kinds |= {kind} - {None}
+        return Evaluation.of(
+            trace,
+            fitness=fitness(trace),
+            failing=is_blamed if blame else is_hit,
+            kind=kind if variant.tells_kinds else None,
+        )
+
+    events = run_campaign(
+        variant.algorithm(variant.space, **dict(variant.parameters)),
+        lambda scenarios: [one(scenario) for scenario in scenarios],
+        generations=ENDLESS,
+        seed=seed,
+        stop=lambda: tally.seconds >= hours * 3600,
+    )
+    for _ in events:
+        pass
+    return tally
+
+
+def mean(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
+    """With the standard error of the mean."""
+    spread = statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else 0.0
+    return f"{statistics.mean(values) * scale:.{digits}f} ± {spread * scale:.{digits}f}"
+
+
+def collisions_row(name: str, runs: Sequence[Tally]) -> str:
+    share = mean([run.collisions / run.runs for run in runs], 1, 100)
+    each = mean([run.seconds / max(run.collisions, 1) for run in runs], 0)
+    return f"| {name} | {share} % | {each} | {mean([run.seconds / run.runs for run in runs], 1)} |"
+
+
+def failures_row(name: str, runs: Sequence[Tally]) -> str:
+    some = sum(bool(run.kinds) for run in runs)
+    kinds, blamed = mean([len(run.kinds) for run in runs], 2), mean([run.blamed for run in runs], 1)
+    return f"| {name} | {kinds} | {some} of {len(runs)} | {blamed} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--hours", type=float, default=3.0)
+    parser.add_argument("--workers", type=int, default=2)
+    arguments = parser.parse_args()
+
+    def table(
+        head: str, variants: Mapping[str, Variant], blame: bool, row: Callable[[str, Sequence[Tally]], str]
+    ) -> None:
+        print(f"\n{head}\n|{' --- |' * (head.count('|') - 1)}")
+        with ProcessPoolExecutor(arguments.workers) as pool:
+            jobs = {
+                name: [pool.submit(measured, variant, seed, arguments.hours, blame) for seed in range(arguments.runs)]
+                for name, variant in variants.items()
+            }
+            for name, runs in jobs.items():
+                print(row(name, [run.result() for run in runs]), flush=True)
+
+    head = "| search | colliding share of runs | simulated s per collision | simulated s per run |"
+    table(head, COLLISIONS, False, collisions_row)
+    head = "| search | distinct ego-responsible failures | runs with any | ego-responsible collisions |"
+    table(head, FAILURES, True, failures_row)
+
+
+if __name__ == "__main__":
+    main()
