@@ -1,4 +1,4 @@
-"""The compiled form of pytest_pafot.world.kernel; without a C compiler the same modules run interpreted."""
+"""The compiled form of the modules with types in a ``.pxd`` file; without a C compiler they run interpreted."""
 
 import warnings
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
-FOLDER = Path("pytest_pafot/world/kernel")
+FOLDERS = [Path("pytest_pafot", room) for room in ("criticality", "searching", "world/kernel")]
 DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are those of the .pxd files
@@ -24,7 +24,8 @@ class AllOrNothing(build_ext):
             self.copy_extensions_to_source()  # whoever runs Python in a clone imports the clone's package
         except Exception as error:  # noqa: BLE001  (compilers fail in many ways, and none of them is fatal)
             warnings.warn(f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1)
-            for built in [*map(Path, self.get_outputs()), *FOLDER.glob("*.so"), *FOLDER.glob("*.pyd")]:
+            beside = [built for folder in FOLDERS for kind in ("*.so", "*.pyd") for built in folder.glob(kind)]
+            for built in [*map(Path, self.get_outputs()), *beside]:
                 built.unlink(missing_ok=True)
             self.extensions.clear()
 
@@ -40,7 +41,7 @@ def extensions() -> list[Extension]:
         from Cython.Build import cythonize  # noqa: PLC0415
     except ImportError:
         return []
-    sources = [source for source in sorted(FOLDER.glob("*.py")) if source.with_suffix(".pxd").exists()]
+    sources = [types.with_suffix(".py") for folder in FOLDERS for types in sorted(folder.glob("*.pxd"))]
     found = [Extension(".".join(source.with_suffix("").parts), [source.as_posix()]) for source in sources]
     modules: list[Extension] = cythonize(found, compiler_directives=DIRECTIVES, build_dir="build")
     return modules

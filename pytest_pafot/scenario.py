@@ -160,13 +160,28 @@ class Scenario:
         seed = _checked_whole("seed", seed, MAX_SEED)
         positions = positions_of(chains)
         cells = repair_chains([[gene.cell for gene in chain] for chain in positions], seed)
-        repaired = tuple(
-            tuple(replace(gene, cell=cell) for gene, cell in zip(chain, row, strict=True))
-            for chain, row in zip(positions, cells, strict=True)
-        )
-        return cls(
-            npcs=repaired or chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds
-        )
+        if [[gene.cell for gene in chain] for chain in positions] != [list(row) for row in cells]:
+            chains = tuple(
+                tuple(replace(gene, cell=cell) for gene, cell in zip(chain, row, strict=True))
+                for chain, row in zip(positions, cells, strict=True)
+            )
+        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+    @classmethod
+    def trusted(
+        cls, *, npcs: tuple[Chromosome, ...], seed: int, ego_lane: int, ego_speed: float, gene_seconds: float
+    ) -> Scenario:
+        """The same as the constructor for values that are valid by construction, without its checks.
+
+        For a search, which makes a scenario for every child out of genes and starts that were checked before.
+        """
+        scenario = object.__new__(cls)
+        object.__setattr__(scenario, "npcs", npcs)
+        object.__setattr__(scenario, "seed", seed)
+        object.__setattr__(scenario, "ego_lane", ego_lane)
+        object.__setattr__(scenario, "ego_speed", ego_speed)
+        object.__setattr__(scenario, "gene_seconds", gene_seconds)
+        return scenario
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
@@ -199,6 +214,8 @@ class Scenario:
 
 
 def _checked_cell(value: object) -> Cell:
+    if type(value) is Cell:
+        return value
     number = _whole(value)
     if number is None or not 1 <= number <= 8:
         raise ScenarioError(
@@ -263,9 +280,8 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
 
 def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Chains of one kind where that is Position-Instructions, else nothing."""
-    chains = tuple(map(tuple, npcs))
-    is_positions = bool(chains) and isinstance(chains[0][0], PositionInstruction)
-    return cast("tuple[tuple[PositionInstruction, ...], ...]", chains) if is_positions else ()
+    is_positions = bool(npcs) and isinstance(npcs[0][0], PositionInstruction)
+    return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(map(tuple, npcs))) if is_positions else ()
 
 
 def _check_kinds(npcs: Sequence[Sequence[Gene]]) -> None:

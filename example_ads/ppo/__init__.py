@@ -12,6 +12,7 @@ and it prefers slowing down to changing lanes. So it hits whoever brakes hard ah
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -38,10 +39,21 @@ class PpoPolicy:
         """The meta-action, 0 to 4, for a Kinematics observation of shape [vehicles, features]."""
         return int(np.argmax(self.logits(observation)))
 
+    def batch(self, observations: Sequence[npt.NDArray[Shaped]]) -> list[int]:
+        """The same for many runs in lock step, in one pass through the network."""
+        actions: list[int] = np.argmax(
+            self._outputs(np.stack([seen.ravel() for seen in observations])), axis=1
+        ).tolist()
+        return actions
+
     def logits(self, observation: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
         """The unnormalised log-probability of each action, shape [actions]."""
+        return self._outputs(observation.ravel())
+
+    def _outputs(self, inputs: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
+        """Of flat observations, one or a row for each."""
         *hidden, (last_weights, last_biases) = self._layers
-        units = observation.astype(np.float32).ravel()
+        units = inputs.astype(np.float32)
         for weights, biases in hidden:
             units = np.maximum(units @ weights + biases, np.float32(0))
         return units @ last_weights + last_biases

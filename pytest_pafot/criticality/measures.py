@@ -6,16 +6,21 @@ Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from pytest_pafot.criticality import sweep
 from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, relate
 from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace, X, Y
 
 MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
+
+_SWEEPS = sweep.is_in_use()
+"""Whether extremes come from one compiled pass; from the arrays they are the same, and sooner than interpreted."""
 
 _PARALLEL = 1e-9
 """Headings whose sine differs by less are parallel [1]: their lines cross beyond any road, or only by rounding."""
@@ -145,10 +150,12 @@ class Encounters:
     innermost numpy is about three times as fast. Each is computed when first asked for, then kept.
     """
 
-    def __init__(self, trace: Trace) -> None:
+    def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
+        """``sweeps=False`` takes the extremes from the arrays, which gives the same numbers."""
+        self._sweeps = sweeps
         self._states = trace.states
         self._sizes = trace.sizes
-        self._lane_headings = np.array([lane.heading for lane in trace.lanes])
+        self._lane_headings = [lane.heading for lane in trace.lanes]
 
     def column(self, index: int) -> FloatArray:
         """One column of the trace's states, shape [vehicles, ticks + 1]."""
@@ -174,7 +181,7 @@ class Encounters:
     @cached_property
     def road(self) -> tuple[FloatArray, FloatArray]:
         """Cosine and sine of the road's heading at the ego, shape [1, ticks + 1], or [1, 1] where all lanes agree."""
-        headings = self._lane_headings
+        headings = np.array(self._lane_headings)
         if (headings == headings[0]).all():
             headings = headings[:1]
             lanes = np.zeros((1, 1), dtype=np.intp)
@@ -266,7 +273,7 @@ class Encounters:
     @property
     def min_ttc(self) -> float:
         """See :func:`min_ttc`."""
-        return _lowest(self.ttc)
+        return _lowest(self.ttc) if self._extremes is None else self._extremes.min_ttc
 
     @property
     def min_centre_distance(self) -> float:
@@ -276,7 +283,7 @@ class Encounters:
     @property
     def min_gap(self) -> float:
         """See :func:`min_gap`."""
-        return _lowest(self.gap)
+        return _lowest(self.gap) if self._extremes is None else self._extremes.min_gap
 
     @property
     def min_safety_distance(self) -> float:
@@ -286,7 +293,16 @@ class Encounters:
     @property
     def max_safety_shortfall(self) -> float:
         """See :func:`max_safety_shortfall`."""
-        return _highest(self.safety_shortfall)
+        return _highest(self.safety_shortfall) if self._extremes is None else self._extremes.max_safety_shortfall
+
+    @cached_property
+    def _extremes(self) -> sweep.Sweep | None:
+        """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
+        heading = self._lane_headings[0]
+        if not self._sweeps or self._lane_headings.count(heading) < len(self._lane_headings):
+            return None
+        found = sweep.Sweep(self._states, self._sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
+        return found if found.run() else None
 
     def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
         ego_minus_npc = values[:1] - values[1:]

@@ -59,9 +59,11 @@ class InFlight:
         details = {"owner": owner, "pid": os.getpid(), "world": dict(world) if world is not None else None}
         self._prefix = json.dumps(details)[:-1] + ', "scenario": '
 
-    def record(self, scenario: Scenario) -> None:
-        """Put a scenario on disk; from now on a crash is its doing."""
-        self._write(f"{self._prefix}{scenario.canonical()}}}\n".encode())
+    def record(self, *scenarios: Scenario) -> None:
+        """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them."""
+        alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
+        together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
+        self._write(f"{self._prefix}{alone}{together}}}\n".encode())
 
     def clear(self) -> None:
         """Nothing is in flight."""
@@ -107,8 +109,9 @@ class Leftover:
         path: of the record.
         pid: of the process.
         owner: node id of the test; empty where the record cannot be read.
-        scenario: in flight; None where the record cannot be read.
+        scenario: in flight; None where the record cannot be read, or where several were.
         world: that it ran in, or None.
+        together: scenarios that were in flight at once, one of which it was.
     """
 
     path: Path
@@ -116,6 +119,7 @@ class Leftover:
     owner: str
     scenario: Scenario | None
     world: Mapping[str, Any] | None = field(default=None)
+    together: tuple[Scenario, ...] = ()
 
     def discard(self) -> None:
         """Remove the record once it is reported; another process may have done so already."""
@@ -180,10 +184,11 @@ def _parsed(path: Path, line: bytes) -> Leftover:
     try:
         record = json.loads(line)
         owner, world = str(record["owner"]), dict(record["world"]) if record["world"] is not None else None
-        scenario = _scenario(record["scenario"])
+        together = tuple(_scenario(each) for each in record.get("together", ()))
+        scenario = None if together else _scenario(record["scenario"])
     except (ValueError, KeyError, TypeError, ScenarioError, RecursionError):
         return Leftover(path=path, pid=_pid(path), owner="", scenario=None)
-    return Leftover(path=path, pid=_pid(path), owner=owner, scenario=scenario, world=world)
+    return Leftover(path=path, pid=_pid(path), owner=owner, scenario=scenario, world=world, together=together)
 
 
 def _scenario(fields: list[Any]) -> Scenario:

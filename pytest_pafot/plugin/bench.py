@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -85,21 +85,51 @@ class Bench:
         __tracebackhide__ = True
         return self.seen(self.rolled_out(scenario, world), world)
 
-    def rolled_out(self, scenario: Scenario, world: Any) -> Trace:
-        """The same, as its trace alone.
+    def rolled_out(self, scenario: Scenario, world: Any, ads: Callable[..., Any] | None = None) -> Trace:
+        """The same, as its trace alone; the ADS is the item's unless given.
 
         Raises:
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
+        with self._refusals():
+            trace: Trace = world.rollout(scenario, ads or self.ads)
+        return trace
+
+    def rolled_out_together(self, scenarios: Sequence[Scenario]) -> list[Trace]:
+        """Runs in lock step in the world of new scenarios, as traces.
+
+        Raises:
+            RequestError: likewise.
+        """
+        __tracebackhide__ = True
+        with self._refusals():
+            traces: list[Trace] = self.world.rollout_batch(scenarios, self.ads)
+        return traces
+
+    @property
+    def can_lock_step(self) -> bool:
+        """Whether an ADS with a method ``batch`` would decide for many runs at once.
+
+        Not in a world of the user's own that cannot do that, not for an ADS that needs the environment of its run, and
+        not where decisions have a limit of time, which decisions for many runs do not tell.
+        """
+        from pytest_pafot.world.ads import is_vehicle_class, wants_env  # noqa: PLC0415
+
+        is_asked = not is_vehicle_class(self.ads) and not wants_env(self.ads)
+        return is_asked and self.request.decision_limit is None and hasattr(self.world, "rollout_batch")
+
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """Errors of the world that are the user's to mend, as errors of the request."""
+        __tracebackhide__ = True
         from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:
-            trace: Trace = world.rollout(scenario, self.ads)
+            yield
         except (WorldError, AdsFactoryError, ScenarioError) as error:
             raise RequestError(f"{self.item.name}: {error}") from None
-        return trace
 
     def seen(self, trace: Trace, world: Any) -> Run:
         """The run that a trace from a world is the record of."""

@@ -45,6 +45,7 @@ class Stage:
         keep: takes a new find (run, verdict, generation, number of the run), saves and announces it.
         keep_lost: takes the first scenario whose process did not come back, likewise.
         lethal: scenarios in which a process died; they are not run.
+        alone: the run again by itself where it took place together with others, else None.
     """
 
     run: Callable[[Scenario], Run]
@@ -53,6 +54,7 @@ class Stage:
     keep: Callable[[Run, Verdict, int, int], str]
     keep_lost: Callable[[Lost, int, int], str]
     lethal: frozenset[Scenario] = frozenset()
+    alone: Callable[[Run], Run | None] = lambda run: None
 
 
 @dataclass(slots=True)
@@ -122,6 +124,9 @@ class Hunt:
         if isinstance(run, Lost):
             return self._lost(run)
         verdict = self.stage.judge(run)
+        again = self.stage.alone(run) if verdict.failed else None
+        if again is not None:  # A find is what its replay will be, also where an ADS does not keep its rows apart.
+            run, verdict = again, self.stage.judge(again)
         self.verdicts[verdict.kind] += 1
         kind = self._failed(run, verdict) if verdict.failed else None
         if verdict.kind == "skipped":

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.findings.inflight import InFlight
+from pytest_pafot.findings.inflight import InFlight, Leftover
 from pytest_pafot.findings.responsibility import rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
-from pytest_pafot.plugin.ahead import Ahead, ahead_of
+from pytest_pafot.plugin.ahead import ahead_of
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.confirming import difference
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.keeping import Keeper
+from pytest_pafot.plugin.lock_step import LockStep, noted
 from pytest_pafot.plugin.oracle import Verdict
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
@@ -40,13 +41,25 @@ WHOLE = (REASONS["generations"], REASONS["time"])
 """Reasons that leave a search whose health says something."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Watched:
     """Runs of a search, with the scenario on disk until its verdict is known."""
 
     bench: Bench
     flight: InFlight
-    ahead: Ahead
+    ahead: LockStep
+
+    @classmethod
+    def of(cls, bench: Bench, flight: InFlight) -> Watched:
+        """Runs in the way that the ADS and the settings ask for."""
+
+        def together(scenarios: Sequence[Scenario]) -> list[Trace]:
+            __tracebackhide__ = True
+            flight.record(*scenarios)
+            return bench.rolled_out_together(scenarios)
+
+        is_wanted = None if bench.can_lock_step else False
+        return cls(bench, flight, LockStep(apart=ahead_of(bench), together=together, is_wanted=is_wanted))
 
     def run(self, scenario: Scenario) -> Run:
         """One run, whose verdict follows.
@@ -62,7 +75,8 @@ class Watched:
     def _run_here(self, scenario: Scenario) -> Trace:
         __tracebackhide__ = True
         self.flight.record(scenario)
-        return self.bench.rolled_out(scenario, self.bench.world)
+        ads = noted(self.bench.ads, self.ahead.saw) if self.ahead.is_wanted is None else None
+        return self.bench.rolled_out(scenario, self.bench.world, ads)
 
     def judge(self, run: Run) -> Verdict:
         """The verdict on the last run."""
@@ -70,6 +84,19 @@ class Watched:
         verdict = self.bench.judge(run)
         self.flight.clear()
         return verdict
+
+    def alone(self, run: Run) -> Run | None:
+        """The last run again by itself, where it took place together with others."""
+        __tracebackhide__ = True
+        return self.run(run.trace.scenario) if self.ahead.was_together(run.trace) else None
+
+    def retry(self, leftover: Leftover) -> None:
+        """Run by itself what was in lock step when a process died, so that a second death has one name."""
+        __tracebackhide__ = True
+        if leftover.together:
+            leftover.discard()  # before another death, of which it would otherwise be the cause for ever
+        for scenario in leftover.together:
+            self.rerun(scenario)
 
     def rerun(self, scenario: Scenario) -> Run:
         """One run without a verdict."""
@@ -121,7 +148,7 @@ class Searching:
         fitness = checked_fitness(self.bench)
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
-            watched = Watched(bench=self.bench, flight=flight, ahead=ahead_of(self.bench))
+            watched = Watched.of(self.bench, flight)
             keeper = Keeper(
                 bench=self.bench,
                 seed=self.seed,
@@ -130,6 +157,7 @@ class Searching:
             )
             for leftover in left_behind(self.bench.item, self.bench.request):
                 keeper.keep_crash(leftover)
+                watched.retry(leftover)
             saved = places.saved_in(self.bench.folder)
             keeper.replayed = frozenset(each.path for each in saved)
             hunt = Hunt(
@@ -140,6 +168,7 @@ class Searching:
                     keep=keeper.keep,
                     keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
+                    alone=watched.alone,
                 )
             )
             reason = "interrupted"
@@ -159,7 +188,7 @@ class Searching:
                 self._show(hunt, search)
         self._conclude(hunt, keeper, search)
 
-    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: Ahead) -> str:
+    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: LockStep) -> str:
         """Run the campaign; returns why it ended."""
         __tracebackhide__ = True
         settings = self.bench.request.settings

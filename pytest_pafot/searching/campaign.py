@@ -100,8 +100,8 @@ class _Tally:
             return replace(self, generations=self.generations + 1)
         if not isinstance(event, Evaluated):
             return self
-        return replace(
-            self,
+        return _Tally(
+            generations=self.generations,
             evaluated=self.evaluated + 1,
             simulated=self.simulated + (not event.reused),
             best=event.evaluation if improves(event.evaluation, self.best) else self.best,
@@ -240,15 +240,21 @@ class _Evaluator:
         Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
         though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
         """
-        unknown = self._unknown(batch)
-        results = tuple(self._evaluate(unknown)) if unknown else ()
+        recalled = [self._memory.recall(scenario) for scenario in batch]
+        unknown = _distinct([scenario for scenario, known in zip(batch, recalled, strict=True) if known is None])
+        results = self._evaluate(unknown) if unknown else ()
         check_order("evaluate", unknown, results)
-        new = dict(zip(unknown, results, strict=True))
-        for scenario in batch:
-            known = self._memory.recall(scenario)
+        for index, scenario in enumerate(batch):
+            # What the batch has shown up to here may tell as well.
+            known = self._memory.recall(scenario) if index else recalled[0]
             if known is None:
-                self._memory.add(new[scenario])
-            yield (new[scenario], False) if known is None else (known, True)
+                new = results[unknown.index(scenario)]
+                self._memory.add(new)
+            yield (new, False) if known is None else (known, True)
 
     def _unknown(self, scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
-        return tuple(dict.fromkeys(scenario for scenario in scenarios if self._memory.recall(scenario) is None))
+        return _distinct([scenario for scenario in scenarios if self._memory.recall(scenario) is None])
+
+
+def _distinct(scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
+    return tuple(dict.fromkeys(scenarios) if len(scenarios) > 1 else scenarios)  # to hash one takes a while

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, compress, pairwise
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Gene, PositionInstruction
@@ -55,15 +55,16 @@ class Coverage:
 
     def counted(self, evaluation: Evaluation) -> Coverage:
         """With one more run."""
-        requested, driven, reached = Counter(self.requested), Counter(self.driven), Counter(self.reached)
         depth = evaluation.depth if evaluation.genes_started else 0
-        for chain in evaluation.scenario.npcs:
-            requested.update(_keys(chain, [True] * len(chain)))
-        for npc, chain in enumerate(evaluation.executed.npcs):
-            arrived = evaluation.arrived[npc] if npc < len(evaluation.arrived) else ()
-            driven.update(_keys(chain, [gene < depth for gene in range(len(chain))]))
-            reached.update(_keys(chain, [gene < len(arrived) and arrived[gene] for gene in range(len(chain))]))
-        return Coverage(requested=requested, driven=driven, reached=reached)
+        asked = driven = [_keys(chain) for chain in evaluation.scenario.npcs]
+        if evaluation.executed is not evaluation.scenario:
+            driven = [_keys(chain) for chain in evaluation.executed.npcs]
+        arrived = zip(driven, evaluation.arrived, strict=False)
+        return Coverage(
+            requested=_added(self.requested, chain.from_iterable(asked)),
+            driven=_added(self.driven, chain.from_iterable([keys[:depth] for keys in driven])),
+            reached=_added(self.reached, chain.from_iterable([compress(*each) for each in arrived])),
+        )
 
     def describe(self, speed_limit: float) -> str:
         """One line for a summary: what was reached, and what was asked for; the limit [m/s] says which bins exist."""
@@ -76,13 +77,17 @@ class Coverage:
         return f"reached {named}; requested {', '.join(requested)}"
 
 
-def _keys(chain: Sequence[Gene], counts: Sequence[bool]) -> Iterable[Key]:
-    """Of the genes of a chain that count; a step belongs to the gene that it leads to."""
-    for gene, does_count in zip(chain, counts, strict=True):
-        if does_count:
-            yield "bin", int(gene.speed // SPEED_BIN)
-            if isinstance(gene, PositionInstruction):
-                yield "cell", int(gene.cell)
-    for (before, after), does_count in zip(pairwise(chain), counts[1:], strict=True):
-        if does_count and isinstance(before, PositionInstruction) and isinstance(after, PositionInstruction):
-            yield "step", int(before.cell), int(after.cell)
+def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]:
+    counts = counts.copy()
+    counts.update(chain.from_iterable(genes))
+    return counts
+
+
+def _keys(genes: Sequence[Gene]) -> list[tuple[Key, ...]]:
+    """Of each gene of a chain; a step belongs to the gene that it leads to."""
+    bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
+    cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
+    if not cells:
+        return [(each,) for each in bins]
+    steps = [(("step", *step),) for step in pairwise(cells)]
+    return [(speed, ("cell", cell), *step) for speed, cell, step in zip(bins, cells, [(), *steps], strict=True)]

@@ -9,7 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from pytest_pafot.criticality import sweep
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.company import Company
 from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
@@ -28,6 +30,8 @@ FAR_BEHIND = 100.0
 
 BARELY_MOVING = 2.0
 """Mean speed of an ego that tests nothing [m/s]; one that brakes to a stop from 22 m/s is below it after 30 s."""
+
+_SWEEPS = sweep.is_in_use()
 
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
@@ -82,6 +86,8 @@ class Evaluation:
         cls, trace: Trace, *, fitness: float, failing: bool, discarded: bool = False, kind: Hashable | None = None
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
+        interaction, left_behind = company_of(trace)
+        arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
             scenario=trace.scenario,
             executed=trace.executed,
@@ -90,13 +96,13 @@ class Evaluation:
             outcome=trace.outcome,
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
-            genes_reached=sum(tick is not None for arrivals in trace.arrivals for tick in arrivals),
-            interaction=interacted(trace),
+            genes_reached=sum(map(sum, arrived)),
+            interaction=interaction,
             discarded=discarded,
-            outran=outran(trace),
+            outran=left_behind,
             barely_moved=barely_moved(trace),
             kind=kind,
-            arrived=tuple(tuple(tick is not None for tick in arrivals) for arrivals in trace.arrivals),
+            arrived=arrived,
             collision=trace.collision,
         )
 
@@ -122,9 +128,22 @@ class Evaluation:
         was started tells nothing about any other scenario.
         """
         lengths = [len(chain) for chain in self.executed.npcs]
-        depths = range(1, max(lengths) + 1)
-        enough = (depth for depth in depths if sum(min(n, depth) for n in lengths) >= self.genes_started > 0)
-        return next(enough, depths[-1])
+        longest = max(lengths)
+        if self.genes_started <= 0:
+            return longest
+        if min(lengths) == longest:
+            return min(-(-self.genes_started // len(lengths)), longest)
+        enough = (depth for depth in range(1, longest) if sum(min(n, depth) for n in lengths) >= self.genes_started)
+        return next(enough, longest)
+
+
+def company_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
+    """See :func:`interacted` and :func:`outran`, both in one pass where that is compiled."""
+    if not sweeps:
+        return interacted(trace), outran(trace)
+    company = Company(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
+    collided = trace.outcome is Outcome.COLLISION
+    return collided or company.interacted, company.alone / len(trace.states) >= 0.5
 
 
 def interacted(trace: Trace) -> bool:

@@ -68,7 +68,10 @@ class Weights:
             raise FitnessError("Weights.tau: expected seconds, more than 0, received 0")
 
 
-def weighted(trace: Trace, weights: Weights | None = None) -> float:
+DEFAULT_WEIGHTS = Weights()
+
+
+def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     """The default: weighted mean of four risks, each 0 (none) to 1, plus 1 if the run ended in a collision.
 
     So it lies in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The
@@ -80,7 +83,6 @@ def weighted(trace: Trace, weights: Weights | None = None) -> float:
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
-    weights = weights or Weights()
     encounters = Encounters(trace)
     total = (
         weights.ttc / (1 + encounters.min_ttc / weights.tau)

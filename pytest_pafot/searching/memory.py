@@ -9,7 +9,7 @@ from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.repair import repaired
 
-_Chains = tuple[tuple[int, ...], ...]
+_Chains = tuple[tuple[float, ...], ...]
 _Key = tuple[object, ...]
 
 
@@ -22,7 +22,7 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        self._evaluations: dict[_Key, Evaluation] = {}
+        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}
         self._depths: list[int] = []
 
     @classmethod
@@ -38,11 +38,16 @@ class Memory:
         depth = evaluation.depth
         if depth not in self._depths:
             self._depths = sorted([*self._depths, depth])
-        asked, driven = _chains(evaluation.scenario), _chains(evaluation.executed)
-        self._evaluations.setdefault(_key(evaluation.scenario, driven, depth, None), evaluation)
+        asked = driven = _chains(evaluation.scenario)
+        if evaluation.executed is not evaluation.scenario:
+            driven = _chains(evaluation.executed)
+        self._runs(_key(evaluation.scenario, driven, depth)).setdefault(None, evaluation)
         if asked != driven:
-            seed = evaluation.scenario.seed
-            self._evaluations.setdefault(_key(evaluation.scenario, asked, depth, seed), evaluation)
+            self._runs(_key(evaluation.scenario, asked, depth)).setdefault(evaluation.scenario.seed, evaluation)
+
+    def _runs(self, key: _Key) -> dict[int | None, Evaluation]:
+        """Those with a key, by the seed that they depend on, if they do."""
+        return self._evaluations.setdefault(key, {})
 
     def recall(self, scenario: Scenario) -> Evaluation | None:
         """The evaluation that a run of the scenario would have, or None when no earlier run tells.
@@ -51,11 +56,13 @@ class Memory:
         """
         chains = _chains(scenario)
         for depth in self._depths:
-            known = self._evaluations.get(_key(scenario, chains, depth, None))
-            if known is not None:
-                return replace(known, scenario=scenario, executed=scenario)
-            known = self._evaluations.get(_key(scenario, chains, depth, scenario.seed))
-            if known is not None:
+            runs = self._evaluations.get(_key(scenario, chains, depth))
+            if runs is None:
+                continue
+            if None in runs:
+                return replace(runs[None], scenario=scenario, executed=scenario)
+            if scenario.seed in runs:
+                known = runs[scenario.seed]
                 return replace(known, scenario=scenario, executed=_driven(known, scenario, depth))
         return None
 
@@ -70,14 +77,14 @@ def _driven(known: Evaluation, scenario: Scenario, depth: int) -> Scenario:
 
 
 def _chains(scenario: Scenario) -> _Chains:
-    """The genes as whole numbers, which hash faster than the values themselves."""
-    return tuple(tuple(_code(gene) * 1_000_000 + round(gene.speed * 10) for gene in chain) for chain in scenario.npcs)
+    """One number for each gene, which is hashed and compared sooner than the gene; speeds are at most 1000 m/s."""
+    return tuple([tuple([10_000 * _code(gene) + gene.speed for gene in chain]) for chain in scenario.npcs])
 
 
 def _code(gene: Gene) -> int:
     return gene.cell if isinstance(gene, PositionInstruction) else 9 + SHIFTS.index(gene.lane)
 
 
-def _key(scenario: Scenario, chains: _Chains, depth: int, seed: int | None) -> _Key:
+def _key(scenario: Scenario, chains: _Chains, depth: int) -> _Key:
     start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds)
-    return (*start, seed, depth, *(chain[:depth] for chain in chains))
+    return (*start, depth, *[chain[:depth] for chain in chains])

@@ -48,6 +48,16 @@ class EgoDriver(Protocol):
         """Low-level control in every tick, after a decision if there is one."""
 
 
+class AskedDriver(EgoDriver, Protocol):
+    """Drives the ego with the actions of an ADS, which may be asked elsewhere."""
+
+    def observe(self, tick: int) -> Any:
+        """What the ADS sees."""
+
+    def apply(self, action: Any) -> Any:
+        """Check an action, apply it, and return it as checked."""
+
+
 def is_vehicle_class(candidate: object) -> bool:
     """Whether something is a highway-env vehicle class, or a ``functools.partial`` of one."""
     inner = candidate.func if isinstance(candidate, functools.partial) else candidate
@@ -152,10 +162,14 @@ class Planner:
 
     def decide(self, tick: int) -> tuple[float, float]:
         """Observe, ask, check and apply."""
-        action = checked_si_action(self._ads(self.observe(tick)))
-        self._wanted = possible_acceleration(action[0])
-        self.vehicle.control(self._wanted, possible_steering(action[1]))
-        return action
+        return self.apply(self._ads(self.observe(tick)))
+
+    def apply(self, action: Any) -> tuple[float, float]:
+        """Check an action, apply it, and return it as checked."""
+        pair = checked_si_action(action)
+        self._wanted = possible_acceleration(pair[0])
+        self.vehicle.control(self._wanted, possible_steering(pair[1]))
+        return pair
 
     def actuate(self) -> None:
         """Brake to a standstill, never into reverse."""

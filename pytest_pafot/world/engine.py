@@ -11,7 +11,7 @@ from highway_env.road.road import Road
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Trace
-from pytest_pafot.world.ads import EgoDriver
+from pytest_pafot.world.ads import AskedDriver, EgoDriver
 from pytest_pafot.world.failure import UNFIT, error_of
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box
@@ -32,20 +32,74 @@ def run(
         road: fresh, without vehicles; they are added with the ego first.
         make_ego: from the ego's start to its driver; called before the NPCs exist.
     """
-    driver = make_ego(rules.road.position(rules.ego_start, scenario.ego_lane))
+    traffic = _started(rules, scenario, road, make_ego(_ego_start(rules, scenario)))
+    with HangGuard(rules.hang_limit) as guard:
+        while True:
+            error = decide(traffic.driver, traffic.record.tick, traffic.record, guard)
+            trace = _driven(rules, scenario, traffic, error)
+            if trace is not None:
+                return trace
+
+
+class SteppedRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.batch.Stepped`.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        road: fresh, without vehicles.
+        make_ego: from the ego's start to what drives it.
+        guard: of the decisions.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        scenario: Scenario,
+        road: Road,
+        make_ego: Callable[[tuple[float, float, float]], AskedDriver],
+        guard: HangGuard,
+    ) -> None:
+        self.trace: Trace | None = None
+        self._rules = rules
+        self._scenario = scenario
+        self._guard = guard
+        self._driver = make_ego(_ego_start(rules, scenario))
+        self._traffic = _started(rules, scenario, road, self._driver)
+
+    def observe(self) -> Any:
+        """What the ADS sees now."""
+        return self._driver.observe(self._traffic.record.tick)
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Drive with a decision that took so long, up to the next one or the end."""
+        record, error = self._traffic.record, None
+        try:
+            record.actions.append(self._driver.apply(action))
+        except UNFIT as unfit:
+            error = error_of(unfit, record.tick, self._guard)
+        else:
+            record.slowest = max(record.slowest, seconds)
+        self.trace = _driven(self._rules, self._scenario, self._traffic, error)
+
+
+def _ego_start(rules: Rules, scenario: Scenario) -> tuple[float, float, float]:
+    return rules.road.position(rules.ego_start, scenario.ego_lane)
+
+
+def _started(rules: Rules, scenario: Scenario, road: Road, driver: EgoDriver) -> Traffic:
+    """Everybody at the start."""
     traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
     road.vehicles = traffic.vehicles
-    with HangGuard(rules.hang_limit) as guard:
-        return _drive(rules, scenario, traffic, guard)
+    return traffic
 
 
-def _drive(rules: Rules, scenario: Scenario, traffic: Traffic, guard: HangGuard) -> Trace:
-    driver, dt = traffic.driver, 1 / rules.physics_hz
-    for tick in range(rules.ticks(scenario)):
-        if tick % driver.every == 0:
-            error = decide(driver, tick, traffic.record, guard)
-            if error is not None:
-                return traffic.record.trace(error=error)
+def _driven(rules: Rules, scenario: Scenario, traffic: Traffic, error: AdsError | None) -> Trace | None:
+    """Drive up to the next decision; the trace, where the run is over by then or by an error before."""
+    if error is not None:
+        return traffic.record.trace(error=error)
+    driver, dt, last = traffic.driver, 1 / rules.physics_hz, rules.ticks(scenario)
+    for _ in range(min(driver.every, last - traffic.record.tick)):
         driver.actuate()
         traffic.command()
         for vehicle in traffic.vehicles:
@@ -53,7 +107,7 @@ def _drive(rules: Rules, scenario: Scenario, traffic: Traffic, guard: HangGuard)
         ended = traffic.note()
         if ended is not None:
             return ended
-    return traffic.record.trace()
+    return traffic.record.trace() if traffic.record.tick == last else None
 
 
 def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> AdsError | None:

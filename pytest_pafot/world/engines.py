@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import EgoDriver, Planner, SelfDriving, is_vehicle_class
+from pytest_pafot.world.batch import Stepped
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.fast import run_model, run_planner
+from pytest_pafot.world.fast import SteppedRun, run_model, run_planner
+from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.modelled import idm_model
@@ -50,20 +53,39 @@ def planned(world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observa
     return run_planner(rules, scenario, ads)
 
 
+def stepped(world: Highway, scenario: Scenario, guard: HangGuard) -> Stepped:
+    """Begin a run on a Highway that is given its decisions in SI units."""
+    if world.engine != "highway-env":
+        return SteppedRun(world.rules, scenario, guard)
+    from pytest_pafot.world import engine  # noqa: PLC0415
+
+    road = _road(world.network, scenario)
+    return engine.SteppedRun(world.rules, scenario, road, partial(_planner, world.rules, scenario, road, None), guard)
+
+
 def _by_highway_env(rules: Rules, network: Any, scenario: Scenario, ads: Any) -> Trace:
-    import numpy as np  # noqa: PLC0415
-    from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
-
     from pytest_pafot.world.engine import run  # noqa: PLC0415
-    from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
 
-    road = Road(network, np_random=np.random.default_rng(scenario.seed))
+    road = _road(network, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> EgoDriver:
         if is_vehicle_class(ads):
             return SelfDriving(ads, road, start, scenario.ego_speed)
-        x, y, heading = start
-        ego = Car(road, (x, y), heading, scenario.ego_speed)
-        return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)
+        return _planner(rules, scenario, road, ads, start)
 
     return run(rules, scenario, road, make_ego)
+
+
+def _road(network: Any, scenario: Scenario) -> Any:
+    import numpy as np  # noqa: PLC0415
+    from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+    return Road(network, np_random=np.random.default_rng(scenario.seed))
+
+
+def _planner(rules: Rules, scenario: Scenario, road: Any, ads: Any, start: tuple[float, float, float]) -> Planner:
+    from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
+
+    x, y, heading = start
+    ego = Car(road, (x, y), heading, scenario.ego_speed)
+    return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)

@@ -8,12 +8,13 @@ from typing import Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
+from pytest_pafot.world.failure import UNFIT, error_of
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
-from pytest_pafot.world.kernel.loop import Loop, PlannerPilot, SelfPilot
-from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+from pytest_pafot.world.kernel.loop import GivenPilot, Loop, PlannerPilot, SelfPilot
+from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Scene
 from pytest_pafot.world.modelled import IdmModel
 from pytest_pafot.world.record import Record
 from pytest_pafot.world.rules import NPC_LENGTH, NPC_WIDTH, Rules, start_positions
@@ -30,13 +31,51 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any]) -> 
     ego = Body(NPC_LENGTH, NPC_WIDTH)
     ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
-    scene = Scene(record.rows, record.sizes, rules.road.grid, rules.road.speed_limit, rules.physics_hz)
+    scene = _scene(rules, record)
     every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
     with HangGuard(rules.hang_limit) as guard:
         pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt)
         error = loop.run(pilot, rules.ticks(scenario))
     record.actions, record.slowest = pilot.actions, pilot.slowest
     return _finished(record, loop, error)
+
+
+class SteppedRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.batch.Stepped`.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        guard: of the decisions.
+    """
+
+    def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard) -> None:
+        ego = Body(NPC_LENGTH, NPC_WIDTH)
+        ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+        self.trace: Trace | None = None
+        self._record, self._loop = _prepared(rules, scenario, ego)
+        self._scene = _scene(rules, self._record)
+        self._pilot = GivenPilot(ego, every=rules.physics_hz // rules.ads_hz, dt=1 / rules.physics_hz)
+        self._ticks = rules.ticks(scenario)
+        self._guard = guard
+
+    def observe(self) -> Observation:
+        """What the ADS sees now."""
+        return self._scene.observation(self._loop.tick)
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Drive with a decision that took so long, up to the next one or the end."""
+        loop, record, error = self._loop, self._record, None
+        try:
+            self._pilot.take(action, seconds)
+        except UNFIT as unfit:
+            error = error_of(unfit, loop.tick, self._guard)
+        else:
+            loop.run(self._pilot, min(loop.tick + self._pilot.every, self._ticks))
+        if error is None and loop.tick < self._ticks and not (loop.ego_touched or loop.npcs_touched):
+            return
+        record.actions, record.slowest = self._pilot.actions, self._pilot.slowest
+        self.trace = _finished(record, loop, error)
 
 
 def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
@@ -64,6 +103,10 @@ def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop
     rows = array("d", bytes(8 * (rules.ticks(scenario) + 1) * len(sizes) * COLUMNS))
     record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows)
     return record, Loop(ego, director, rules.road.grid, rows, 1 / rules.physics_hz)
+
+
+def _scene(rules: Rules, record: Record) -> Scene:
+    return Scene(record.rows, record.sizes, rules.road.grid, rules.road.speed_limit, rules.physics_hz)
 
 
 def _finished(record: Record, loop: Loop, error: Any) -> Trace:

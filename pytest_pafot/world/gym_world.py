@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -20,6 +20,9 @@ from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
     from pytest_pafot.world.ads import AdsFactory, EgoDriver
+    from pytest_pafot.world.batch import Stepped
+    from pytest_pafot.world.guard import HangGuard
+    from pytest_pafot.world.policy import Policy
     from pytest_pafot.world.rules import Rules
     from pytest_pafot.world.vehicles import ParallelLanes
 
@@ -119,42 +122,75 @@ class World(References):
             WorldError: when the environment cannot be used.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
-
         from pytest_pafot.world.ads import SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
         from pytest_pafot.world.engine import run  # noqa: PLC0415
         from pytest_pafot.world.policy import Policy, View  # noqa: PLC0415
 
         self.check()
         checks.fits(scenario, self.road, self.limits, self.physics_hz)
-        env = copy.copy(self._env)  # of its own for every run: runs may nest and share no state
-        env.np_random = _generator(scenario.seed)
-        env.time = env.steps = 0
-        road = Road(
-            self.network,
-            np_random=env.np_random,
-            neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
-        )
-        env.road = road
+        env = self._env_of(scenario)
 
         def make_ego(start: tuple[float, float, float]) -> EgoDriver:
-            x, y, heading = start
             if is_vehicle_class(ads_factory):
-                return SelfDriving(ads_factory, road, start, scenario.ego_speed)
-            ego = env.action_type.vehicle_class(road, [x, y], heading, scenario.ego_speed)
-            ego.check_collisions = False
-            env.controlled_vehicles = [ego]
-            road.vehicles = [ego]
-            env.define_spaces()
+                return SelfDriving(ads_factory, env.road, start, scenario.ego_speed)
+            _put_ego(env, start, scenario.ego_speed)
             if wants_env(ads_factory):
                 view = View(self._make_env(), env)
                 return Policy(made(ads_factory, env=view.env), env, self.physics_hz // self.ads_hz, view)
             ads = made(ads_factory)
             if is_vehicle_class(ads):
-                return SelfDriving(ads, road, start, scenario.ego_speed)
+                return SelfDriving(ads, env.road, start, scenario.ego_speed)
             return Policy(ads, env, self.physics_hz // self.ads_hz)
 
-        return run(self.rules, scenario, road, make_ego)
+        return run(self.rules, scenario, env.road, make_ego)
+
+    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
+        """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
+
+        Args:
+            scenarios: to run; checked against this world.
+            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.batch` on what an ADS with ``batch`` promises.
+
+        Raises:
+            ScenarioError: when a scenario does not fit this world.
+            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
+                each observation.
+            WorldError: when the environment cannot be used.
+            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
+        """
+        from pytest_pafot.world.batch import rollouts  # noqa: PLC0415
+
+        self.check()
+        for scenario in scenarios:
+            checks.fits(scenario, self.road, self.limits, self.physics_hz)
+        return rollouts(scenarios, ads_factory, self._stepped, self.rollout, self.hang_limit)
+
+    def _stepped(self, scenario: Scenario, guard: HangGuard) -> Stepped:
+        """Begin a run that is given its actions."""
+        from pytest_pafot.world.engine import SteppedRun  # noqa: PLC0415
+        from pytest_pafot.world.policy import Policy  # noqa: PLC0415
+
+        env = self._env_of(scenario)
+
+        def make_ego(start: tuple[float, float, float]) -> Policy:
+            _put_ego(env, start, scenario.ego_speed)
+            return Policy(None, env, self.physics_hz // self.ads_hz)
+
+        return SteppedRun(self.rules, scenario, env.road, make_ego, guard)
+
+    def _env_of(self, scenario: Scenario) -> Any:
+        """The environment of one run, with an empty road; runs may nest and share no state."""
+        from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+        env = copy.copy(self._env)
+        env.np_random = _generator(scenario.seed)
+        env.time = env.steps = 0
+        env.road = Road(
+            self.network,
+            np_random=env.np_random,
+            neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
+        )
+        return env
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
@@ -244,6 +280,16 @@ class World(References):
             limits=self.limits,
             hang_limit=self.hang_limit,
         )
+
+
+def _put_ego(env: Any, start: tuple[float, float, float], speed: float) -> None:
+    """The environment's own ego at a start."""
+    x, y, heading = start
+    ego = env.action_type.vehicle_class(env.road, [x, y], heading, speed)
+    ego.check_collisions = False
+    env.controlled_vehicles = [ego]
+    env.road.vehicles = [ego]
+    env.define_spaces()
 
 
 def _creator(entry_point: Any) -> Any:

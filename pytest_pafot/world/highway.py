@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario
@@ -101,8 +102,35 @@ class Highway(References):
             AdsFactoryError: when the factory gives nothing that can drive here.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from pytest_pafot.world.ads import is_vehicle_class, made, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.ads import made  # noqa: PLC0415
         from pytest_pafot.world.engines import simulate  # noqa: PLC0415
+
+        self._check(scenario, ads_factory)
+        return simulate(self, self.rules, scenario, made(ads_factory))
+
+    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
+        """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
+
+        Args:
+            scenarios: to run; checked against this world.
+            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.batch` on what an ADS with ``batch`` promises.
+
+        Raises:
+            ScenarioError: when a scenario does not fit this world.
+            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
+                each observation.
+            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
+        """
+        from pytest_pafot.world.batch import rollouts  # noqa: PLC0415
+        from pytest_pafot.world.engines import stepped  # noqa: PLC0415
+
+        for scenario in scenarios:
+            self._check(scenario, ads_factory)
+        return rollouts(scenarios, ads_factory, partial(stepped, self), self.rollout, self.hang_limit)
+
+    def _check(self, scenario: Scenario, ads_factory: AdsFactory) -> None:
+        """Refuse what cannot run here."""
+        from pytest_pafot.world.ads import is_vehicle_class, wants_env  # noqa: PLC0415
 
         checks.fits(scenario, self.road, self.limits, self.physics_hz)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
@@ -110,7 +138,6 @@ class Highway(References):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        return simulate(self, self.rules, scenario, made(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""

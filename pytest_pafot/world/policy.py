@@ -41,14 +41,22 @@ class Policy:
 
     def decide(self, tick: int) -> Any:
         """Observe, ask, check and apply."""
+        return self.apply(self._ads(self.observe(tick)))
+
+    def observe(self, tick: int) -> Any:
+        """What the ADS sees."""
         env = self._env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
         if self._view is not None:
             self._view.show(tick)
-        action = checked_action(self._ads(self._observe()), env.action_space)
-        env.action_type.act(action)
-        return action
+        return self._observe()
+
+    def apply(self, action: Any) -> Any:
+        """Check an action, apply it, and return it as checked."""
+        checked = checked_action(action, self._env.action_space)
+        self._env.action_type.act(checked)
+        return checked
 
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""

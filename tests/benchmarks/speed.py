@@ -1,6 +1,6 @@
 """How fast a world runs, and where the time goes. One command for all figures of docs/explanation.md, section Speed:
 
-    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search start memory comparison]
+    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, by highway-env's objects, and by the kernel compiled and
@@ -8,6 +8,7 @@
 - ``ads``: policies of different cost, and the share of the time that is spent inside them.
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: what the search, the fitness and the bookkeeping cost beside the rollouts.
+- ``batch``: runs in lock step, with policies that decide for all of them at once, against one by one.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
 - ``memory``: of this process over 10,000 scenarios.
 - ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
@@ -274,6 +275,60 @@ def search(rounds: int) -> None:
         print(f"  {name:16} {runs} runs: {told}; all but the rollout: {(total - spent[0]) / spent[0]:.0%} of it")
 
 
+class Network:
+    """Two layers of 256 in single precision, for one observation of three vehicles or a row for each run."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(0)
+        self._layers = [rng.normal(0, 0.01, shape).astype(np.float32) for shape in ((21, 256), (256, 256), (256, 2))]
+
+    def __call__(self, observation: Any) -> Any:
+        """One decision."""
+        return self.batch([observation])[0]
+
+    def batch(self, observations: list[Any]) -> Any:
+        """Decisions for all."""
+        first, second, last = self._layers
+        rows = np.stack([each.array.ravel() for each in observations]).astype(np.float32) * 1e-3
+        return (np.tanh(np.tanh(rows @ first) @ second) @ last * 1e-3).tolist()
+
+
+class Dear:
+    """85 us a call, for however many: as Stable-Baselines3's predict, where eight cost as much as one."""
+
+    def __call__(self, observation: Any) -> Any:
+        """One decision."""
+        return self.batch([observation])[0]
+
+    def batch(self, observations: list[Any]) -> Any:
+        """Decisions for all."""
+        until = time.perf_counter() + 85e-6
+        while time.perf_counter() < until:
+            pass
+        return [(0.0, 0.0)] * len(observations)
+
+
+def batch(rounds: int) -> None:
+    """Part ``batch``."""
+    world, rng = Highway(speed_limit=30.0), np.random.default_rng(0)
+    print(f"\nruns in lock step against one by one, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz")
+    for name, factory in (("numpy network, 2 x 256", Network), ("85 us, as SB3's PPO", Dear)):
+        for count in (4, 8, 32):
+            scenarios = [replace(SCENARIO, seed=int(rng.integers(2**31))) for _ in range(count)]
+            alone, together = [], []
+            for _ in range(rounds):
+                alone.append(median_ms(partial(one_by_one, world, scenarios, factory), 1))
+                together.append(median_ms(partial(world.rollout_batch, scenarios, factory), 1))
+            ratio = statistics.median(a / b for a, b in zip(alone, together, strict=True))
+            each = statistics.median(together) / count
+            print(f"  {name:24}{count:3} runs: {each:8.3f} ms a run in lock step, {ratio:5.1f} x as fast")
+
+
+def one_by_one(world: Highway, scenarios: list[Scenario], factory: Callable[[], Any]) -> list[Trace]:
+    """The runs of a batch, one after the other."""
+    return [world.rollout(scenario, factory) for scenario in scenarios]
+
+
 def start(rounds: int) -> None:
     """Part ``start``."""
     first_run = (
@@ -341,8 +396,8 @@ def _compared(job: tuple[str, int]) -> int:
 
 
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "start": start, "memory": memory,
-    "comparison": comparison,
+    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "start": start,
+    "memory": memory, "comparison": comparison,
 }  # fmt: skip
 
 

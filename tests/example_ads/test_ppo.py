@@ -75,3 +75,10 @@ def test_it_drives_through_ordinary_traffic_without_a_crash(seed):
     env.close()
     assert truncated
     assert not terminated
+
+
+def test_it_decides_for_many_as_for_each(observations):
+    policy = ppo.make()
+    assert policy.batch(observations) == [policy(observation) for observation in observations]
+    assert policy.batch(list(observations[:1])) == [policy(observations[0])]
+    assert all(type(action) is int for action in policy.batch(observations[:3]))

@@ -230,3 +230,16 @@ def test_recording_is_cheap_beside_any_run(tmp_path):
             record.record(SCENARIO)
             record.clear()
         assert (time.perf_counter() - start) / 200 < 1e-3
+
+
+def test_of_scenarios_that_ran_at_once_none_is_named_but_all_are_known(tmp_path):
+    rest = """
+several = [Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3)]
+record.record(*several)
+os._exit(139)
+"""
+    with child(tmp_path, rest) as process:
+        assert process.wait() == 139
+    (left,) = leftovers(tmp_path)
+    assert (left.owner, left.scenario, left.world) == (OWNER, None, WORLD)
+    assert left.together == tuple(Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3))

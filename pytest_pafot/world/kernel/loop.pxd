@@ -21,18 +21,23 @@ cdef class SelfPilot(Pilot):
 
     cpdef void actuate(self) except *
 
-cdef class PlannerPilot(Pilot):
+cdef class GivenPilot(Pilot):
     cdef readonly list actions
     cdef readonly double slowest
-    cdef object _ads, _guard, _clock
     cdef Body _ego
-    cdef Scene _scene
     cdef double _dt, _wanted
 
-    @cython.locals(started=double, seconds=double, acceleration=double, steering=double)
-    cpdef decide(self, int tick)
+    @cython.locals(acceleration=double, steering=double)
+    cpdef take(self, action, double seconds)
 
     cpdef void actuate(self) except *
+
+cdef class PlannerPilot(GivenPilot):
+    cdef object _ads, _guard, _clock
+    cdef Scene _scene
+
+    @cython.locals(started=double, seconds=double)
+    cpdef decide(self, int tick)
 
 cdef class Loop:
     cdef readonly int tick

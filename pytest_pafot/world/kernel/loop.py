@@ -57,7 +57,49 @@ class SelfPilot(Pilot):
         self.ego.act(self.others)
 
 
-class PlannerPilot(Pilot):
+class GivenPilot(Pilot):
+    """Pairs of acceleration [m/s^2] and steering [rad] that are given from outside, for each decision.
+
+    Args:
+        ego: is driven.
+        every: physics ticks from one decision to the next.
+        dt: physics tick [s].
+
+    Attributes:
+        actions: what was given.
+        slowest: the longest decision [s].
+    """
+
+    actions: list[tuple[float, float]]
+    slowest: float
+
+    def __init__(self, ego: Body, *, every: int, dt: float) -> None:
+        super().__init__(every)
+        self._ego = ego
+        self._dt = dt
+        self._wanted = 0.0
+        self.actions = []
+        self.slowest = 0.0
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Check a decision that took so long, and apply it.
+
+        Raises:
+            BadAction: when it is none.
+        """
+        pair = checked_si_action(action)
+        acceleration, steering = pair
+        self.actions.append(pair)
+        self.slowest = max(self.slowest, seconds)
+        self._wanted = possible_acceleration(acceleration)
+        self._ego.steering = possible_steering(steering)
+
+    def actuate(self) -> None:
+        """Brake to a standstill, never into reverse."""
+        self._ego.acceleration = without_reversing(self._wanted, self._ego.speed, self._dt)
+
+
+class PlannerPilot(GivenPilot):
     """A callable from an observation to (acceleration [m/s^2], steering [rad]).
 
     Args:
@@ -67,14 +109,7 @@ class PlannerPilot(Pilot):
         guard: of its decisions.
         every: physics ticks from one decision to the next.
         dt: physics tick [s].
-
-    Attributes:
-        actions: what it returned.
-        slowest: its longest decision [s].
     """
-
-    actions: list[tuple[float, float]]
-    slowest: float
 
     def __init__(
         self,
@@ -86,16 +121,11 @@ class PlannerPilot(Pilot):
         every: int,
         dt: float,
     ) -> None:
-        super().__init__(every)
+        super().__init__(ego, every=every, dt=dt)
         self._ads = ads
-        self._ego = ego
         self._scene = scene
         self._guard = guard
         self._clock = guard.clock
-        self._dt = dt
-        self._wanted = 0.0
-        self.actions = []
-        self.slowest = 0.0
 
     def decide(self, tick: int) -> AdsError | None:
         """Observe, ask under guard, check and apply."""
@@ -110,19 +140,10 @@ class PlannerPilot(Pilot):
                 seconds = self._clock() - started
                 if seconds > guard.limit:
                     guard.settle()
-            pair = checked_si_action(action)
+            self.take(action, seconds)
         except UNFIT as error:
             return error_of(error, tick, guard)
-        acceleration, steering = pair
-        self.actions.append(pair)
-        self.slowest = max(self.slowest, seconds)
-        self._wanted = possible_acceleration(acceleration)
-        self._ego.steering = possible_steering(steering)
         return None
-
-    def actuate(self) -> None:
-        """Brake to a standstill, never into reverse."""
-        self._ego.acceleration = without_reversing(self._wanted, self._ego.speed, self._dt)
 
 
 class Loop:

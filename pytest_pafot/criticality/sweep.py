@@ -1,0 +1,253 @@
+# cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True
+# No index is beyond the shapes that the constructor checks, and nothing is divided by zero.
+"""The three extremes that a search asks for of every run, in one pass over its ticks: typed, plain Python.
+
+The values are those of :class:`~pytest_pafot.criticality.measures.Encounters`, to the last bit: the same operations
+in the same order, at those ticks where bounds do not rule out that they matter. Compiled that takes a tenth of the
+time of numpy's whole arrays. Interpreted it would take longer, so that the arrays are used there.
+
+The bounds need no trigonometry: a sine is at most its angle h and no further from it than h^3 / 6, and a cosine lies
+between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the sizes and times that are let through.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.trace import FloatArray
+
+SLACK = 1e-6
+"""By which bounds must rule a tick out [m]."""
+LARGE = 1e6
+"""Of the absolute values of a vehicle's state. A sum from here on, and NaN, are left to the arrays."""
+LONGEST = 1e5
+"""A least time to contact from here on, or none at all, is left to the arrays [s]."""
+TINY = 1e-290
+"""As in the arrays: stands in for a relative velocity of zero [m/s]."""
+
+
+def is_compiled() -> bool:
+    """Whether this module is."""
+    return not __file__.endswith(".py")
+
+
+def is_in_use() -> bool:
+    """Whether compiled passes stand in for numpy's arrays: with the same results, or not at all."""
+    return is_compiled() and os.environ.get("PAFOT_KERNEL") != "interpreted" and agrees_with_numpy()
+
+
+def agrees_with_numpy() -> bool:
+    """Whether numpy's sine and cosine are the C library's, as they are used here: looked at for 256 angles."""
+    angles = np.linspace(-2.0, 2.0, 256)
+    return bool(
+        (np.sin(angles) == [math.sin(angle) for angle in angles.tolist()]).all()
+        and (np.cos(angles) == [math.cos(angle) for angle in angles.tolist()]).all()
+    )
+
+
+class Sweep:
+    """One pass over a run.
+
+    Args:
+        states: of a trace, shape [ticks + 1, vehicles, 7].
+        sizes: of a trace, shape [vehicles, 2].
+        road: cosine and sine of the road's heading.
+        manoeuvre_seconds: t of the safety distance [s].
+
+    Attributes:
+        min_ttc, min_gap, max_safety_shortfall: see the functions of these names; they hold if :meth:`run` says so.
+    """
+
+    min_ttc: float
+    min_gap: float
+    max_safety_shortfall: float
+
+    def __init__(
+        self, states: FloatArray, sizes: FloatArray, road: tuple[float, float], manoeuvre_seconds: float
+    ) -> None:
+        if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):
+            raise ValueError(
+                f"states, sizes: expected the shapes [ticks + 1, vehicles, 7] and [vehicles, 2], received "
+                f"{states.shape} and {sizes.shape}; give those of a trace"
+            )
+        self.min_ttc = math.inf
+        self.min_gap = math.inf
+        self.max_safety_shortfall = 0.0
+        self._states: Any = states
+        self._sizes: Any = sizes
+        self._road_cos, self._road_sin = road
+        self._seconds = manoeuvre_seconds
+        self._half_seconds_squared = manoeuvre_seconds * manoeuvre_seconds / 2
+        self._ticks = states.shape[0]
+        self._vehicles = states.shape[1]
+
+    def run(self) -> bool:
+        """Go over all ticks; whether the results hold, or else are left to the arrays."""
+        self._al, self._aw = self._sizes[0, 0] / 2, self._sizes[0, 1] / 2
+        for tick in range(self._ticks):
+            if not self._is_sane(tick):
+                return False
+            self._see_ego(tick)
+            for vehicle in range(1, self._vehicles):
+                self._see(tick, vehicle)
+                self._measure()
+        return self.min_ttc < LONGEST
+
+    def _is_sane(self, tick: int) -> bool:
+        for vehicle in range(self._vehicles):
+            size = 0.0
+            for column in range(7):
+                size += abs(self._states[tick, vehicle, column])
+            if not size < LARGE:
+                return False
+        return True
+
+    def _see_ego(self, tick: int) -> None:
+        """Take up the ego at a tick, as a in the formulas."""
+        self._ax, self._ay = self._states[tick, 0, 0], self._states[tick, 0, 1]
+        self._heading_a, self._speed_a = self._states[tick, 0, 2], self._states[tick, 0, 3]
+        self._acceleration_a, self._lane_a = self._states[tick, 0, 4], self._states[tick, 0, 6]
+
+    def _see(self, tick: int, vehicle: int) -> None:
+        """Take up an NPC at a tick, as b in the formulas."""
+        self._x = self._states[tick, vehicle, 0] - self._ax
+        self._y = self._states[tick, vehicle, 1] - self._ay
+        self._heading_b, self._speed_b = self._states[tick, vehicle, 2], self._states[tick, vehicle, 3]
+        self._acceleration_b, self._lane_b = self._states[tick, vehicle, 4], self._states[tick, vehicle, 6]
+        self._bl, self._bw = self._sizes[vehicle, 0] / 2, self._sizes[vehicle, 1] / 2
+
+    def _measure(self) -> None:
+        """Look closer where there may be an extreme."""
+        turn_a, turn_b = abs(self._heading_a), abs(self._heading_b)
+        # The boxes are at least so far apart along x and along y.
+        room_x = abs(self._x) - (self._al + self._aw * turn_a + self._bl + self._bw * turn_b) - SLACK
+        room_y = abs(self._y) - (self._aw + self._al * turn_a + self._bw + self._bl * turn_b) - SLACK
+        room_x = room_x if room_x > 0.0 else 0.0
+        room_y = room_y if room_y > 0.0 else 0.0
+        apart = room_x * room_x + room_y * room_y
+        comes = self._may_come(room_x, room_y, turn_a, turn_b)
+        keep = self._safety_distance()
+        demanded = (1.0 - self.max_safety_shortfall) * keep + SLACK  # a greater gap is no greater shortfall
+        near = apart < self.min_gap * self.min_gap or (keep > 0.0 and apart < demanded * demanded)
+        if not (comes or near):
+            return
+        self._relate()
+        if comes:
+            time = self._contact_time()
+            self.min_ttc = time if time < self.min_ttc else self.min_ttc
+        if near:
+            gap = self._gap()
+            self.min_gap = gap if gap < self.min_gap else self.min_gap
+            if keep > 0.0 and 1.0 - gap / keep > self.max_safety_shortfall:
+                self.max_safety_shortfall = 1.0 - gap / keep
+
+    def _may_come(self, room_x: float, room_y: float, turn_a: float, turn_b: float) -> bool:
+        """Whether the boxes may touch sooner than the least time to contact so far: along x and along y."""
+        fast_a, fast_b = abs(self._speed_a) * turn_a * turn_a / 2.0, abs(self._speed_b) * turn_b * turn_b / 2.0
+        if room_x > 0.0:
+            closing = self._speed_a - self._speed_b
+            closing = (closing if self._x > 0.0 else -closing) + fast_a + fast_b
+            if closing <= 0.0 or room_x >= closing * self.min_ttc:
+                return False
+        if room_y > 0.0:
+            closing = self._speed_a * self._heading_a - self._speed_b * self._heading_b
+            closing = (closing if self._y > 0.0 else -closing) + (fast_a * turn_a + fast_b * turn_b) / 3.0
+            if closing <= 0.0 or room_y >= closing * self.min_ttc:
+                return False
+        return True
+
+    def _safety_distance(self) -> float:
+        """That of equation 5 where ego and NPC are in one lane, else 0."""
+        if self._lane_a != self._lane_b or self._lane_a < 0.0:
+            return 0.0
+        gain = self._speed_a - self._speed_b
+        pull = self._acceleration_a - self._acceleration_b
+        if not self._x * self._road_cos + self._y * self._road_sin >= 0.0:
+            gain, pull = -gain, -pull
+        distance: float = gain * self._seconds + pull * self._half_seconds_squared
+        return distance
+
+    def _relate(self) -> None:
+        """See :func:`pytest_pafot.criticality.boxes.relate`."""
+        self._ac, self._as = math.cos(self._heading_a), math.sin(self._heading_a)
+        self._bc, self._bs = math.cos(self._heading_b), math.sin(self._heading_b)
+        ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
+        x, y = self._x, self._y
+        self._turn_cos = ac * bc + sa * sb
+        self._turn_sin = ac * sb - sa * bc
+        c, s = abs(self._turn_cos), abs(self._turn_sin)
+        self._reach_0 = self._al + self._bl * c + self._bw * s
+        self._reach_1 = self._aw + self._bl * s + self._bw * c
+        self._reach_2 = self._bl + self._al * c + self._aw * s
+        self._reach_3 = self._bw + self._al * s + self._aw * c
+        self._offset_0, self._offset_1 = x * ac + y * sa, y * ac - x * sa
+        self._offset_2, self._offset_3 = x * bc + y * sb, y * bc - x * sb
+
+    def _contact_time(self) -> float:
+        """See :func:`pytest_pafot.criticality.boxes.contact_time`."""
+        ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
+        vx, vy = self._speed_b * bc - self._speed_a * ac, self._speed_b * sb - self._speed_a * sa
+        self._begins, self._ends = -math.inf, math.inf
+        self._cut(self._offset_0, self._reach_0, vx * ac + vy * sa)
+        self._cut(self._offset_1, self._reach_1, vy * ac - vx * sa)
+        self._cut(self._offset_2, self._reach_2, vx * bc + vy * sb)
+        self._cut(self._offset_3, self._reach_3, vy * bc - vx * sb)
+        if self._begins > self._ends or self._ends < 0.0:
+            return math.inf
+        return self._begins if self._begins > 0.0 else 0.0
+
+    def _cut(self, offset: float, reach: float, velocity: float) -> None:
+        """The time of contact, cut to the time in which the boxes overlap along one axis."""
+        distance = abs(offset)
+        parting = math.copysign(1.0, offset) * velocity + TINY
+        near, far = (reach - distance) / parting, -(reach + distance) / parting
+        first, last = (near, far) if near < far else (far, near)
+        self._begins = first if first > self._begins else self._begins
+        self._ends = last if last < self._ends else self._ends
+
+    def _gap(self) -> float:
+        """See :func:`pytest_pafot.criticality.boxes.box_gap`."""
+        if (
+            abs(self._offset_0) <= self._reach_0
+            and abs(self._offset_1) <= self._reach_1
+            and abs(self._offset_2) <= self._reach_2
+            and abs(self._offset_3) <= self._reach_3
+        ):
+            return 0.0
+        cos, sin = self._turn_cos, self._turn_sin
+        al, aw, bl, bw = self._al, self._aw, self._bl, self._bw
+        from_b = _corners_to_box(self._offset_0, self._offset_1, bl * cos, bl * sin, -bw * sin, bw * cos, al, aw)
+        from_a = _corners_to_box(self._offset_2, self._offset_3, al * cos, -al * sin, aw * sin, aw * cos, bl, bw)
+        return math.sqrt(from_a if from_a < from_b else from_b)
+
+
+def _corners_to_box(
+    u: float,
+    v: float,
+    length_u: float,
+    length_v: float,
+    width_u: float,
+    width_v: float,
+    half_length: float,
+    half_width: float,
+) -> float:
+    """Squared distance from the nearest corner of a box with centre (u, v) to a box in its own frame [m^2]."""
+    nearest = _square(u + length_u + width_u, v + length_v + width_v, half_length, half_width)
+    square = _square(u + length_u - width_u, v + length_v - width_v, half_length, half_width)
+    nearest = square if square < nearest else nearest
+    square = _square(u - length_u + width_u, v - length_v + width_v, half_length, half_width)
+    nearest = square if square < nearest else nearest
+    square = _square(u - length_u - width_u, v - length_v - width_v, half_length, half_width)
+    return square if square < nearest else nearest
+
+
+def _square(u: float, v: float, half_length: float, half_width: float) -> float:
+    """Squared distance of a point from a box in its own frame [m^2]."""
+    outside_u, outside_v = abs(u) - half_length, abs(v) - half_width
+    outside_u = outside_u if outside_u > 0.0 else 0.0
+    outside_v = outside_v if outside_v > 0.0 else 0.0
+    return outside_u * outside_u + outside_v * outside_v

@@ -1,0 +1,214 @@
+"""When the runs of a search take place in lock step, and that its finds are those of runs one by one."""
+
+import re
+
+import pytest
+
+from pytest_pafot.plugin.lock_step import LockStep
+from tests.plugin.test_ahead import Session, ahead_of
+from tests.support.errands import scenario, trace_of
+
+PLANNERS = """
+import os
+
+class Planner:
+    def __call__(self, observation):
+        calls.append("call")
+        return self.decided(observation)
+
+    def decided(self, observation):
+        return (0.3, 0.0)
+
+class Batched(Planner):
+    def batch(self, observations):
+        calls.append(len(observations))
+        return [self.decided(observation) for observation in observations]
+
+calls = []
+"""
+
+SEARCH = """
+@pafot.search(SHORT, ads=ADS, shrink_rollouts=0)
+def test_collides(run):
+    calls.append("judged")
+    assert not run.collision
+
+@pafot.search(SHORT, ads=ADS, shrink_rollouts=0)
+def test_moves(run):
+    assert run.duration < 1
+
+def test_calls():
+    print("calls:", *calls)
+"""
+
+
+class TestLockStep:
+    def made(self, is_wanted=True):
+        session, together = Session(0.0), []
+
+        def simulate(scenarios):
+            together.append([each.seed for each in scenarios])
+            return [trace_of(each) for each in scenarios]
+
+        runs = LockStep(apart=ahead_of(session, None, size=1), together=simulate, is_wanted=is_wanted)
+        return runs, session, together
+
+    def test_makes_all_runs_to_come_when_the_first_of_them_is_asked_for(self):
+        runs, session, together = self.made()
+        coming = [scenario(number) for number in range(4)]
+        with runs:
+            runs.foresee(coming)
+            assert together == []
+            assert [runs.run(each, session.run).scenario for each in coming] == coming
+        assert (together, session.ran) == ([[0, 1, 2, 3]], [])
+
+    def test_makes_what_was_not_foreseen_and_what_is_asked_again_by_itself(self):
+        runs, session, together = self.made()
+        runs.foresee([scenario(0), scenario(1)])
+        for number in (7, 0, 0, 1, 1):
+            trace = runs.run(scenario(number), session.run)
+            assert trace.scenario.seed == number
+        assert (together, session.ran) == ([[0, 1]], [7, 0, 1])
+
+    def test_knows_of_the_last_run_whether_it_took_place_together_with_others(self):
+        runs, session, _ = self.made()
+        runs.foresee([scenario(0), scenario(1)])
+        first = runs.run(scenario(0), session.run)
+        assert runs.was_together(first)
+        assert not runs.was_together(runs.run(scenario(0), session.run))
+        assert not runs.was_together(first)
+
+    def test_one_scenario_to_come_is_made_by_itself(self):
+        runs, session, together = self.made()
+        runs.foresee([scenario(0)])
+        runs.run(scenario(0), session.run)
+        assert (together, session.ran) == ([], [0])
+
+    @pytest.mark.parametrize(("batch", "expected"), [(len, [[1, 2]]), (None, [])])
+    def test_learns_from_the_first_ads_whether_it_decides_for_many(self, batch, expected):
+        runs, session, together = self.made(is_wanted=None)
+        planner = type("Planner", (), {"batch": batch})()
+        runs.foresee([scenario(number) for number in range(3)])
+        runs.run(scenario(0), session.run)
+        runs.saw(planner)
+        runs.run(scenario(1), session.run)
+        assert together == expected
+
+    def test_keeps_nothing_that_the_search_did_not_ask_for(self):
+        runs, session, together = self.made()
+        with runs:
+            runs.foresee([scenario(0), scenario(1)])
+            runs.run(scenario(0), session.run)
+            runs.foresee([scenario(1), scenario(2)])
+            runs.run(scenario(1), session.run)
+        runs.run(scenario(2), session.run)
+        assert (together, session.ran) == ([[0, 1], [1, 2]], [2])
+
+
+def searched(project, ads, source=PLANNERS + SEARCH, **more):
+    """The finds of a search, and the line of calls."""
+    project.write(source.replace("ADS", ads))
+    output = project.run("-s", generations=3, **more).stdout.str()
+    finds = {
+        name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
+        for name, text in project.contents.items()
+    }
+    calls = next(line for line in output.splitlines() if "calls:" in line).partition("calls:")[2].split()
+    for name in project.files:
+        (project.path / name).unlink()
+    return finds, calls, output
+
+
+def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project):
+    together, calls, output = searched(project, "Batched")
+    alone, calls_alone, output_alone = searched(project, "Planner")
+    assert together == alone != {}
+    assert {"2", "3", "4"} & set(calls)
+    assert set(calls_alone) == {"call", "judged"}
+    counts = [re.findall(r"^  (\d+ runs) in", text, re.MULTILINE) for text in (output, output_alone)]
+    assert counts[0] == counts[1] != []
+
+
+@pytest.mark.parametrize(
+    "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
+)
+def test_runs_take_place_one_by_one_where_lock_step_would_not_do(project, search):
+    world = """
+class Own(pafot.Highway):
+    rollout_batch = property()
+"""
+    _, calls, _ = searched(project, "Batched", PLANNERS + world + SEARCH.replace("SHORT,", f"SHORT, {search},"))
+    assert set(calls) == {"call", "judged"}
+
+
+def test_an_ads_that_mixes_its_rows_has_finds_that_repeat(project):
+    mixing = """
+class Mixing(Planner):
+    def batch(self, observations):
+        calls.append(len(observations))
+        return [(0.3 + 0.1 * len(observations), 0.0) for observation in observations]
+"""
+    project.write((PLANNERS + mixing + SEARCH).replace("ADS", "Mixing"))
+    assert " 3 3" in project.run("-s", generations=3).stdout.str(), "some runs should take place together"
+    found = len(project.files)
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines([f"replayed {found} saved scenarios: {found} still failing"])
+
+
+def test_the_scenario_in_which_batch_raises_is_named(project):
+    raising = """
+class Raising(Batched):
+    def decided(self, observation):
+        if observation.time > 2 and observation.others[0].x > observation.ego.x:
+            raise LookupError("ahead")
+        return (0.3, 0.0)
+"""
+    together, calls, _ = searched(project, "Raising", PLANNERS + raising + SEARCH)
+    alone, _, _ = searched(project, "Raising", PLANNERS + raising.replace("(Batched)", "(Planner)") + SEARCH)
+    assert together == alone
+    assert any("LookupError" in text for text in together.values())
+    assert {"2", "3", "4"} & set(calls)
+
+
+def test_a_wrong_number_of_actions_is_one_clear_error(project):
+    project.write(
+        PLANNERS
+        + """
+class Short(Planner):
+    def batch(self, observations):
+        return [(0.0, 0.0)]
+
+@pafot.search(SHORT, ads=Short)
+def test_short(run):
+    pass
+"""
+    )
+    result = project.run(generations=3)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*test_short?search?: ads.batch: expected ? actions, one for each of ? observations*"])
+
+
+DYING = """
+class Dying(Batched):
+    def decided(self, observation):
+        if HOW and observation.time > 2:
+            os._exit(9)
+        return (0.3, 0.0)
+
+@pafot.search(SHORT, ads=Dying, shrink_rollouts=0)
+def test_dies(run):
+    pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("alone", "expected"),
+    [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls
+    ids=["and the second dies again", "and none dies again"],
+)
+def test_after_a_death_in_lock_step_its_scenarios_are_tried_one_by_one(project, alone, expected):
+    project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
+    assert project.run(subprocess=True, generations=3).ret == 9
+    project.write((PLANNERS + DYING).replace("HOW", alone))
+    seen = [project.run(subprocess=True, generations=0).ret for _ in range(2)]
+    assert (seen, [name.rpartition("/")[2][:6] for name in project.files]) == expected

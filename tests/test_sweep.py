@@ -1,0 +1,175 @@
+"""The compiled passes over a run give what numpy's whole arrays give, to the last bit."""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot import Highway
+from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, sweep
+from pytest_pafot.searching import SearchSpace, company, sample
+from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
+from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
+from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
+
+EXTREMES = ("min_ttc", "min_gap", "max_safety_shortfall")
+seeds = st.integers(0, 2**32)
+
+
+def interpreted(module):
+    """The same module from its source, also where a compiled one lies beside it."""
+    spec = importlib.util.spec_from_file_location("interpreted", Path(module.__file__).parent / f"{NAMES[module]}.py")
+    copy = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(copy)
+    return copy
+
+
+NAMES = {sweep: "sweep", company: "company"}
+SWEEPS = {"as installed": sweep, "interpreted": interpreted(sweep)}
+COMPANIES = {"as installed": company, "interpreted": interpreted(company)}
+
+
+def swept(module, trace):
+    """The extremes by one pass; None where it leaves the run to the arrays."""
+    heading = trace.lanes[0].heading
+    road = math.cos(heading), math.sin(heading)
+    found = module.Sweep(trace.states, trace.sizes, road, MANOEUVRE_SECONDS)
+    return tuple(getattr(found, name) for name in EXTREMES) if found.run() else None
+
+
+def by_arrays(trace):
+    encounters = Encounters(trace, sweeps=False)
+    return tuple(getattr(encounters, name) for name in EXTREMES)
+
+
+def kept(module, trace):
+    found = module.Company(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
+    return found.interacted, found.alone / len(trace.states) >= 0.5
+
+
+def drawn(seed, *, spread=25.0):
+    """A run of vehicles that are anywhere at any tick, on a road of any heading."""
+    rng = np.random.default_rng(seed)
+    rows, vehicles = int(rng.integers(1, 40)), int(rng.integers(2, 6))
+    sizes = rng.uniform(1, 6, (vehicles, 2))
+    states = random_states(rng, rows, vehicles, spread=spread)
+    states[..., HEADING] *= rng.choice([0.0, 0.01, 1.0], size=(rows, vehicles))
+    return trace_of(*np.moveaxis(states, 1, 0), sizes=sizes, lanes=straight_lanes(heading=rng.choice([0.0, 0.7])))
+
+
+def meeting(seed):
+    """Contact is 3 s away at first; at the next tick the two are anywhere else and drive at each other, or nearly."""
+    rng = np.random.default_rng(seed)
+    angle, distance, noise = rng.uniform(-math.pi, math.pi), rng.uniform(15, 80), rng.normal(0, 0.1, 2)
+    ego, npc = (math.remainder(heading, math.tau) for heading in (angle + noise[0], angle + math.pi + noise[1]))
+    speed = rng.uniform(3, 20, 2)
+    return trace_of(
+        vehicle(0, heading=[0, ego], speed=[30, speed[0]], lane=1),
+        vehicle(
+            [80, distance * math.cos(angle)],
+            [0, distance * math.sin(angle)],
+            heading=[0, npc],
+            speed=[5, speed[1]],
+            lane=2,
+        ),
+    )
+
+
+def driven(seed):
+    """A run of the world, with an ego that keeps its speed and weaves a little."""
+    rng = np.random.default_rng(seed)
+    scenario = sample(SearchSpace(npcs=int(rng.integers(1, 6)), genes=3), rng)
+    return Highway().rollout(scenario, lambda: lambda seen: (0.0, 0.002 * math.cos(seen.time)))
+
+
+@pytest.mark.parametrize("module", SWEEPS.values(), ids=SWEEPS)
+class TestSweep:
+    @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
+    def test_finds_the_extremes_of_the_arrays_in_any_states(self, module, seed, spread):
+        trace = drawn(seed, spread=spread)
+        assert swept(module, trace) in (by_arrays(trace), None)
+
+    def test_sees_sooner_contacts_of_vehicles_that_meet_from_anywhere(self, module):
+        traces = [meeting(seed) for seed in range(300)]
+        expected = [by_arrays(trace) for trace in traces]
+        assert [swept(module, trace) for trace in traces] == expected
+        assert sum(ttc < 2.9 for ttc, *_ in expected) > 100
+
+    @pytest.mark.parametrize("seed", range(15))
+    def test_finds_the_extremes_of_the_arrays_in_runs(self, module, seed):
+        trace = driven(seed)
+        assert swept(module, trace) in (by_arrays(trace), None)
+
+    def test_answers_itself_in_nearly_all_runs_of_a_search(self, module):
+        assert sum(swept(module, driven(seed)) is not None for seed in range(20)) >= 15
+
+    def test_stops_at_a_contact_that_came_from_the_side(self, module):
+        beside = vehicle(0, np.linspace(4, 1, 30), speed=20, lane=1)
+        trace = trace_of(vehicle(0, 0, speed=20, lane=1), beside)
+        assert swept(module, trace) in (by_arrays(trace), None)
+        assert by_arrays(trace)[1] == 0
+
+    @pytest.mark.parametrize("column", [X, Y, HEADING, SPEED, ACCELERATION, LANE])
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 2e6])
+    @pytest.mark.parametrize("of", [0, 2])
+    def test_leaves_what_is_no_state_of_a_vehicle_to_the_arrays(self, module, column, value, of):
+        states = drawn(4).states.copy()[:, :3]
+        states[-1, of, column] = value
+        assert swept(module, trace_of(*np.moveaxis(states, 1, 0))) is None
+
+    def test_leaves_a_run_without_a_course_of_collision_to_the_arrays(self, module):
+        trace = trace_of(vehicle(0, 0, speed=20, ticks=30), vehicle(50, 4, speed=25, ticks=30))
+        assert swept(module, trace) is None
+        assert by_arrays(trace)[0] == math.inf
+
+
+@pytest.mark.parametrize("module", COMPANIES.values(), ids=COMPANIES)
+class TestCompany:
+    @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
+    def test_is_that_of_the_arrays_in_any_states(self, module, seed, spread):
+        trace = drawn(seed, spread=spread)
+        assert kept(module, trace) == (interacted(trace), outran(trace))
+
+    @pytest.mark.parametrize("x", [-100.1, -99.9, -35.1, -34.9, 34.9, 35.1])
+    def test_is_that_of_the_arrays_at_the_bounds(self, module, x):
+        trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(x, speed=20, ticks=9))
+        assert kept(module, trace) == (interacted(trace), outran(trace)) == (abs(x) < 35, x < -100)
+
+    def test_of_nowhere_is_none(self, module):
+        trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(math.nan, speed=20, lane=0))
+        assert kept(module, trace) == (interacted(trace), outran(trace)) == (False, False)
+
+
+@pytest.mark.parametrize("sizes", [(1, 2), (2, 3), (2,)])
+@pytest.mark.parametrize("make", [sweep.Sweep, company.Company])
+def test_arrays_that_do_not_belong_together_are_refused(make, sizes):
+    rest = ((1.0, 0.0), 3.0) if make is sweep.Sweep else (1.5, 2.0, 100.0)
+    with pytest.raises(ValueError, match="expected the shapes"):
+        make(np.zeros((4, 2, 7)), np.ones(sizes), *rest)
+    with pytest.raises(ValueError, match="expected the shapes"):
+        make(np.zeros((4, 2, 6)), np.ones((2, 2)), *rest)
+
+
+def test_roads_that_turn_are_left_to_the_arrays():
+    lanes = (*straight_lanes(2), *straight_lanes(2, heading=0.3))
+    trace = trace_of(vehicle(0, speed=20, ticks=9), vehicle(30, speed=10, ticks=9), lanes=lanes)
+    assert Encounters(trace, sweeps=True).min_ttc == Encounters(trace, sweeps=False).min_ttc == 25 / 10 - 0.6
+
+
+@pytest.mark.skipif(not sweep.is_compiled(), reason="nothing is compiled here")
+@pytest.mark.parametrize("module", [sweep, company])
+def test_the_compiled_pass_is_that_of_the_present_source(module):
+    compiled = Path(module.__file__)
+    for suffix in (".py", ".pxd"):
+        source = compiled.with_name(NAMES[module] + suffix)
+        assert source.stat().st_mtime <= compiled.stat().st_mtime + 1, f"{source.name} is newer than its compiled form"
+
+
+def test_without_compiled_passes_the_arrays_answer(monkeypatch):
+    assert interpreted(sweep).is_in_use() is False
+    monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
+    assert sweep.is_in_use() is False

@@ -1,0 +1,178 @@
+"""Runs in lock step are the runs of the same ADS asked one by one."""
+
+import time
+
+import numpy as np
+import pytest
+
+from pytest_pafot import Highway, Outcome, World
+from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.searching import SearchSpace, sample
+from pytest_pafot.world import AdsFactoryError
+from pytest_pafot.world.batch import batching_ads
+
+HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
+ENVIRONMENT = World("highway-v0", duration=12.0)
+ALONE = Scenario(npcs=[[PositionInstruction(2, 15.0)]])
+
+
+def scenarios(count=6):
+    """Of different numbers of NPCs, most of which end in a collision sooner or later."""
+    rng = np.random.default_rng(3)
+    return [sample(SearchSpace(npcs=1 + index % 4, genes=2, gene_seconds=6.0), rng) for index in range(count)]
+
+
+class Planner:
+    """Pushes on and weaves, by the row; each row is decided upon by itself."""
+
+    def __init__(self, asked=None):
+        self.asked = [] if asked is None else asked
+
+    def __call__(self, observation):
+        return self.decided(observation)
+
+    def batch(self, observations):
+        self.asked.append(len(observations))
+        return [self.decided(observation) for observation in observations]
+
+    def decided(self, observation):
+        return 0.4 - 0.01 * len(observation.others), 0.01 * np.sin(observation.time)
+
+
+class MetaPolicy(Planner):
+    """The same for highway-env's own observation and meta-actions."""
+
+    def decided(self, observation):
+        return int(abs(observation).sum() * 1000) % 5
+
+
+def differences(traces, others):
+    """What of two lists of traces is not the same to the last bit."""
+    names = ("scenario", "executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
+    return [
+        (index, name)
+        for index, (a, b) in enumerate(zip(traces, others, strict=True))
+        for name in (*names, "states", "sizes")
+        if not (np.array_equal(getattr(a, name), getattr(b, name)) if name in ("states", "sizes")
+                else getattr(a, name) == getattr(b, name))
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
+def test_a_planner_drives_in_lock_step_as_it_does_alone(world):
+    alone = [world.rollout(scenario, Planner) for scenario in scenarios()]
+    assert differences(world.rollout_batch(scenarios(), Planner), alone) == []
+    assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
+
+
+def test_a_policy_in_an_environment_drives_in_lock_step_as_it_does_alone():
+    alone = [ENVIRONMENT.rollout(scenario, MetaPolicy) for scenario in scenarios()]
+    assert differences(ENVIRONMENT.rollout_batch(scenarios(), MetaPolicy), alone) == []
+    assert len({trace.ticks for trace in alone}) > 1, "they should end at different times"
+
+
+def test_it_is_asked_once_at_each_tick_of_decision_for_the_runs_that_still_go_on():
+    asked = []
+    traces = Highway(duration=12.0).rollout_batch(scenarios(), lambda: Planner(asked))
+    decisions = [len(trace.actions) for trace in traces]
+    assert asked == [sum(count > tick for count in decisions) for tick in range(max(decisions))]
+
+
+def test_one_fresh_ads_drives_all_runs_of_a_batch():
+    made = []
+    Highway(duration=2.0).rollout_batch(scenarios(3), lambda: made.append(Planner()) or made[-1])
+    assert len(made) == 1
+
+
+def test_actions_may_be_rows_of_an_array():
+    class Stacked(Planner):
+        def batch(self, observations):
+            return np.array([self.decided(observation) for observation in observations])
+
+    world = Highway(duration=4.0)
+    assert differences(world.rollout_batch(scenarios(), Stacked), world.rollout_batch(scenarios(), Planner)) == []
+
+
+def test_an_ads_without_batch_drives_one_by_one():
+    world, made = Highway(duration=4.0), []
+    traces = world.rollout_batch(scenarios(3), lambda: made.append(None) or Planner().decided)
+    assert differences(traces, [world.rollout(scenario, Planner) for scenario in scenarios(3)]) == []
+    assert batching_ads(lambda: Planner().decided) is None
+    assert len(made) >= 3
+
+
+def test_vehicle_classes_and_planners_inside_of_an_environment_have_no_batch():
+    from highway_env.vehicle.behavior import IDMVehicle
+
+    assert batching_ads(IDMVehicle) is batching_ads(lambda: IDMVehicle) is batching_ads(lambda env: Planner()) is None
+    assert len(Highway(duration=2.0).rollout_batch(scenarios(2), IDMVehicle)) == 2
+
+
+def test_one_scenario_is_no_batch():
+    asked = []
+    (trace,) = Highway(duration=2.0).rollout_batch([ALONE], lambda: Planner(asked))
+    assert (asked, trace.outcome) == ([], Outcome.SAFE)
+
+
+class Failing(Planner):
+    """Raises, or hangs, or answers nonsense, where there is one NPC."""
+
+    def __init__(self, how):
+        super().__init__()
+        self.how = how
+
+    def decided(self, observation):
+        return self.how() if len(observation.others) == 1 and observation.time > 1 else super().decided(observation)
+
+
+def raises():
+    raise LookupError("one NPC")
+
+
+@pytest.mark.parametrize(
+    ("how", "outcome", "kind"),
+    [
+        (raises, Outcome.ADS_ERROR, "LookupError"),
+        (lambda: time.sleep(30), Outcome.HANG, "Hang"),
+        (lambda: (np.nan, 0.0), Outcome.ADS_ERROR, "BadAction"),
+        (lambda: "left", Outcome.ADS_ERROR, "BadAction"),
+    ],
+    ids=["raises", "hangs", "not finite", "no action"],
+)
+@pytest.mark.parametrize("engine", ["kernel", "highway-env"])
+def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, kind):
+    world = Highway(duration=4.0, hang_limit=0.05, engine=engine)
+    traces = world.rollout_batch(scenarios(4), lambda: Failing(how))
+    healthy = [world.rollout(scenario, Planner) for scenario in scenarios(4)]
+    assert [(trace.outcome, trace.error.kind) for trace in traces[:1]] == [(outcome, kind)]
+    assert traces[0].error.tick == 18
+    assert differences(traces[1:], healthy[1:]) == []
+
+
+@pytest.mark.parametrize(
+    "answer", [lambda observations: [(0.0, 0.0)], lambda observations: None, lambda observations: []]
+)
+def test_a_wrong_number_of_actions_is_refused(answer):
+    planner = Planner()
+    planner.batch = answer
+    with pytest.raises(AdsFactoryError, match=r"ads\.batch: expected 3 actions, one for each of 3 observations"):
+        Highway(duration=2.0).rollout_batch(scenarios(3), lambda: planner)
+
+
+def test_a_scenario_that_does_not_fit_is_refused_before_anything_runs():
+    too_fast = Scenario(npcs=[[PositionInstruction(2, 60.0)]])
+    for world in (Highway(), ENVIRONMENT):
+        with pytest.raises(ScenarioError, match="speed"):
+            world.rollout_batch([ALONE, too_fast], lambda: pytest.fail("the factory should not be called"))
+
+
+def test_a_decision_of_many_runs_takes_each_of_them_its_share_of_the_time():
+    class Slow(Planner):
+        def batch(self, observations):
+            time.sleep(0.04)
+            return super().batch(observations)
+
+    started = time.perf_counter()
+    traces = Highway(duration=1.0, ads_hz=1).rollout_batch(scenarios(4), Slow)
+    elapsed = time.perf_counter() - started
+    assert all(0.01 <= trace.max_decision_seconds <= elapsed / 4 for trace in traces)
