@@ -109,6 +109,8 @@ def repair_gene(
     requested: Sequence[Cell],
     existing: Collection[Cell],
     coin: Callable[[int], bool],
+    *,
+    skipping: bool = False,
 ) -> tuple[Cell, ...]:
     """The cells that all NPCs execute in one gene, given what they executed before and what they request.
 
@@ -126,6 +128,9 @@ def repair_gene(
         requested: the requested cells, one per NPC.
         existing: the cells whose lane exists now.
         coin: NPC index to a fair coin: False for the anticlockwise neighbour first, True for the clockwise.
+        skipping: whether the neighbours of a cell are the next ones on the ring that exist, and a step to one that
+            does not exist goes on to the next that does. For roads on which few cells exist, such as a single lane
+            with 2 and 6.
 
     Raises:
         ValueError: in the first gene, when there are more NPCs than existing cells.
@@ -135,8 +140,9 @@ def repair_gene(
     if previous is None:
         preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
     else:
+        next_cells = _next_existing_cells if skipping else _next_cells
         preferences = [
-            _next_cells(before, cell, existing, coin(npc))
+            next_cells(before, cell, existing, coin(npc))
             for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
         ]
     assignment = next(_assignments(preferences, ()), None)
@@ -191,6 +197,21 @@ def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clo
     neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
     wanted = (requested,) if is_adjacent(previous, requested) else ()
     moves = [cell for cell in (*wanted, *neighbours) if cell in existing]
+    return list(dict.fromkeys([*moves, previous]))
+
+
+def _next_existing_cells(
+    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+) -> list[Cell]:
+    ways = {}
+    for step in (-1, 1):
+        beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
+        ways[step] = next((cell for cell in beyond if cell in existing), previous)
+    toward = {Cell((previous - 1 + step) % 8 + 1): cell for step, cell in ways.items()}
+    allowed = {cell: cell for cell in (previous, *ways.values()) if cell in existing}
+    wanted = allowed.get(requested, None if requested in existing else toward.get(requested))
+    neighbours = (ways[1], ways[-1]) if clockwise_first else (ways[-1], ways[1])
+    moves = [cell for cell in (wanted, *neighbours) if cell is not None and cell in existing]
     return list(dict.fromkeys([*moves, previous]))
 
 

@@ -13,6 +13,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Literal, cast, get_args
 
 from pytest_pafot.grid import Cell, is_adjacent, repair_chains
@@ -282,6 +283,14 @@ def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruct
     """Chains of one kind where that is Position-Instructions, else nothing."""
     is_positions = bool(npcs) and isinstance(npcs[0][0], PositionInstruction)
     return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(map(tuple, npcs))) if is_positions else ()
+
+
+def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
+    """Chains with other cells in the first genes of each; without cells, the chains as they are."""
+    return tuple(
+        (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
+        for chain, row in zip_longest(npcs, cells, fillvalue=())
+    )
 
 
 def _check_kinds(npcs: Sequence[Sequence[Gene]]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import Chromosome, Scenario, with_cells
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,6 +19,9 @@ Side = Literal["front", "rear", "left", "right"]
 X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE = range(7)
 """Columns of :attr:`Trace.states`."""
 
+ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)
+"""Columns of :attr:`Trace.track`."""
+
 
 class Outcome(StrEnum):
     """How a run ended."""
@@ -26,7 +29,11 @@ class Outcome(StrEnum):
     SAFE = "safe"
     """The duration passed without any of what follows."""
     OFF_ROAD = "off_road"
-    """The duration passed, and the ego's centre was off the road at some tick."""
+    """The ego's centre was off the road at some tick; only on a straight road did the run go on."""
+    LEFT_ROUTE = "left_route"
+    """The ego drove on to a lane that does not belong to its route, which the grid follows; the run ended there."""
+    END_OF_ROAD = "end_of_road"
+    """A vehicle came to the end of the road; the run ended there."""
     COLLISION = "collision"
     """The ego's box touched an NPC's; the run ended there."""
     INVALID = "invalid"
@@ -39,13 +46,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lane:
-    """A straight lane: its start, direction and size.
+    """A lane: its start, direction and size, and its shape where it is not straight.
 
     Attributes:
         x, y: where its centre line starts [m].
-        heading: of its centre line [rad].
+        heading: of its centre line there [rad].
         length, width: [m].
         speed_limit: [m/s].
+        points: x and y of its centre line from the start to the end [m]; empty for a straight lane.
     """
 
     x: float
@@ -54,6 +62,7 @@ class Lane:
     length: float
     width: float
     speed_limit: float
+    points: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,13 +127,19 @@ class Trace:
             y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
             ``t`` and the acceleration and steering that led to it; those of row 0 are 0.
         sizes: float64, read-only, shape [vehicles, 2]: length and width [m].
-        lanes: of the road, from the left.
+        lanes: of the road, from the left; where it is not straight, those along the ego's way, then all others.
         physics_hz: ticks per second.
         ads_hz: decisions of the ADS per second; divides ``physics_hz``.
         actions: what the ADS returned, one per decision.
         arrivals: per NPC and gene that was started, the tick at which the cell was reached, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
+        track: on roads that are not straight, where the vehicles are on the road; float64, read-only, shape
+            [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
+            [rad], offset to the centre of the own lane [m], metres driven there per metre of the way (more outside of a
+            bend). None on straight roads, where ``lanes`` says it all.
+        driven: per NPC and started gene, the cell that it drove to; as in ``executed`` but where cells that the road
+            does not have were skipped, which no chain can say. Empty where it is as in ``executed``.
     """
 
     scenario: Scenario
@@ -141,9 +156,11 @@ class Trace:
     arrivals: tuple[tuple[int | None, ...], ...] = ()
     off_road_tick: int | None = None
     max_decision_seconds: float = field(default=0.0, compare=False)
+    track: FloatArray | None = None
+    driven: tuple[tuple[Cell, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("states", "sizes"):
+        for name in ("states", "sizes") if self.track is None else ("states", "sizes", "track"):
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if array is getattr(self, name) and array.flags.writeable:
                 array = array.copy()
@@ -153,11 +170,15 @@ class Trace:
             raise ValueError(f"states: expected shape [ticks + 1, vehicles, 7], received {self.states.shape}")
         if self.sizes.shape != (self.states.shape[1], 2):
             raise ValueError(f"sizes: expected shape {(self.states.shape[1], 2)}, received {self.sizes.shape}")
+        if self.track is not None and self.track.shape != (*self.states.shape[:2], 5):
+            raise ValueError(f"track: expected shape {(*self.states.shape[:2], 5)}, received {self.track.shape}")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Pickling makes arrays writeable; a trace that comes back from another process is read-only again."""
         self.__dict__.update(state)
         self.states.flags.writeable = self.sizes.flags.writeable = False
+        if self.track is not None:
+            self.track.flags.writeable = False
 
     @property
     def ticks(self) -> int:
@@ -188,6 +209,21 @@ class Trace:
     def npcs(self) -> FloatArray:
         """The NPCs' states, shape [ticks + 1, NPCs, 7]."""
         return self.states[:, 1:]
+
+    def track_of(self, vehicle: int) -> FloatArray:
+        """The track of a vehicle, shape [ticks + 1, 5].
+
+        Raises:
+            ValueError: on a straight road, where none is recorded.
+        """
+        if self.track is None:
+            raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
+        return self.track[:, vehicle]
+
+    @property
+    def chains(self) -> tuple[Chromosome, ...]:
+        """What each NPC drove: as in ``executed``, and where cells were skipped with those that it drove to."""
+        return with_cells(self.executed.npcs, self.driven)
 
     @property
     def speed_limit(self) -> float:

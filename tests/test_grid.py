@@ -213,3 +213,49 @@ def test_a_vanished_lane_leaves_the_one_neighbour_that_exists():
 def test_of_two_npcs_that_want_one_cell_the_first_gets_it():
     executed = repair_gene([Cell.FRONT_LEFT, Cell.FRONT_RIGHT], [Cell.FRONT, Cell.FRONT], ALL_CELLS, lambda npc: True)
     assert executed == (Cell.FRONT, Cell.RIGHT)
+
+
+class TestRepairThatSkipsMissingCells:
+    """For roads on which few cells exist."""
+
+    one_lane = frozenset({Cell.FRONT, Cell.REAR})
+
+    def repaired(self, previous, requested, existing, clockwise=True):
+        return repair_gene([previous], [requested], existing, lambda npc: clockwise, skipping=True)[0]
+
+    @pytest.mark.parametrize("requested", [Cell.FRONT_LEFT, Cell.FRONT_RIGHT])
+    def test_a_step_to_a_missing_cell_leads_to_the_next_one_that_exists(self, requested):
+        assert self.repaired(Cell.FRONT, requested, self.one_lane) == Cell.REAR
+
+    def test_a_step_goes_on_in_its_own_direction(self):
+        existing = frozenset({Cell.FRONT, Cell.RIGHT, Cell.LEFT})
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, existing) == Cell.RIGHT
+        assert self.repaired(Cell.FRONT, Cell.FRONT_LEFT, existing) == Cell.LEFT
+
+    def test_holding_is_no_step(self):
+        assert self.repaired(Cell.FRONT, Cell.FRONT, self.one_lane) == Cell.FRONT
+
+    def test_the_next_existing_cells_are_neighbours(self):
+        assert self.repaired(Cell.FRONT, Cell.REAR, self.one_lane) == Cell.REAR
+
+    def test_a_cell_that_is_no_neighbour_becomes_one_of_the_two_by_the_coin(self):
+        existing = frozenset(Cell) - {Cell.FRONT_RIGHT}
+        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=True) == Cell.RIGHT
+        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=False) == Cell.FRONT_LEFT
+
+    def test_where_nothing_else_exists_an_npc_holds(self):
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset({Cell.FRONT})) == Cell.FRONT
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset()) == Cell.FRONT
+
+    @given(
+        st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
+        st.data(),
+        st.frozensets(st.sampled_from(Cell)),
+        st.booleans(),
+    )
+    def test_the_result_is_distinct_and_a_fixed_point(self, previous, data, existing, clockwise):
+        requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
+        executed = repair_gene(previous, requested, existing, lambda npc: clockwise, skipping=True)
+        assert len(set(executed)) == len(executed)
+        assert repair_gene(previous, executed, existing, lambda npc: clockwise, skipping=True) == executed
+        assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))

@@ -96,4 +96,6 @@ def test_the_repr_says_how_it_ended_and_when():
 
 
 def test_outcomes_are_the_texts_that_corpus_files_have():
-    assert [str(outcome) for outcome in Outcome] == ["safe", "off_road", "collision", "invalid", "ads_error", "hang"]
+    assert [str(outcome) for outcome in Outcome] == [
+        "safe", "off_road", "left_route", "end_of_road", "collision", "invalid", "ads_error", "hang"
+    ]  # fmt: skip

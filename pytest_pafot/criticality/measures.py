@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
 from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, relate
-from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STRETCH, FloatArray, Trace, X, Y
 
 MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
@@ -83,7 +83,8 @@ def min_gap(trace: Trace) -> float:
 def ego_follows(trace: Trace) -> npt.NDArray[np.bool_]:
     """Whether the ego is the follower of the pair: the NPC's centre is level with its own or ahead, along the road.
 
-    The road's direction is that of the ego's lane (of the last lane where the ego is off the road).
+    The road's direction is that of the ego's lane (of the last lane where the ego is off the road). On roads that are
+    not straight, ahead is what comes later on the ego's way (:attr:`pytest_pafot.Trace.track`).
     """
     return Encounters(trace).ego_follows.T
 
@@ -151,10 +152,11 @@ class Encounters:
     """
 
     def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
-        """``sweeps=False`` takes the extremes from the arrays, which gives the same numbers."""
-        self._sweeps = sweeps
+        """``sweeps=False`` takes the extremes from the arrays, which gives the same numbers; so do roads that bend."""
+        self._sweeps = sweeps and trace.track is None
         self._states = trace.states
         self._sizes = trace.sizes
+        self._track = trace.track
         self._lane_headings = [lane.heading for lane in trace.lanes]
 
     def column(self, index: int) -> FloatArray:
@@ -192,10 +194,19 @@ class Encounters:
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
         """See :func:`ego_follows`."""
-        boxes, (cos, sin) = self.boxes, self.road
-        ahead = (boxes.x[1:] - boxes.x[:1]) * cos + (boxes.y[1:] - boxes.y[:1]) * sin
-        follows: npt.NDArray[np.bool_] = ahead >= 0
+        follows: npt.NDArray[np.bool_] = self.ahead >= 0
         return follows
+
+    @cached_property
+    def ahead(self) -> FloatArray:
+        """How far the NPC's centre is ahead of the ego's, along the road [m]."""
+        if self._track is not None:
+            along, stretch = self._track[:, :, ALONG].T, self._track[:, :, STRETCH].T
+            way: FloatArray = (along[1:] - along[:1]) * (stretch[1:] + stretch[:1]) / 2
+            return way
+        boxes, (cos, sin) = self.boxes, self.road
+        straight: FloatArray = (boxes.x[1:] - boxes.x[:1]) * cos + (boxes.y[1:] - boxes.y[:1]) * sin
+        return straight
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:

@@ -3,7 +3,8 @@
 Source: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
 arXiv:1708.06374, 2017: safe longitudinal distance for the same direction, safe lateral distance. A pair is in
 danger where both gaps are below their safe distance. All is measured along and across the road's direction
-at the ego, that of its lane.
+at the ego, that of its lane; on roads that are not straight along and across the ego's way, as far as the vehicles
+drive there.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from pytest_pafot.criticality.boxes import Boxes
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.trace import FloatArray, Trace
+from pytest_pafot.trace import ACROSS, ANGLE, FloatArray, Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +116,9 @@ class RoadFrame:
 
     def __init__(self, trace: Trace) -> None:
         encounters = Encounters(trace)
+        if trace.track is not None:
+            self._follow(encounters, trace.track)
+            return
         (cos, sin), boxes = encounters.road, encounters.boxes
         dx, dy = boxes.x[1:] - boxes.x[:1], boxes.y[1:] - boxes.y[:1]
         self.ahead = dx * cos + dy * sin
@@ -122,6 +126,17 @@ class RoadFrame:
         self.speed = boxes.vx * cos + boxes.vy * sin
         self.drift = boxes.vy * cos - boxes.vx * sin
         self.half_along, self.half_across = _half_extents(boxes, cos, sin)
+
+    def _follow(self, encounters: Encounters, track: FloatArray) -> None:
+        """Along a road that is not straight: each vehicle by the road's direction where it is itself."""
+        angle, across = track[:, :, ANGLE].T, track[:, :, ACROSS].T
+        cos, sin, boxes = np.abs(np.cos(angle)), np.abs(np.sin(angle)), encounters.boxes
+        self.ahead = encounters.ahead
+        self.right = across[1:] - across[:1]
+        self.speed = encounters.speed * np.cos(angle)
+        self.drift = encounters.speed * np.sin(angle)
+        self.half_along = boxes.half_length * cos + boxes.half_width * sin
+        self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
 
 def _half_extents(boxes: Boxes, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import math
 import os
 import sys
 import time
@@ -18,10 +17,12 @@ from pytest_pafot.evaluation.session import run_all
 from pytest_pafot.evaluation.workers import WorkerDied
 from pytest_pafot.scenario import ScenarioError
 from pytest_pafot.searching.catalogue import ALGORITHMS
-from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.searching.space import space_on
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
+
+START = "; where the road is not straight, the environment's"
 
 BAD_USE = 2
 """Exit code for wrong arguments, as argparse has it."""
@@ -67,13 +68,13 @@ def _add_world_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help="of a scenario [s] (default: 60, or the environment's)"
     )
     parser.add_argument("--clearance", type=float, metavar="D", help="of the grid [m]; 0 is the paper's (default: 3)")
-    parser.add_argument("--npcs", type=int, default=2, metavar="N", help="1 to 8 (default: %(default)s)")
+    parser.add_argument("--npcs", type=int, metavar="N", help="1 to 8 (default: 2)")
     parser.add_argument("--genes", type=int, metavar="N", help="of each NPC (default: as a scenario lasts)")
-    parser.add_argument("--gene-seconds", type=float, default=10.0, metavar="S", help="[s] (default: %(default)g)")
     parser.add_argument(
-        "--ego-lane", type=int, default=1, metavar="N", help="from 0 at the left (default: %(default)s)"
+        "--gene-seconds", type=float, metavar="S", help="[s] (default: 10; where the road is not straight, about 10)"
     )
-    parser.add_argument("--ego-speed", type=float, default=22.0, metavar="V", help="[m/s] (default: %(default)g)")
+    parser.add_argument("--ego-lane", type=int, metavar="N", help=f"from 0 at the left (default: 1{START})")
+    parser.add_argument("--ego-speed", type=float, metavar="V", help=f"[m/s] (default: 22{START})")
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -114,16 +115,11 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
     world = _world(arguments)
     if isinstance(world, World):
         world.check()
-    genes = arguments.genes or max(1, math.ceil(world.longest_run / arguments.gene_seconds - 1e-9))
+    given = ((name, getattr(arguments, name)) for name in ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed"))
     try:
-        space = SearchSpace(
-            npcs=arguments.npcs,
-            genes=genes,
-            gene_seconds=arguments.gene_seconds,
-            speed_limit=float(world.speed_limit),
-            ego_lane=arguments.ego_lane,
-            ego_speed=arguments.ego_speed,
-        )
+        space = space_on(world, {name: value for name, value in given if value is not None})
+    except WorldError:
+        raise
     except ValueError as error:
         raise PlanError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations

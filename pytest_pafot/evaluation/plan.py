@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
 from typing import Any, Literal
 
-from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named
+from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, check_road
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import Highway, World
@@ -105,6 +105,7 @@ def _check_searches(plan: Plan) -> None:
         space = SearchSpace(**plan.space)
         for name in plan.algorithms:
             algorithm_named(name, space, **plan.parameters)
+            check_road(name, world_of(plan))
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pytest_pafot.trace import LANE, Trace, X, Y
+from pytest_pafot.trace import ACROSS, LANE, Trace, X, Y
 
 Manoeuvre = Literal["lane-change", "lane-keeping"]
 
@@ -25,7 +25,10 @@ def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
         tick: of the event.
     """
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
-    states = trace.states[first : tick + 1, vehicle]
-    heading = trace.lanes[max(int(states[-1, LANE]), 0)].heading
-    across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
+    if trace.track is not None:
+        across = trace.track[first : tick + 1, vehicle, ACROSS]
+    else:
+        states = trace.states[first : tick + 1, vehicle]
+        heading = trace.lanes[max(int(states[-1, LANE]), 0)].heading
+        across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
     return "lane-change" if float(abs(across - across[-1]).max()) > DISPLACEMENT else "lane-keeping"

@@ -22,7 +22,7 @@ from pytest_pafot.criticality import (
     rss_longitudinal,
 )
 from pytest_pafot.findings.avoidance import Braking, Chase, Emergency
-from pytest_pafot.trace import ACCELERATION, LANE, Collision, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, Collision, FloatArray, Trace, X, Y
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -317,8 +317,7 @@ class _Case:
 
     def _cut_in_seen(self) -> int:
         """First tick of the danger at which the NPC had left the centre of a lane; the first of all if it never did."""
-        rows = self._columns[self._start :]
-        offset = np.abs(_lane_offset(self._trace, rows))
+        offset = np.abs(_lane_offset(self._trace, self._collision.npc, self._start))
         left = np.flatnonzero(offset > LEAVING)
         return self._start + (int(left[0]) if left.size else 0)
 
@@ -370,9 +369,11 @@ class _Case:
         return max(float(speed[due] - speed[-1]) / seconds, 0.0)
 
 
-def _lane_offset(trace: Trace, rows: FloatArray) -> npt.NDArray[np.float64]:
-    """Distance of a vehicle to the centre of the lane that it is in, signed [m]; NaN off the road."""
-    lanes = trace.lanes
+def _lane_offset(trace: Trace, npc: int, since: int) -> npt.NDArray[np.float64]:
+    """Distance of an NPC to the centre of the lane that it is in, signed [m], from a tick on; NaN off the road."""
+    rows, lanes = trace.npcs[since:, npc], trace.lanes
+    if trace.track is not None:
+        return np.where(rows[:, LANE] < 0, np.nan, trace.track[since:, npc + 1, OFFSET])
     index = rows[:, LANE].astype(int)
     x, y, heading = (np.array([getattr(lane, name) for lane in lanes])[index] for name in ("x", "y", "heading"))
     offset = (rows[:, Y] - y) * np.cos(heading) - (rows[:, X] - x) * np.sin(heading)

@@ -13,9 +13,26 @@ from pytest_pafot import criticality
 from pytest_pafot.findings.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.grid import Cell, cell_at
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import HEADING, LANE, AdsError, Collision, FloatArray, Outcome, Trace, X, Y
+from pytest_pafot.trace import (
+    ACROSS,
+    ALONG,
+    HEADING,
+    LANE,
+    STRETCH,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Trace,
+    X,
+    Y,
+)
 
 LINE_LENGTH = 99
+_DEPARTURES = {
+    Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
+    Outcome.LEFT_ROUTE: ", when the ego left its route",
+}
 MAX_GENE_ROWS = 7
 
 
@@ -223,7 +240,7 @@ class Run:
             return f"invalid after {self.duration:.1f} s: two NPCs touched"
         if self.off_road:
             return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s"
-        return f"no collision in {self.duration:.1f} s"
+        return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
 
     def _measures(self) -> list[str]:
         lines = []
@@ -272,6 +289,8 @@ def _cell_until(trace: Trace, npc: int, tick: int) -> Cell | None:
 
 
 def _cell_now(trace: Trace, npc: int, tick: int) -> Cell | None:
+    if trace.track is not None:
+        return _cell_on_track(trace, npc, tick)
     ego, other = trace.ego[tick], trace.npcs[tick, npc]
     lane = trace.lanes[int(ego[LANE])] if 0 <= ego[LANE] < len(trace.lanes) else None
     heading = float(ego[HEADING]) if lane is None else lane.heading
@@ -280,6 +299,14 @@ def _cell_now(trace: Trace, npc: int, tick: int) -> Cell | None:
     ahead = dx * np.cos(heading) + dy * np.sin(heading)
     right = dy * np.cos(heading) - dx * np.sin(heading)
     return cell_at(float(ahead), float(right), float(trace.sizes[0, 0]), width)
+
+
+def _cell_on_track(trace: Trace, npc: int, tick: int) -> Cell | None:
+    """The same on a road that is not straight."""
+    ego, other = trace.track_of(0)[tick], trace.track_of(npc + 1)[tick]
+    ahead = (other[ALONG] - ego[ALONG]) * (other[STRETCH] + ego[STRETCH]) / 2
+    width = trace.lanes[max(int(trace.ego[tick, LANE]), 0)].width
+    return cell_at(float(ahead), float(other[ACROSS] - ego[ACROSS]), float(trace.sizes[0, 0]), width)
 
 
 def _gene_table(trace: Trace) -> list[str]:
@@ -302,16 +329,16 @@ def _gene_table(trace: Trace) -> list[str]:
 
 
 def _gene(trace: Trace, npc: int, gene: int, wide: bool) -> str:
-    chain = trace.executed.npcs[npc]
+    chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"
-    goal, speed = chain[gene].goal, chain[gene].speed
+    instruction = chain[gene]
     if not wide:
-        return f"{chain[gene].target} {speed:.1f}"
+        return f"{instruction.target} {instruction.speed:.1f}"
     arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
     arrival = arrivals[gene] if gene < len(arrivals) else None
     reached = "not reached" if arrival is None else f"at {arrival / trace.physics_hz:.1f}"
-    return f"{goal} {speed:.1f} m/s {reached}"
+    return f"{instruction.goal} {instruction.speed:.1f} m/s {reached}"
 
 
 def _ascii(line: str) -> str:

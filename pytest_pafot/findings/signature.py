@@ -22,7 +22,7 @@ _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(
 SLOW_DECISION = "SlowDecision"
 """The failure of a run in which a decision took longer than the limit that the test sets."""
 
-_ALONE = frozenset({Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
+_ALONE = frozenset({Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD, Outcome.LEFT_ROUTE})
 """Outcomes of the ego itself, which are the same wherever the others drive."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})

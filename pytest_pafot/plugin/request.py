@@ -119,16 +119,15 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     Raises:
         RequestError: when an argument is out of range, or the world cannot be built.
     """
+    from pytest_pafot.searching.space import space_on  # noqa: PLC0415
     from pytest_pafot.world import WorldError  # noqa: PLC0415
 
     try:
-        speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
+        return space_on(world, request.space)
     except WorldError as error:
         raise RequestError(f"@pafot.search(world=...): {error}") from None
-    space = _space(request, speed_limit=speed_limit)
-    if "genes" in request.space:
-        return space
-    return dataclasses.replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
+    except (TypeError, ValueError) as error:
+        raise RequestError(f"@pafot.search({', '.join(request.space)}): {error}") from None
 
 
 def _space(request: Request, speed_limit: float) -> SearchSpace:

@@ -27,7 +27,7 @@ from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Algorithm, algorithm_named, run_campaign, sample
+from pytest_pafot.searching import Algorithm, algorithm_named, check_road, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 
@@ -331,13 +331,15 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
     """The search algorithm.
 
     Raises:
-        RequestError: where it does not take the settings, or its library is not installed.
+        RequestError: where it does not take the settings or the road, or its library is not installed.
     """
     settings = bench.request.settings
     try:
-        return algorithm_named(settings.algorithm, space, population=settings.population)
+        algorithm = algorithm_named(settings.algorithm, space, population=settings.population)
+        check_road(settings.algorithm, bench.world)
     except ValueError as error:
         raise RequestError(f"{bench.item.name}: {error}") from None
+    return algorithm
 
 
 def checked_fitness(bench: Bench) -> Fitness:

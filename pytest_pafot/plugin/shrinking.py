@@ -181,8 +181,8 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     trace = run.trace
     every = round(run.scenario.gene_seconds * trace.physics_hz)
     rows = trace.ego[: trace.ticks : every]
-    if (rows[:, LANE] < 0).any():
-        return ()
+    if trace.track is not None or (rows[:, LANE] < 0).any():
+        return ()  # where a road is not straight, what comes later is another road
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)
 
 

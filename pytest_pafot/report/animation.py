@@ -36,6 +36,8 @@ SMOOTH = 2
 """Everything is drawn so many times larger, then reduced."""
 
 HEAD, FOOT, SHOULDER = 26, 26, 1.4
+HALF_HEIGHT = 18.0
+"""What a picture of a road that is not straight shows above and below the ego [m]."""
 EGO_AT = 0.42
 """Share of the width at which the ego is drawn."""
 
@@ -71,6 +73,21 @@ def animate(finding: FindingView, kind: Format = "apng") -> bytes:
         f"finding: expected a picture of at most {MAX_BYTES} bytes, received {len(content)} at one frame a second for "
         f"{finding.id} with {len(finding.vehicles)} vehicles; look at it in a page"
     )
+
+
+def still(finding: FindingView, time: float) -> bytes:
+    """One moment of a finding's run [s] as a PNG file's content.
+
+    Raises:
+        AnimationError: without Pillow, or for a finding without frames.
+    """
+    if not finding.times:
+        raise AnimationError(
+            f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
+        )
+    content = io.BytesIO()
+    _frame(_pillow(), finding, scene_at(finding, time)).save(content, format="PNG", optimize=True)
+    return content.getvalue()
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
@@ -152,7 +169,10 @@ class _Sheet:
         ego = scene.boxes[0]
         self._origin = 0.0 if ego is None else ego.along
         half = finding.road.lane_width / 2
-        self._left, self._right = min(finding.road.lanes) - half, max(finding.road.lanes) + half
+        if finding.road.shapes and ego is not None:
+            self._left, self._right = ego.across - HALF_HEIGHT, ego.across + HALF_HEIGHT
+        else:
+            self._left, self._right = min(finding.road.lanes) - half, max(finding.road.lanes) + half
         self._road_height = (self._right - self._left + 2 * SHOULDER) * SCALE
         self._size = (WIDTH, math.ceil(HEAD + self._road_height + FOOT))
         large = (self._size[0] * SMOOTH, self._size[1] * SMOOTH)
@@ -164,6 +184,9 @@ class _Sheet:
         return self._image.reduce(SMOOTH)
 
     def road(self) -> None:
+        if self._finding.road.shapes:
+            self._shapes()
+            return
         top, bottom = self._y(self._left), self._y(self._right)
         self._draw.rectangle((0, top, WIDTH * SMOOTH, bottom), fill=ROAD)
         for y in (top, bottom):
@@ -174,12 +197,28 @@ class _Sheet:
             for start in range(first, first + math.ceil(WIDTH / SCALE) + 24, 12):
                 self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
 
+    def _shapes(self) -> None:
+        """All lanes, with an edge around them and a line between neighbours."""
+        for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
+            for lane in self._finding.road.shapes:
+                width = (lane.width + more) * SCALE * SMOOTH
+                points = [self._place(point) for point in lane.points]
+                self._draw.line(points, fill=ink, width=round(width), joint="curve")
+
+    def _frame_around(self) -> None:
+        """Cover what of a road that is not straight lies under the words."""
+        large = (WIDTH * SMOOTH, self._size[1] * SMOOTH)
+        self._draw.rectangle((0, 0, large[0], HEAD * SMOOTH), fill=PAPER)
+        self._draw.rectangle((0, (HEAD + self._road_height) * SMOOTH, *large), fill=PAPER)
+
     def cells(self) -> None:
         for cell in self._scene.cells:
             if cell.exists:
                 self._cell(cell, EDGE, 1, shrink=3)
                 length = self._finding.vehicles[0].length
                 corner = (self._x(cell.along - length / 2) + 7 * SMOOTH, self._y(cell.across) - 6 * SMOOTH)
+                if self._finding.road.shapes:
+                    corner = self._place((cell.along, cell.across))
                 self._text(corner, str(cell.cell), SOFT, 10, "mm")
 
     def trails(self) -> None:
@@ -201,8 +240,9 @@ class _Sheet:
 
     def vehicle(self, vehicle: int, box: Box) -> None:
         x, y = self._place((box.along, box.across))
-        if not -60 * SMOOTH < x < (WIDTH + 60) * SMOOTH:
-            self._pointer(vehicle, box, y)
+        is_high = self._finding.road.shapes and not HEAD * SMOOTH < y < (HEAD + self._road_height) * SMOOTH
+        if is_high or not -60 * SMOOTH < x < (WIDTH + 60) * SMOOTH:
+            self._pointer(vehicle, box, min(max(y, (HEAD + 12) * SMOOTH), (HEAD + self._road_height - 12) * SMOOTH))
             return
         corners = self._corners(box, (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
         ink = INK if vehicle == 0 else NPC_INKS[(vehicle - 1) % 8]
@@ -223,6 +263,8 @@ class _Sheet:
         self._draw.polygon(star, fill=DANGER)
 
     def words(self) -> None:
+        if self._finding.road.shapes:
+            self._frame_around()
         self._text((10 * SMOOTH, HEAD * SMOOTH / 2), _cut(self._finding.headline, 88), INK, 13, "lm")
         foot = (HEAD + self._road_height + FOOT / 2) * SMOOTH
         self._text((10 * SMOOTH, foot), f"{self._scene.time:.1f} s", INK, 12, "lm")
@@ -238,11 +280,22 @@ class _Sheet:
         tip = [(edge, y), (edge + 9 * inward, y - 7 * SMOOTH), (edge + 9 * inward, y + 7 * SMOOTH)]
         self._draw.polygon(tip, fill=ink)
         away = f"NPC {vehicle - 1}, {abs(box.along - self._origin):.0f} m {'behind' if is_behind else 'ahead'}"
+        ego = self._scene.boxes[0]
+        if self._finding.road.shapes and ego is not None:
+            away = f"NPC {vehicle - 1}, {math.dist((box.along, box.across), (ego.along, ego.across)):.0f} m away"
         self._text((edge + 14 * inward, y), away, INK, 12, "lm" if is_behind else "rm", has_halo=True)
 
     def _cell(self, cell: CellPlace, ink: str, width: int, *, shrink: float) -> None:
         half = self._finding.vehicles[0].length / 2
         side = self._finding.road.lane_width / 2 * SCALE * SMOOTH - shrink * SMOOTH
+        if self._finding.road.shapes:
+            length, across = self._finding.vehicles[0].length, 2 * side / (SCALE * SMOOTH)
+            box_of = Box(
+                along=cell.along, across=cell.across, heading=cell.heading, length=length, width=across, speed=0.0
+            )
+            corners = self._corners(box_of, (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+            self._line([*corners, corners[0]], ink, width)
+            return
         y = self._y(cell.across)
         box = (self._x(cell.along - half), y - side, self._x(cell.along + half), y + side)
         self._draw.rounded_rectangle(box, 3 * SMOOTH, outline=ink, width=width * SMOOTH)

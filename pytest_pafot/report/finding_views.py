@@ -12,6 +12,7 @@ from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.run import Run
 from pytest_pafot.grid import cell_at
+from pytest_pafot.report.shapes import grid_views, lane_views
 from pytest_pafot.report.views import (
     EventView,
     FindingView,
@@ -22,7 +23,7 @@ from pytest_pafot.report.views import (
     VehicleView,
 )
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.trace import HEADING, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y
 
 FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
@@ -58,6 +59,7 @@ def finding_view(
     first, _, rest = ("", "", "") if trace is None else Run(trace).explain().partition("\n")
     survivors = tuple(finding.expect.preventable_by)
     ticks = [] if trace is None else frame_ticks(trace)
+    road = _road(trace, finding)
     return FindingView(
         id=finding.id,
         node_id=node_id,
@@ -66,7 +68,7 @@ def finding_view(
         explanation=explanation or rest or finding.expect.message,
         responsibility=finding.expect.responsibility,
         generation=finding.found.generation,
-        road=_road(trace, finding),
+        road=road,
         vehicles=() if trace is None else _vehicles(trace, ticks),
         times=() if trace is None else tuple(round(float(tick) / trace.physics_hz, 3) for tick in ticks),
         instructions=_instructions(trace, finding),
@@ -76,6 +78,7 @@ def finding_view(
         preventable_by=survivors,
         preventable_tried=(*survivors, *(name for name in preventable_tried if name not in survivors)),
         shrink=shrink,
+        grid=() if trace is None or trace.track is None else grid_views(trace, ticks, road.clearance),
     )
 
 
@@ -114,6 +117,14 @@ def _road(trace: Trace | None, finding: Finding) -> RoadView:
     clearance = float(clearance) if isinstance(clearance, (int, float)) else DEFAULT_CLEARANCE
     if trace is None:
         return RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance)
+    if trace.track is not None:
+        return RoadView(
+            lanes=(),
+            lane_width=float(trace.lanes[0].width),
+            speed_limit=round(float(trace.speed_limit), 2),
+            clearance=clearance,
+            shapes=lane_views(trace),
+        )
     across = [_projected(trace, np.array([lane.x]), np.array([lane.y]))[1][0] for lane in trace.lanes]
     return RoadView(
         lanes=tuple(round(float(value), 2) for value in across),
@@ -125,8 +136,8 @@ def _road(trace: Trace | None, finding: Finding) -> RoadView:
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters = Encounters(trace)
-    along, across = _projected(trace, trace.states[:, :, X], trace.states[:, :, Y])
-    heading = trace.states[:, :, HEADING] - trace.lanes[0].heading
+    along, across, heading = _in_the_picture(trace)
+    cells_along, cells_across = _in_the_grid(trace, along, across)
     views = []
     for vehicle in range(trace.states.shape[1]):
         npc = vehicle - 1
@@ -142,10 +153,23 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
                 speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
                 gap=() if is_ego else _numbers(encounters.gap[npc, ticks], 2),
                 ttc=() if is_ego else _numbers(encounters.ttc[npc, ticks], 2),
-                cells=() if is_ego else _cells(trace, along[ticks], across[ticks], vehicle),
+                cells=() if is_ego else _cells(trace, cells_along[ticks], cells_across[ticks], vehicle),
             )
         )
     return tuple(views)
+
+
+def _in_the_picture(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Along [m], across [m], heading [rad], shape [ticks + 1, vehicles]: of the road, or of the world if it bends."""
+    x, y, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
+    if trace.track is not None:
+        return x, y, np.unwrap(heading, axis=0)
+    return *_projected(trace, x, y), heading - trace.lanes[0].heading
+
+
+def _in_the_grid(trace: Trace, along: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Along and across the road [m], whatever the picture shows."""
+    return (along, across) if trace.track is None else (trace.track[:, :, ALONG], trace.track[:, :, ACROSS])
 
 
 def _cells(trace: Trace, along: FloatArray, across: FloatArray, vehicle: int) -> tuple[int, ...]:
@@ -167,9 +191,10 @@ def _projected(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, 
 
 
 def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:
-    asked, driven = (finding.scenario,) * 2 if trace is None else (trace.scenario, trace.executed)
+    asked = finding.scenario if trace is None else trace.scenario
+    driven = asked.npcs if trace is None else trace.chains
     return tuple(
-        _instruction(trace, npc, gene, request, driven.npcs[npc][gene], driven.gene_seconds)
+        _instruction(trace, npc, gene, request, driven[npc][gene], asked.gene_seconds)
         for npc, chain in enumerate(asked.npcs)
         for gene, request in enumerate(chain)
     )

@@ -5,6 +5,7 @@ The page's script does the same in the browser; a test compares the two.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,12 +36,20 @@ class Box:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellPlace:
-    """A cell of the grid around the ego: its number, and its centre [m]; ``exists`` when there is a lane for it."""
+    """A cell of the grid around the ego.
+
+    Attributes:
+        cell: its number.
+        along, across: of its centre [m].
+        exists: whether there is a lane for it.
+        heading: of that lane [rad].
+    """
 
     cell: int
     along: float
     across: float
     exists: bool
+    heading: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +62,7 @@ class Scene:
         cells: the eight around the ego.
         targets: per NPC, the cell that it is on its way to, or None.
         trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
-            path as the ego saw it, moved along with the ego.
+            path as the ego saw it, moved along with the ego, or where the road is not straight its path as well.
         impact: where the vehicles touch, once they do.
     """
 
@@ -77,15 +86,13 @@ def scene_at(finding: FindingView, time: float) -> Scene:
     ego = boxes[0]
     if ego is None:
         raise ValueError(f"time: expected a moment with a position of the ego, received {time} s of {finding.id}")
-    cells = tuple(cell_place(finding, ego, cell) for cell in Cell)
+    cells = tuple(cell_place(finding, ego, cell, time) for cell in Cell)
     rows = [instruction_at(finding, npc, time) for npc in range(len(finding.vehicles) - 1)]
     return Scene(
         time=time,
         boxes=boxes,
         cells=cells,
-        targets=tuple(
-            cells[row[0].cell - 1] if row is not None and row[0].cell and row[1] == "approach" else None for row in rows
-        ),
+        targets=tuple(_target(finding, cells, row) for row in rows),
         trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(boxes))),
         impact=_impact(finding, boxes, time),
     )
@@ -94,10 +101,7 @@ def scene_at(finding: FindingView, time: float) -> Scene:
 def box_at(finding: FindingView, vehicle: int, time: float) -> Box | None:
     """A vehicle at a time."""
     view = finding.vehicles[vehicle]
-    after = min(max(bisect_right(finding.times, time), 1), len(finding.times) - 1)
-    before = max(after - 1, 0)
-    span = finding.times[after] - finding.times[before]
-    share = min(max((time - finding.times[before]) / span, 0.0), 1.0) if span > 0 else 0.0
+    before, after, share = _frame_at(finding, time)
     values = [_between(track, before, after, share) for track in (view.along, view.across, view.heading, view.speed)]
     along, across, heading, speed = values
     if along is None or across is None:
@@ -128,8 +132,10 @@ def nearest_lane(lanes: Sequence[float], across: float) -> int:
     return min(range(len(lanes)), key=lambda lane: (round(abs(lanes[lane] - across), 9), lane))
 
 
-def cell_place(finding: FindingView, ego: Box, cell: Cell) -> CellPlace:
+def cell_place(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellPlace:
     """Where a cell is."""
+    if finding.road.shapes:
+        return _place_in_the_world(finding, ego, cell, time)
     road = finding.road
     other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
     lane = nearest_lane(road.lanes, ego.across)
@@ -143,6 +149,36 @@ def cell_place(finding: FindingView, ego: Box, cell: Cell) -> CellPlace:
     )
 
 
+def _target(
+    finding: FindingView, cells: Sequence[CellPlace], row: tuple[InstructionView, Phase] | None
+) -> CellPlace | None:
+    """The cell of an NPC that is on its way; None where the road does not say where a cell without a lane would be."""
+    if row is None or row[0].cell == 0 or row[1] != "approach":
+        return None
+    place = cells[row[0].cell - 1]
+    return place if place.exists or not finding.road.shapes else None
+
+
+def _place_in_the_world(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellPlace:
+    """As recorded for the frames; it moves with the ego between them."""
+    before, after, share = _frame_at(finding, time)
+    frame = after if share > 0.5 else before
+    place = finding.grid[frame][cell - 1]
+    if place is None:
+        return CellPlace(cell=int(cell), along=ego.along, across=ego.across, exists=False)
+    origin = finding.vehicles[0].along[frame], finding.vehicles[0].across[frame]
+    dx, dy = ego.along - (origin[0] or 0.0), ego.across - (origin[1] or 0.0)
+    return CellPlace(cell=int(cell), along=place[0] + dx, across=place[1] + dy, exists=True, heading=place[2])
+
+
+def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
+    """The frames before and after a time, and how far it is from one to the other."""
+    after = min(max(bisect_right(finding.times, time), 1), len(finding.times) - 1)
+    before = max(after - 1, 0)
+    span = finding.times[after] - finding.times[before]
+    return before, after, min(max((time - finding.times[before]) / span, 0.0), 1.0) if span > 0 else 0.0
+
+
 def _between(track: Numbers, before: int, after: int, share: float) -> float | None:
     a, b = track[before], track[after]
     return None if a is None or b is None else a + (b - a) * share
@@ -154,7 +190,8 @@ def _trail(finding: FindingView, vehicle: int, time: float, ego: Box) -> tuple[P
     for moment in [*(time - step * TRAIL_STEP for step in range(count, 0, -1)), time]:
         box, origin = box_at(finding, vehicle, moment), box_at(finding, 0, moment)
         if box is not None and origin is not None:
-            along = box.along - origin.along + ego.along if vehicle else box.along
+            is_relative = vehicle > 0 and not finding.road.shapes
+            along = box.along - origin.along + ego.along if is_relative else box.along
             points.append((along, box.across))
     return tuple(points)
 
@@ -166,7 +203,8 @@ def _impact(finding: FindingView, boxes: Sequence[Box | None], time: float) -> P
     ego, other = boxes[0], boxes[event.npc + 1]
     if ego is None or other is None:
         return None
-    return (
-        ego.along + min(max(other.along - ego.along, -ego.length / 2), ego.length / 2),
-        ego.across + min(max(other.across - ego.across, -ego.width / 2), ego.width / 2),
-    )
+    cos, sin = (math.cos(ego.heading), math.sin(ego.heading)) if finding.road.shapes else (1.0, 0.0)
+    dx, dy = other.along - ego.along, other.across - ego.across
+    ahead = min(max(dx * cos + dy * sin, -ego.length / 2), ego.length / 2)
+    right = min(max(dy * cos - dx * sin, -ego.width / 2), ego.width / 2)
+    return ego.along + ahead * cos - right * sin, ego.across + ahead * sin + right * cos

@@ -10,6 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 Numbers = tuple[float | None, ...]
+Place = tuple[float, float, float]
+"""Along [m], across [m], heading [rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneView:
+    """A lane of a road that is not straight: its centre line in world coordinates, and its width [m]."""
+
+    points: tuple[tuple[float, float], ...]
+    width: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,12 +31,15 @@ class RoadView:
         lane_width: [m].
         speed_limit: [m/s].
         clearance: gap between the ego and the cells ahead and behind [m].
+        shapes: the lanes of a road that is not straight. There *along* is the world's x, *across* its y, headings are
+            those of the world, and ``lanes`` is empty.
     """
 
     lanes: tuple[float, ...]
     lane_width: float
     speed_limit: float
     clearance: float
+    shapes: tuple[LaneView, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,6 +162,7 @@ class FindingView:
         preventable_by: reference drivers that survive the scenario in the ego's place.
         preventable_tried: reference drivers that were tried.
         shrink: what shrinking came to; None if it was not shrunk.
+        grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
 
     id: str
@@ -171,6 +185,7 @@ class FindingView:
     preventable_by: tuple[str, ...] = ()
     preventable_tried: tuple[str, ...] = ()
     shrink: ShrinkView | None = None
+    grid: tuple[tuple[Place | None, ...], ...] = ()
 
     @property
     def duration(self) -> float:

@@ -21,21 +21,23 @@ class Entry:
         module, class_name: within :mod:`pytest_pafot.searching`.
         fitness: that it maximises unless another one is asked for.
         library: that it needs beside this package, as pip knows it.
+        knows_grid: whether its genes are Position-Instructions; else they are Lane-Instructions.
     """
 
     module: str
     class_name: str
     fitness: str = "default"
     library: str | None = None
+    knows_grid: bool = True
 
 
 CATALOGUE: Mapping[str, Entry] = MappingProxyType(
     {
         "distinct": Entry("distinct", "DistinctSearch"),
         "pafot": Entry("genetic", "PafotSearch"),
-        "av-fuzzer": Entry("av_fuzzer", "AvFuzzerSearch", fitness="av-fuzzer"),
+        "av-fuzzer": Entry("av_fuzzer", "AvFuzzerSearch", fitness="av-fuzzer", knows_grid=False),
         "random": Entry("random_search", "RandomSearch"),
-        "random-manoeuvre": Entry("random_search", "RandomManoeuvreSearch"),
+        "random-manoeuvre": Entry("random_search", "RandomManoeuvreSearch", knows_grid=False),
         "nsga2": Entry("nsga2", "Nsga2Search", library="pymoo"),
         "map-elites": Entry("map_elites", "MapElitesSearch", library="ribs"),
         "cma-es": Entry("cma_es", "CmaEsSearch", library="cmaes"),
@@ -64,6 +66,21 @@ def algorithm_named(name: str, space: SearchSpace, **parameters: Any) -> Algorit
             )
     made: Algorithm[Any] = algorithm(space, **parameters)
     return made
+
+
+def check_road(name: str, world: Any) -> None:
+    """Check an algorithm against the road of a world.
+
+    Raises:
+        ValueError: for one with Lane-Instructions where the road is not straight, with those that can be used.
+    """
+    if CATALOGUE[name].knows_grid or getattr(world, "start", None) is None:
+        return
+    others = ", ".join(other for other, entry in CATALOGUE.items() if entry.knows_grid)
+    raise ValueError(
+        f"algorithm: expected one of {others} on a road that is not straight, received {name!r}, whose "
+        "Lane-Instructions know no lanes that begin and end; or take a straight road such as pafot.Highway()"
+    )
 
 
 def fitness_of(name: str) -> str:

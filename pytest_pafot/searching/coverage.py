@@ -57,8 +57,8 @@ class Coverage:
         """With one more run."""
         depth = evaluation.depth if evaluation.genes_started else 0
         asked = driven = [_keys(chain) for chain in evaluation.scenario.npcs]
-        if evaluation.executed is not evaluation.scenario:
-            driven = [_keys(chain) for chain in evaluation.executed.npcs]
+        if evaluation.executed is not evaluation.scenario or evaluation.driven:
+            driven = [_keys(chain) for chain in evaluation.chains]
         arrived = zip(driven, evaluation.arrived, strict=False)
         return Coverage(
             requested=_added(self.requested, chain.from_iterable(asked)),

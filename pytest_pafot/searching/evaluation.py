@@ -10,9 +10,10 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.searching.company import Company
-from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
+from pytest_pafot.trace import ALONG, HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
 """Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
@@ -55,6 +56,7 @@ class Evaluation:
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
+        driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.
         note: whatever the evaluator wants to have back with the evaluation, also where it is used again.
     """
@@ -73,6 +75,7 @@ class Evaluation:
     barely_moved: bool = False
     kind: Hashable | None = None
     arrived: tuple[tuple[bool, ...], ...] = ()
+    driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
     note: Any = field(default=None, compare=False, repr=False)
 
@@ -103,6 +106,7 @@ class Evaluation:
             barely_moved=barely_moved(trace),
             kind=kind,
             arrived=arrived,
+            driven=trace.driven,
             collision=trace.collision,
         )
 
@@ -119,6 +123,11 @@ class Evaluation:
         invalid run says nothing about the ego, and NaN compares with nothing.
         """
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
+
+    @property
+    def chains(self) -> tuple[Chromosome, ...]:
+        """What each NPC drove; see :attr:`Trace.chains`."""
+        return with_cells(self.executed.npcs, self.driven)
 
     @property
     def depth(self) -> int:
@@ -138,8 +147,8 @@ class Evaluation:
 
 
 def company_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
-    """See :func:`interacted` and :func:`outran`, both in one pass where that is compiled."""
-    if not sweeps:
+    """See :func:`interacted` and :func:`outran`, on straight roads both in one pass where that is compiled."""
+    if not sweeps or trace.track is not None:
         return interacted(trace), outran(trace)
     company = Company(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
     collided = trace.outcome is Outcome.COLLISION
@@ -170,7 +179,13 @@ def barely_moved(trace: Trace) -> bool:
 
 
 def _longitudinal(trace: Trace) -> FloatArray:
-    """How far each NPC's centre is ahead of the ego's, along the ego's heading [m], shape [ticks + 1, npcs]."""
+    """How far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
+
+    Along the ego's heading; along its way, on roads that are not straight.
+    """
+    if trace.track is not None:
+        way: FloatArray = trace.track[:, 1:, ALONG] - trace.track[:, :1, ALONG]
+        return way
     ego = trace.ego[:, None, :]
     offset_x = trace.npcs[:, :, X] - ego[:, :, X]
     offset_y = trace.npcs[:, :, Y] - ego[:, :, Y]

@@ -177,6 +177,7 @@ def before_impact(trace: Trace, seconds: float = MANOEUVRE_SECONDS) -> Trace:
             for genes in trace.arrivals
         ),
         off_road_tick=trace.off_road_tick if off_road else None,
+        track=None if trace.track is None else trace.track[: last + 1],
     )
 
 

@@ -16,7 +16,7 @@ from pymoo.core.population import Population
 from pymoo.core.problem import Problem
 from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import Scenario, positions_of
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
 from pytest_pafot.searching.operators import best_of, crossover, improves, mutate
@@ -137,7 +137,7 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
 
     Novelty is the least share of genes in which a scenario, as driven, has another cell than another one.
     """
-    chains = np.array([[gene.cell for chain in each.executed.positions for gene in chain] for each in evaluations])
+    chains = np.array([[gene.cell for chain in positions_of(each.chains) for gene in chain] for each in evaluations])
     differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
     np.fill_diagonal(differ, 1.0)
     rows = [

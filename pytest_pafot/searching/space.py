@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.repair import repaired
+
+LEAST_GENES = 3
+"""Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +58,42 @@ class SearchSpace:
     def top_step(self) -> int:
         """The highest target speed in steps of 0.1 m/s."""
         return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+
+
+def space_on(world: Any, given: Mapping[str, Any]) -> SearchSpace:
+    """The space of scenarios on a world, with as many genes as a run of it comes to unless it is given how many.
+
+    On a road that is not straight the environment says where and how fast the ego starts, and all genes together last
+    as long as a run: as many of about ten seconds as fit, at least three.
+
+    Args:
+        world: with ``speed_limit`` and ``longest_run``; where it also has a ``start``, with ``physics_hz``.
+        given: fields of :class:`SearchSpace` that are wanted, but for the speed limit.
+
+    Raises:
+        TypeError, ValueError: when a field is unknown or out of range, or the world cannot be built.
+    """
+    speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
+    start = getattr(world, "start", None)  # A world of the user's own need not have it.
+    wanted = given if start is None else _shared_out(given, start, longest_run, world.physics_hz)
+    space = SearchSpace(**wanted, speed_limit=speed_limit)
+    if "genes" in wanted:
+        return space
+    return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
+
+
+def _shared_out(
+    given: Mapping[str, Any], start: tuple[int, float], longest_run: float, physics_hz: int
+) -> dict[str, Any]:
+    wanted = {"ego_lane": start[0], "ego_speed": start[1], **given}
+    if "genes" not in wanted:
+        least = 1 if "gene_seconds" in wanted else LEAST_GENES
+        about = wanted.get("gene_seconds", SearchSpace().gene_seconds)
+        wanted["genes"] = max(least, math.ceil(longest_run / about - 1e-9))
+    if "gene_seconds" not in wanted:
+        ticks = math.floor(longest_run * physics_hz / wanted["genes"] + 1e-9)
+        wanted["gene_seconds"] = max(ticks, 1) / physics_hz
+    return wanted
 
 
 def sample(space: SearchSpace, rng: np.random.Generator) -> Scenario:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,6 +17,7 @@ from pytest_pafot.world.kernel.action import (
     without_reversing,
 )
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.network_road import NetworkRoad
 from pytest_pafot.world.road import StraightRoad
 
 if TYPE_CHECKING:
@@ -123,15 +124,29 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         ) from None
 
 
+def follow(vehicle: Any, route: Sequence[Any] | None) -> None:
+    """Give a vehicle the environment's route, if both have one; highway-env shortens the list as it drives."""
+    if route is not None and hasattr(vehicle, "route"):
+        vehicle.route = list(route)
+
+
 class SelfDriving:
     """Kind (c): a highway-env vehicle class that drives itself, at every physics tick."""
 
     every = 1
 
-    def __init__(self, vehicle_class: Any, road: Road, start: tuple[float, float, float], speed: float) -> None:
+    def __init__(
+        self,
+        vehicle_class: Any,
+        road: Road,
+        start: tuple[float, float, float],
+        speed: float,
+        route: Sequence[Any] | None = None,
+    ) -> None:
         x, y, heading = start
         self.vehicle = vehicle_class(road, [x, y], heading, speed)
         self.vehicle.check_collisions = False
+        follow(self.vehicle, route)
 
     def decide(self, tick: int) -> None:
         """The vehicle's own ``act``."""
@@ -148,7 +163,7 @@ class Planner:
         self,
         ads: Callable[[Observation], Any],
         road: Road,
-        straight: StraightRoad,
+        straight: StraightRoad | NetworkRoad,
         ego: Car,
         physics_hz: int,
         every: int,

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.network_road import NetworkRoad
 from pytest_pafot.world.road import StraightRoad
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.rules import Rules
 
 TOP_SPEED = 40.0
 """highway-env vehicles do not get faster [m/s]."""
@@ -86,7 +90,7 @@ def divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
     )
 
 
-def top_speed(limits: NpcLimits, road: StraightRoad) -> float:
+def top_speed(limits: NpcLimits, road: StraightRoad | NetworkRoad) -> float:
     """The NPCs' top speed [m/s].
 
     Raises:
@@ -121,26 +125,56 @@ def road_is_long_enough(road: StraightRoad, start: float, duration: float) -> No
         )
 
 
-def fits(scenario: Scenario, road: StraightRoad, limits: NpcLimits, physics_hz: int) -> None:
+def fits(scenario: Scenario, rules: Rules) -> None:
     """Check a scenario against a world.
 
     Raises:
         ScenarioError: naming the field that does not fit.
+        WorldError: for Lane-Instructions on a road that is not straight.
     """
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario: expected a Scenario, received {scenario!r}")
-    if scenario.ego_lane >= len(road.lanes):
-        raise ScenarioError(
-            f"ego_lane: expected a lane from 0 to {len(road.lanes) - 1}, received {scenario.ego_lane}; the road has "
-            f"{len(road.lanes)} lanes"
+    if not isinstance(rules.road, StraightRoad) and not scenario.positions:
+        raise WorldError(
+            "scenario: expected Position-Instructions on a road that is not straight, received Lane-Instructions, "
+            "which know no lanes that begin and end; give NPCs PositionInstruction(cell, speed), or take a straight "
+            "road such as pafot.Highway()"
         )
-    cells = road.cells(scenario.ego_lane)
+    _check_lane(scenario, rules.road)
+    cells = rules.start_cells(scenario)
     if len(scenario.npcs) > len(cells):
         raise ScenarioError(
             f"npcs: expected at most {len(cells)} NPCs, one per cell that exists beside lane {scenario.ego_lane}, "
             f"received {len(scenario.npcs)}"
         )
-    top = top_speed(limits, road)
+    _check_speeds(scenario, rules)
+    ticks = scenario.gene_seconds * rules.physics_hz
+    if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
+        raise ScenarioError(
+            f"gene_seconds: expected a whole number of ticks of 1/{rules.physics_hz} s, received "
+            f"{scenario.gene_seconds:g}; the nearest is {max(round(ticks), 1) / rules.physics_hz!r}"
+        )
+
+
+def _check_lane(scenario: Scenario, road: StraightRoad | NetworkRoad) -> None:
+    if isinstance(road, StraightRoad):
+        count = road.lane_count
+        if scenario.ego_lane >= count:
+            raise ScenarioError(
+                f"ego_lane: expected a lane from 0 to {count - 1}, received {scenario.ego_lane}; the road has {count} "
+                "lanes"
+            )
+        return
+    lanes = road.start_lanes
+    if scenario.ego_lane not in lanes:
+        raise ScenarioError(
+            f"ego_lane: expected a lane that exists where the ego starts, {' or '.join(map(str, lanes))}, received "
+            f"{scenario.ego_lane}; lanes are counted from 0 at the left over all of the ego's way"
+        )
+
+
+def _check_speeds(scenario: Scenario, rules: Rules) -> None:
+    road, top = rules.road, top_speed(rules.limits, rules.road)
     if scenario.ego_speed > top:
         raise ScenarioError(
             f"ego_speed: expected at most {top:.2f} m/s, the NPCs' top speed, because all start at the ego's speed; "
@@ -153,9 +187,3 @@ def fits(scenario: Scenario, road: StraightRoad, limits: NpcLimits, physics_hz: 
                     f"npcs[{npc}][{gene}].speed: expected at most the speed limit of {road.speed_limit:g} m/s, "
                     f"received {instruction.speed:g}"
                 )
-    ticks = scenario.gene_seconds * physics_hz
-    if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
-        raise ScenarioError(
-            f"gene_seconds: expected a whole number of ticks of 1/{physics_hz} s, received {scenario.gene_seconds:g}; "
-            f"the nearest is {max(round(ticks), 1) / physics_hz!r}"
-        )

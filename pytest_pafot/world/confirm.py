@@ -14,18 +14,22 @@ from typing import Any
 import gymnasium
 import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
+from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, follow, is_vehicle_class, made, wants_env
 from pytest_pafot.world.engine import Traffic, decide
 from pytest_pafot.world.guard import HangGuard
-from pytest_pafot.world.gym_world import World
+from pytest_pafot.world.gym_world import World, vehicle_classes_kept
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.policy import View, checked_action
 from pytest_pafot.world.rules import Rules
+
+TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
+"""What highway-env's intersections call after each step."""
 
 
 class StockVehicle(Vehicle):  # type: ignore[misc]
@@ -141,7 +145,7 @@ class _Loop:
             if isinstance(driver, StockPolicy):
                 driver.seen, *_ = self._env.step(driver.action)
             else:
-                self._env.step(None)  # The driver has set the ego's controls; the environment leaves them.
+                AbstractEnv.step(self._env, None)  # The driver has set the ego's controls; the environment leaves them.
             if self._ended is not None:
                 return self._ended
         return record.trace()
@@ -177,7 +181,11 @@ def _environment(world: Highway | World) -> Any:
             "action": {"type": "ContinuousAction"},
         }
         env = gymnasium.make("highway-v0", config=config, disable_env_checker=True).unwrapped
-    env.reset(seed=0)
+    with vehicle_classes_kept():
+        env.reset(seed=0)
+    for name in TRAFFIC_HOOKS:
+        if hasattr(env, name):
+            setattr(env, name, _no_traffic)
     if isinstance(world, Highway):
         lane = world.road.lanes[0]
         env.road.network = RoadNetwork.straight_road_network(
@@ -191,9 +199,11 @@ def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: A
     rules = world.rules
     start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
     every = rules.physics_hz // rules.ads_hz
+    route = world.route if isinstance(world, World) else None
     is_policy = isinstance(world, World) and not is_vehicle_class(ads_factory)
     vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
     _put_ego(env, vehicle_class(env.road, [x, y], heading, scenario.ego_speed))
+    follow(env.vehicle, route)
     view = View(world._make_env(), env) if is_policy and isinstance(world, World) and wants_env(ads_factory) else None
     ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
     if is_policy and not is_vehicle_class(ads):
@@ -201,9 +211,9 @@ def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: A
     driver: Driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
     if is_vehicle_class(ads):
         env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
-        driver = SelfDriving(ads, env.road, start, scenario.ego_speed)
+        driver = SelfDriving(ads, env.road, start, scenario.ego_speed, route)
         _put_ego(env, driver.vehicle)
-    env.observation_type.observe = _unseen
+    env.observation_type.observe = env._reward = env._info = _unseen
     return driver
 
 
@@ -214,5 +224,13 @@ def _put_ego(env: Any, ego: Vehicle) -> None:
     env.define_spaces()
 
 
-def _unseen() -> None:
-    """In the place of an observation that nobody looks at, which would cost more than all the rest."""
+def _unseen(*_: Any) -> None:
+    """In the place of what nobody looks at when no policy drives.
+
+    Observations, which would cost more than all the rest; rewards, which some environments have only for egos of
+    their own.
+    """
+
+
+def _no_traffic(*_: Any, **__: Any) -> None:
+    """In the place of what adds random traffic in the middle of an episode, and takes it away again."""

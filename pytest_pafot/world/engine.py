@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any
 
 from highway_env.road.road import Road
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import AdsError, Trace
+from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.ads import AskedDriver, EgoDriver
 from pytest_pafot.world.failure import UNFIT, error_of
+from pytest_pafot.world.frame import NetworkFrame, State, StraightFrame
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box
 from pytest_pafot.world.kernel.contact import overlap
 from pytest_pafot.world.record import Record
-from pytest_pafot.world.rules import Rules, start_positions
+from pytest_pafot.world.road import StraightRoad
+from pytest_pafot.world.rules import Rules, start_places, start_positions, start_speeds
 from pytest_pafot.world.vehicles import Car
 
 
@@ -145,18 +147,31 @@ class Traffic:
         self, rules: Rules, scenario: Scenario, driver: EgoDriver, make_npc: Callable[[float, float, float, float], Any]
     ) -> None:
         ego = driver.vehicle
+        length = float(ego.LENGTH)
         self.driver = driver
-        self._road = rules.road
-        self._director = rules.director(scenario, float(ego.LENGTH))
-        _, *starts = start_positions(rules, scenario, self._director.first_cells(), float(ego.LENGTH))
-        self._npcs = [make_npc(*start, scenario.ego_speed) for start in starts]
+        self._director = rules.director(scenario, length)
+        cells = self._director.first_cells()
+        _, *starts = start_positions(rules, scenario, cells, length)
+        speeds = start_speeds(rules, scenario, cells, length)
+        self._npcs = [make_npc(*start, speed) for start, speed in zip(starts, speeds, strict=True)]
         self.vehicles = [ego, *self._npcs]
         self._by_floats = isinstance(ego, Car)
-        self._bodies = [Body(float(ego.LENGTH), float(ego.WIDTH)), *self._director.npcs]
-        sizes = [(body.length, body.width) for body in self._bodies]
-        self.record = Record(rules=rules, scenario=scenario, director=self._director, sizes=sizes, rows=array("d"))
-        for body, state in zip(self._bodies, self._states(), strict=True):
-            self._write(body, state, (0.0, 0.0))
+        self._bodies = [Body(length, float(ego.WIDTH)), *self._director.npcs]
+        self._frame: StraightFrame | NetworkFrame
+        if isinstance(rules.road, StraightRoad):
+            self._frame = StraightFrame(rules.road)
+        else:
+            places = [along for along, _ in start_places(rules, scenario, cells, length)]
+            self._frame = NetworkFrame(rules.road, ego.road.network, places)
+        self.record = Record(
+            rules=rules,
+            scenario=scenario,
+            director=self._director,
+            sizes=[(body.length, body.width) for body in self._bodies],
+            rows=array("d"),
+            frame=self._frame if isinstance(self._frame, NetworkFrame) else None,
+        )
+        self._write(self._states(), [(0.0, 0.0)] * len(self.vehicles))
 
     def command(self) -> None:
         """Have the director set the NPCs' controls."""
@@ -165,23 +180,21 @@ class Traffic:
             vehicle.control(npc.acceleration, npc.steering)
 
     def note(self) -> Trace | None:
-        """Record the state after a step; the finished trace, when somebody touches somebody now."""
+        """Record the state after a step; the finished trace, when somebody touches somebody or the road is left."""
         self.record.tick += 1
         states = self._states()
-        for body, state, vehicle in zip(self._bodies, states, self.vehicles, strict=True):
-            self._write(body, state, self._controls(vehicle))
+        left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])
         boxes = [Box(*state[:3], *size) for state, size in zip(states, self.record.sizes, strict=True)]
         if any(overlap(boxes[0], box) for box in boxes[1:]):
             return self.record.trace(touched=True)
         if any(overlap(a, b) for a, b in combinations(boxes[1:], 2)):
             return self.record.trace(invalid=True)
-        return None
+        return None if left is None else self.record.trace(departure=left)
 
-    def _states(self) -> list[tuple[float, float, float, float]]:
-        """X [m], y [m], heading [rad], speed [m/s] of each vehicle."""
+    def _states(self) -> list[State]:
         return [self._ego_state(), *[(npc.x, npc.y, float(npc.heading), float(npc.speed)) for npc in self._npcs]]
 
-    def _ego_state(self) -> tuple[float, float, float, float]:
+    def _ego_state(self) -> State:
         ego = self.driver.vehicle
         if self._by_floats:
             return ego.x, ego.y, ego.heading, ego.speed
@@ -191,9 +204,11 @@ class Traffic:
     def _controls(self, vehicle: Any) -> tuple[float, float]:
         if vehicle is self.driver.vehicle and not self._by_floats:
             return float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
-        return vehicle.acceleration, vehicle.steering
+        return float(vehicle.acceleration), float(vehicle.steering)
 
-    def _write(self, body: Body, state: tuple[float, float, float, float], controls: tuple[float, float]) -> None:
-        """Record a vehicle, and show its body to the director."""
-        body.place(*self._road.project(*state[:3]), state[3])
-        self.record.rows.extend((*state, *controls, self._road.grid.locate(body)))
+    def _write(self, states: Sequence[State], controls: Sequence[tuple[float, float]]) -> Outcome | None:
+        """Record all vehicles, and show their bodies to the director; how the run leaves the road, if it does."""
+        lanes, left = self._frame.see(states, self._bodies)
+        for state, own, lane in zip(states, controls, lanes, strict=True):
+            self.record.rows.extend((*state, *own, lane))
+        return left

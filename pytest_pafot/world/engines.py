@@ -48,7 +48,7 @@ def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any) -> Trac
 def planned(world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observation], Any]) -> Trace:
     """Run a scenario on the road of any world, with a callable from an observation to an action in SI units."""
     insists = isinstance(world, Highway) and world.engine == "highway-env"
-    if insists or not rules.road.starts_at_origin:
+    if insists or not rules.straight.starts_at_origin:
         return _by_highway_env(rules, world.network, scenario, ads)
     return run_planner(rules, scenario, ads)
 
@@ -89,3 +89,24 @@ def _planner(rules: Rules, scenario: Scenario, road: Any, ads: Any, start: tuple
     x, y, heading = start
     ego = Car(road, (x, y), heading, scenario.ego_speed)
     return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)
+
+
+def planned_on_network(world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observation], Any]) -> Trace:
+    """The same on a road that is not straight."""
+    import numpy as np  # noqa: PLC0415
+    from highway_env.road.road import Road  # noqa: PLC0415
+
+    from pytest_pafot.world.engine import run  # noqa: PLC0415
+    from pytest_pafot.world.road_planner import RoadPlanner  # noqa: PLC0415
+    from pytest_pafot.world.vehicles import Car  # noqa: PLC0415
+
+    network, far = rules.way, rules.start_distance(scenario)
+    road = Road(world.network, np_random=np.random.default_rng(scenario.seed))
+    starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
+
+    def make_ego(start: tuple[float, float, float]) -> EgoDriver:
+        x, y, heading = start
+        ego = Car(road, (x, y), heading, scenario.ego_speed)
+        return RoadPlanner(ads, road, network, ego, rules.physics_hz, starts)
+
+    return run(rules, scenario, road, make_ego)

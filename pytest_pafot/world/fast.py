@@ -28,8 +28,8 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any]) -> 
         scenario: checked against the world.
         ads: fresh.
     """
-    ego = Body(NPC_LENGTH, NPC_WIDTH)
-    ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+    ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
+    ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
     scene = _scene(rules, record)
     every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
@@ -86,8 +86,9 @@ def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
         scenario: checked against the world.
         model: its constants.
     """
-    ego = IdmEgo(model.constants, rules.road.grid, rules.road.speed_limit)
-    ego.start(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)
+    road = rules.straight
+    ego = IdmEgo(model.constants, road.grid, road.speed_limit)
+    ego.start(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)
     record, loop = _prepared(rules, scenario, ego)
     loop.run(SelfPilot(ego, list(record.director.npcs)), rules.ticks(scenario))
     return _finished(record, loop, None)
@@ -102,11 +103,11 @@ def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop
     sizes = [(body.length, body.width) for body in (ego, *director.npcs)]
     rows = array("d", bytes(8 * (rules.ticks(scenario) + 1) * len(sizes) * COLUMNS))
     record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows)
-    return record, Loop(ego, director, rules.road.grid, rows, 1 / rules.physics_hz)
+    return record, Loop(ego, director, rules.straight.grid, rows, 1 / rules.physics_hz)
 
 
 def _scene(rules: Rules, record: Record) -> Scene:
-    return Scene(record.rows, record.sizes, rules.road.grid, rules.road.speed_limit, rules.physics_hz)
+    return Scene(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
 
 
 def _finished(record: Record, loop: Loop, error: Any) -> Trace:

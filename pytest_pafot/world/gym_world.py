@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import difflib
+import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -15,6 +17,7 @@ from pytest_pafot.trace import Trace
 from pytest_pafot.world import checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.network_road import NetworkRoad
 from pytest_pafot.world.referable import References
 from pytest_pafot.world.road import StraightRoad
 
@@ -24,7 +27,13 @@ if TYPE_CHECKING:
     from pytest_pafot.world.guard import HangGuard
     from pytest_pafot.world.policy import Policy
     from pytest_pafot.world.rules import Rules
-    from pytest_pafot.world.vehicles import ParallelLanes
+
+
+LONGEST_RUN = 60.0
+"""Where neither the option nor the environment says how long a run lasts, and on circuits [s]; the paper's."""
+
+TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
+"""What environments call their random traffic, besides ``vehicles_count``."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +85,26 @@ class World(References):
         Raises:
             WorldError: when it cannot; the message says why.
         """
-        checks.top_speed(self.limits, self.road)
-        checks.road_is_long_enough(self.road, 2 * self.rules.ego_start, self.rules.duration)
+        road = self.road
+        checks.top_speed(self.limits, road)
+        if isinstance(road, StraightRoad):
+            checks.road_is_long_enough(road, 2 * self.rules.ego_start, self.rules.duration)
 
     @property
-    def road(self) -> StraightRoad:
-        """The environment's road."""
+    def road(self) -> StraightRoad | NetworkRoad:
+        """The environment's road; where it is not straight, the ego's way through it."""
         return self.rules.road
 
     @property
     def lanes(self) -> int:
-        """Number of lanes."""
-        return len(self.road.lanes)
+        """Number of lanes; on roads that are not straight, of those along the ego's way."""
+        return self.road.lane_count
+
+    @property
+    def start(self) -> tuple[int, float] | None:
+        """The ego's lane and speed [m/s] as the environment has them; None on a straight road, where any will do."""
+        road = self.road
+        return None if isinstance(road, StraightRoad) else (road.ego_lane, road.ego_speed)
 
     @property
     def speed_limit(self) -> float:
@@ -127,25 +144,31 @@ class World(References):
         from pytest_pafot.world.policy import Policy, View  # noqa: PLC0415
 
         self.check()
-        checks.fits(scenario, self.road, self.limits, self.physics_hz)
+        checks.fits(scenario, self.rules)
+        if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
+            ads_factory = _once(made(ads_factory))
+        if self._steps_itself(is_vehicle_class(ads_factory)):
+            from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
+
+            return replay_in_gym(self, scenario, ads_factory)
         env = self._env_of(scenario)
 
         def make_ego(start: tuple[float, float, float]) -> EgoDriver:
             if is_vehicle_class(ads_factory):
-                return SelfDriving(ads_factory, env.road, start, scenario.ego_speed)
-            _put_ego(env, start, scenario.ego_speed)
+                return SelfDriving(ads_factory, env.road, start, scenario.ego_speed, self.route)
+            _put_ego(env, start, scenario.ego_speed, self.route)
             if wants_env(ads_factory):
                 view = View(self._make_env(), env)
                 return Policy(made(ads_factory, env=view.env), env, self.physics_hz // self.ads_hz, view)
             ads = made(ads_factory)
             if is_vehicle_class(ads):
-                return SelfDriving(ads, env.road, start, scenario.ego_speed)
+                return SelfDriving(ads, env.road, start, scenario.ego_speed, self.route)
             return Policy(ads, env, self.physics_hz // self.ads_hz)
 
         return run(self.rules, scenario, env.road, make_ego)
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
+        """Simulate scenarios in lock step, where the road is straight and the ADS has ``batch``; else one by one.
 
         Args:
             scenarios: to run; checked against this world.
@@ -162,7 +185,9 @@ class World(References):
 
         self.check()
         for scenario in scenarios:
-            checks.fits(scenario, self.road, self.limits, self.physics_hz)
+            checks.fits(scenario, self.rules)
+        if not isinstance(self.road, StraightRoad):
+            return [self.rollout(scenario, ads_factory) for scenario in scenarios]
         return rollouts(scenarios, ads_factory, self._stepped, self.rollout, self.hang_limit)
 
     def _stepped(self, scenario: Scenario, guard: HangGuard) -> Stepped:
@@ -173,14 +198,16 @@ class World(References):
         env = self._env_of(scenario)
 
         def make_ego(start: tuple[float, float, float]) -> Policy:
-            _put_ego(env, start, scenario.ego_speed)
+            _put_ego(env, start, scenario.ego_speed, self.route)
             return Policy(None, env, self.physics_hz // self.ads_hz)
 
         return SteppedRun(self.rules, scenario, env.road, make_ego, guard)
 
     def _env_of(self, scenario: Scenario) -> Any:
-        """The environment of one run, with an empty road; runs may nest and share no state."""
+        """The environment of one run, without vehicles; runs may nest and share no state."""
         from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
+
+        from pytest_pafot.world.policy import moved  # noqa: PLC0415
 
         env = copy.copy(self._env)
         env.np_random = _generator(scenario.seed)
@@ -190,7 +217,27 @@ class World(References):
             np_random=env.np_random,
             neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
         )
+        env.road.objects = moved(self._env.road.objects, env.road)
         return env
+
+    @property
+    def route(self) -> tuple[Any, ...] | None:
+        """The ego's, as the environment has planned it for a vehicle that follows one; None without."""
+        route = None if isinstance(self.road, StraightRoad) else getattr(self._env.vehicle, "route", None)
+        return None if route is None else tuple(route)
+
+    def _steps_itself(self, drives_itself: bool) -> bool:
+        """Whether a run needs the environment's own steps: they are its own, or its road does more than move vehicles.
+
+        An ego that drives itself takes no part in the steps of the environment, only in those of the road.
+        """
+        from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415
+        from highway_env.road.road import Road  # noqa: PLC0415
+
+        if isinstance(self.road, StraightRoad):
+            return False
+        has_own_road = type(self._env.road).step is not Road.step or type(self._env.road).act is not Road.act
+        return has_own_road or (not drives_itself and type(self._env).step is not AbstractEnv.step)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
@@ -219,8 +266,8 @@ class World(References):
             )
         config = {**_with_tuples(self.config or {}), "vehicles_count": 0}
         try:
-            with _vehicle_classes_kept():
-                env: Any = gymnasium.make(self.env_id, config=config, disable_env_checker=True).unwrapped
+            with vehicle_classes_kept():
+                env = _made(self.env_id, creator, config)
         except Exception as error:
             raise WorldError(
                 f"{self.env_id}: expected a configuration that the environment accepts, received {self.config!r}; it "
@@ -247,11 +294,13 @@ class World(References):
             )
 
     @cached_property
-    def network(self) -> ParallelLanes:
-        """The road as highway-env has it, with a cheap lane search."""
-        from pytest_pafot.world.vehicles import ParallelLanes  # noqa: PLC0415
+    def network(self) -> Any:
+        """The road as highway-env has it."""
+        from pytest_pafot.world.vehicles import ParallelLanes, SearchedLanes  # noqa: PLC0415
 
-        return ParallelLanes(self._plain_network)
+        if isinstance(self.road, StraightRoad):
+            return ParallelLanes(self._plain_network)
+        return SearchedLanes(self._plain_network)
 
     @cached_property
     def _plain_network(self) -> Any:
@@ -261,17 +310,20 @@ class World(References):
     def rules(self) -> Rules:
         """What all runs have in common."""
         from pytest_pafot.world.rules import Rules  # noqa: PLC0415
-        from pytest_pafot.world.vehicles import described  # noqa: PLC0415
+        from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
 
         config = self._env.config
         physics_hz = checks.whole("config.simulation_frequency", config["simulation_frequency"], 5, 1000)
         ads_hz = checks.whole("config.policy_frequency", config["policy_frequency"], 1, 1000)
         checks.divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
         name = "config.duration" if self.duration is None else "duration"
-        wanted = config.get("duration", 60.0) if self.duration is None else self.duration
+        wanted = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
         duration = checks.number(name, wanted, 1 / physics_hz, 3600.0)
+        road: StraightRoad | NetworkRoad | None = straight_road(self._plain_network)
+        if road is None:
+            road, duration = self._way(duration)
         return Rules(
-            road=described(self._plain_network, self.env_id),
+            road=road,
             physics_hz=physics_hz,
             ads_hz=ads_hz,
             duration=duration,
@@ -281,12 +333,66 @@ class World(References):
             hang_limit=self.hang_limit,
         )
 
+    def _way(self, wanted: float) -> tuple[NetworkRoad, float]:
+        """The ego's way, and how long a run on it lasts [s].
 
-def _put_ego(env: Any, start: tuple[float, float, float], speed: float) -> None:
-    """The environment's own ego at a start."""
+        At most as wanted, as the environment's own episodes, and as the ego needs at its first speed to the end of the
+        road.
+        """
+        from pytest_pafot.world.survey import survey  # noqa: PLC0415
+
+        own = self._env.config.get("duration", LONGEST_RUN)
+        most = min(wanted, own, LONGEST_RUN if self.duration is None else math.inf)
+        road = survey(self._env, self.env_id, self.limits, ahead=most * checks.TOP_SPEED)
+        if road.ego_speed > 0:
+            most = min(most, (road.end - road.start) / road.ego_speed)
+        return road, most
+
+
+def _once(ads: Any) -> AdsFactory:
+    """A factory of what has been made already."""
+    from pytest_pafot.world.ads import is_vehicle_class  # noqa: PLC0415
+
+    if is_vehicle_class(ads):
+        made: AdsFactory = ads
+        return made
+    return lambda: ads
+
+
+def _made(env_id: str, creator: Any, config: dict[str, Any]) -> Any:
+    """An environment without traffic.
+
+    Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
+    """
+    import inspect  # noqa: PLC0415
+
+    import gymnasium  # noqa: PLC0415
+
+    from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
+
+    known = creator.default_config() if hasattr(creator, "default_config") else {}
+    config.update({name: 0 for name in TRAFFIC if name in known})
+    parameters = inspect.signature(creator).parameters
+    takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+    keywords: dict[str, Any] = {"config": config} if takes_config else {}
+    with warnings.catch_warnings():  # whoever names merge-v0 has chosen it, and needs not be told in every run
+        warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
+        env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords).unwrapped
+    if not takes_config and hasattr(env, "configure"):
+        env.configure(config)
+    if getattr(env, "road", None) is not None and straight_road(env.road.network) is None:
+        env.reset(seed=0)
+    return env
+
+
+def _put_ego(env: Any, start: tuple[float, float, float], speed: float, route: tuple[Any, ...] | None) -> None:
+    """The environment's own ego at a start, on a route."""
+    from pytest_pafot.world.ads import follow  # noqa: PLC0415
+
     x, y, heading = start
     ego = env.action_type.vehicle_class(env.road, [x, y], heading, speed)
     ego.check_collisions = False
+    follow(ego, route)
     env.controlled_vehicles = [ego]
     env.road.vehicles = [ego]
     env.define_spaces()
@@ -299,7 +405,7 @@ def _creator(entry_point: Any) -> Any:
 
 
 @contextmanager
-def _vehicle_classes_kept() -> Iterator[None]:
+def vehicle_classes_kept() -> Iterator[None]:
     """Undo what an environment writes to highway-env's vehicle classes.
 
     intersection-v0 sets the IDM's distances on the class itself, for every other environment of the process; without

@@ -132,7 +132,7 @@ class Highway(References):
         """Refuse what cannot run here."""
         from pytest_pafot.world.ads import is_vehicle_class, wants_env  # noqa: PLC0415
 
-        checks.fits(scenario, self.road, self.limits, self.physics_hz)
+        checks.fits(scenario, self.rules)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "

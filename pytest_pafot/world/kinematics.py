@@ -13,6 +13,8 @@ from highway_env.envs.common.observation import KinematicObservation
 from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.kinematics import Vehicle
 
+from pytest_pafot.world.vehicles import ParallelLanes, straight_road
+
 _DIRECT = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _RELATIVE = ("x", "y", "vx", "vy")
 
@@ -20,7 +22,9 @@ _RELATIVE = ("x", "y", "vx", "vy")
 def observer(env: Any) -> Any:
     """A function without arguments that observes an environment as its observation type does."""
     stock = env.observation_type
-    return FastKinematics(env, stock) if _supported(stock) else stock.observe
+    network = env.road.network
+    is_straight = isinstance(network, ParallelLanes) or straight_road(network) is not None
+    return FastKinematics(env, stock) if is_straight and _supported(stock) else stock.observe
 
 
 def _supported(stock: Any) -> bool:

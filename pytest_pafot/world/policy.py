@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -85,6 +86,14 @@ def checked_action(action: Any, space: Any) -> Any:
     return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
 
 
+def moved(objects: Sequence[Any], road: Road) -> list[Any]:
+    """Copies of a road's fixed objects on another road."""
+    copies = [copy.copy(each) for each in objects]
+    for each in copies:
+        each.road = road
+    return copies
+
+
 class View:
     """An environment for a planner to copy and simulate in, in step with the run but blind to the NPCs' genes.
 
@@ -111,6 +120,7 @@ class View:
         ego.position = np.array(source.vehicle.position)
         ego.action = dict(source.vehicle.action)
         ego.check_collisions = True
+        road.objects = moved(source.road.objects, road)
         road.vehicles = [ego, *(self._stranger(road, other) for other in source.road.vehicles[1:])]
         env.road = road
         env.controlled_vehicles = [ego]

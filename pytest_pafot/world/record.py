@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from pytest_pafot.world.kernel.contact import depth, overlap, side_hit
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.rules import Rules
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.frame import NetworkFrame
 
 
 @dataclass(slots=True, kw_only=True)
@@ -31,6 +34,7 @@ class Record:
         tick: the last one that is recorded.
         actions: of the ADS.
         slowest: its longest decision [s].
+        frame: where everybody is on a road that is not straight; None on a straight one.
     """
 
     rules: Rules
@@ -41,17 +45,26 @@ class Record:
     tick: int = 0
     actions: list[Any] = field(default_factory=list)
     slowest: float = 0.0
+    frame: NetworkFrame | None = None
 
-    def trace(self, *, touched: bool = False, invalid: bool = False, error: AdsError | None = None) -> Trace:
+    def trace(
+        self,
+        *,
+        touched: bool = False,
+        invalid: bool = False,
+        error: AdsError | None = None,
+        departure: Outcome | None = None,
+    ) -> Trace:
         """How the run ended: with the ego touched, with two NPCs touching, by an error, or in peace."""
         states = self._states()
+        track = None if self.frame is None else self.frame.track()
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
         collision = self._collision(states) if touched else None
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,
-            outcome=_outcome(collision, invalid, error, off_road_tick),
+            outcome=_outcome(collision, invalid, error, departure, off_road_tick),
             collision=collision,
             error=error,
             states=states,
@@ -63,6 +76,8 @@ class Record:
             arrivals=self.director.arrivals,
             off_road_tick=off_road_tick,
             max_decision_seconds=self.slowest,
+            track=track,
+            driven=self.director.driven,
         )
 
     def _states(self) -> FloatArray:
@@ -97,7 +112,9 @@ class Record:
 
     def _cell(self, npc: int, states: FloatArray) -> Cell:
         """The last cell that contained the NPC's centre; it starts in one, so there always is one."""
-        road = self.rules.road
+        if self.frame is not None:
+            return self._cell_on(self.frame, npc, states)
+        road = self.rules.straight
         for row in states[::-1]:
             s_ego, d_ego, _ = road.project(*row[0, :3].tolist())
             s, d, _ = road.project(*row[npc + 1, :3].tolist())
@@ -106,12 +123,27 @@ class Record:
                 return cell
         return self.director.first_cells()[npc]
 
+    def _cell_on(self, frame: NetworkFrame, npc: int, states: FloatArray) -> Cell:
+        for ahead, right in frame.offsets(states, npc):
+            cell = cell_at(ahead, right, self.sizes[0][0], self.rules.road.lane_width)
+            if cell is not None:
+                return cell
+        return self.director.first_cells()[npc]
 
-def _outcome(collision: Collision | None, invalid: bool, error: AdsError | None, off_road_tick: int | None) -> Outcome:
+
+def _outcome(
+    collision: Collision | None,
+    invalid: bool,
+    error: AdsError | None,
+    departure: Outcome | None,
+    off_road_tick: int | None,
+) -> Outcome:
     if collision is not None:
         return Outcome.COLLISION
     if invalid:
         return Outcome.INVALID
     if error is not None:
         return Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+    if departure is not None:
+        return departure
     return Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD

@@ -353,11 +353,15 @@ def rollout_reference(world: Any, scenario: Scenario, name: str) -> Trace:
     if name not in REFERENCES:
         raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
     from pytest_pafot.world import checks  # noqa: PLC0415  (only here needed)
-    from pytest_pafot.world.engines import planned  # noqa: PLC0415
+    from pytest_pafot.world.engines import planned, planned_on_network  # noqa: PLC0415
+    from pytest_pafot.world.road import StraightRoad  # noqa: PLC0415
 
     rules = world.rules
-    checks.fits(scenario, rules.road, rules.limits, rules.physics_hz)
-    return planned(world, replace(rules, ads_hz=rules.physics_hz), scenario, REFERENCES[name]())
+    checks.fits(scenario, rules)
+    every_tick = replace(rules, ads_hz=rules.physics_hz)
+    if isinstance(rules.road, StraightRoad):
+        return planned(world, every_tick, scenario, REFERENCES[name]())
+    return planned_on_network(world, every_tick, scenario, REFERENCES[name]())
 
 
 def survives(world: Any, scenario: Scenario, name: str) -> bool:

@@ -55,6 +55,11 @@ class StraightRoad:
         )
 
     @property
+    def lane_count(self) -> int:
+        """How many lanes there are."""
+        return len(self.lanes)
+
+    @property
     def starts_at_origin(self) -> bool:
         """Whether world coordinates are road coordinates."""
         return self._origin == (0.0, 0.0)

@@ -16,7 +16,6 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.trace import Lane
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.road import StraightRoad, parallel_along_x
 
@@ -40,6 +39,19 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
     def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
         """The same for plain floats."""
         return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
+
+
+class SearchedLanes(RoadNetwork):  # type: ignore[misc]
+    """Any road network, with highway-env's own lane search under the name that :class:`Car` uses."""
+
+    def __init__(self, network: RoadNetwork) -> None:
+        super().__init__()
+        self.graph = network.graph
+
+    def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
+        """highway-env's index of the closest lane."""
+        index: tuple[str, str, int] = self.get_closest_lane_index(np.array([x, y]), heading)
+        return index
 
 
 class Car(Vehicle):  # type: ignore[misc]
@@ -148,12 +160,8 @@ def straight_network(lanes: int, length: float, lane_width: float, speed_limit: 
     return network
 
 
-def described(network: RoadNetwork, name: str) -> StraightRoad:
-    """The road of a network, as the grid sees it.
-
-    Raises:
-        WorldError: when it is not one straight road along the x axis.
-    """
+def straight_road(network: RoadNetwork) -> StraightRoad | None:
+    """The road of a network, if it is one straight road along the x axis."""
     lanes = network.lanes_list()
     segments = [(start, end) for start, ends in network.graph.items() for end in ends]
     values = tuple(
@@ -169,9 +177,5 @@ def described(network: RoadNetwork, name: str) -> StraightRoad:
         if type(lane) is StraightLane and lane.speed_limit is not None
     )
     if len(segments) != 1 or len(values) != len(lanes) or not parallel_along_x(values):
-        raise WorldError(
-            f"{name}: expected one straight road of parallel lanes along the x axis, received {len(segments)} road "
-            f"segments with {len(lanes)} lanes of kind {sorted({type(lane).__name__ for lane in lanes})}; "
-            'use pafot.Highway, or pafot.World with "highway-v0" or "highway-fast-v0"'
-        )
+        return None
     return StraightRoad(values)

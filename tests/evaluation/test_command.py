@@ -1,5 +1,6 @@
 """The command from its arguments to its report."""
 
+import json
 import re
 import struct
 import subprocess
@@ -156,6 +157,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--npcs", "9"], "npcs: expected 1 to 8 NPCs"),
         (["--env", "nowhere-v0"], "nowhere-v0"),
         (["--env", "highway-v0", "--lanes", "4"], "--lanes: expected no such option with --env"),
+        (["--env", "merge-v1", "--algorithms", "pafot,av-fuzzer"], "expected one of .* on a road that is not straight"),
     ],
 )
 def test_wrong_arguments_are_told_in_one_line_and_leave_nothing(tmp_path, capsys, arguments, message):
@@ -198,6 +200,17 @@ def test_a_policy_of_an_environment_is_compared_in_it(tmp_path):
     arguments = ["--ads", "ppo", "--env", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
     assert compare(tmp_path, *arguments) == 0
     assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
+
+
+def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path):
+    (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
+    arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
+    command = [sys.executable, "-m", "pytest_pafot", "compare", *arguments, "--algorithms=random", "--out=out"]
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    space = json.loads((tmp_path / "out" / "comparison.json").read_text())["plan"]["space"]
+    assert (space["ego_lane"], space["ego_speed"], space["speed_limit"]) == (1, 30.0, 30.0)
+    assert space["genes"] == 3
+    assert space["gene_seconds"] == pytest.approx(430 / 30 / 3, abs=0.1)
 
 
 def test_a_named_defect_is_a_factory_with_an_argument(tmp_path):

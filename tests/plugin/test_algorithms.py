@@ -67,6 +67,17 @@ def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_in
     result.stdout.fnmatch_lines(["*pip install pytest-pafot?search?*"])
 
 
+@pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])
+def test_searches_that_know_no_grid_are_refused_where_a_road_is_not_straight(project, algorithm):
+    road = "ads=lambda: lambda observation: 1, world=pafot.World('merge-v1')"
+    project.write(f"@pafot.search(algorithm={algorithm!r}, {road})\ndef test_it(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [f"*algorithm: expected one of distinct, * on a road that is not straight, received '{algorithm}', *"]
+    )
+
+
 def test_an_unknown_algorithm_is_answered_with_those_that_exist(project):
     project.write("@pafot.search(SHORT, algorithm='genetic')\ndef test_it(run):\n    pass\n")
     result = project.run()

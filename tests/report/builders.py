@@ -5,6 +5,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Union, get_args, get_origin, get_type_hints
 
+from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
@@ -74,6 +75,14 @@ def rear_trace():
 
 
 @cache
+def bend_trace():
+    """An NPC cuts in where the racetrack bends, and brakes."""
+    world = pafot.World("racetrack-v1", duration=20.0)
+    chains = scenario([(1, 4.0), (2, 0.0)], [(6, 10.0), (6, 10.0)], gene_seconds=4.0, ego_speed=10.0)
+    return world.rollout(chains, lambda: ControlledVehicle)
+
+
+@cache
 def campaign_parts():
     """The events of a real search of the constant-speed policy."""
     world, fitness = pafot.Highway(duration=30.0), resolve("default")
@@ -98,6 +107,11 @@ def real_report():
         findings=(view_of(cut_in_trace()), view_of(rear_trace())),
         campaigns=(campaign,),
     )
+
+
+def bend_report():
+    """A finding on a road that is not straight."""
+    return Report(title="In the bend", findings=(view_of(bend_trace()),))
 
 
 def texts():

@@ -1,5 +1,6 @@
 """The page in headless Chromium: it draws, listens to keys, follows links and asks nobody for anything."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import pytest
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.scene import scene_at
 from pytest_pafot.report.views import Report
-from tests.report.builders import HOSTILE, real_report
+from tests.report.builders import HOSTILE, bend_report, real_report
 from tests.support.browser import Browser, find_chromium
 
 CHROMIUM = find_chromium()
@@ -185,6 +186,37 @@ def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
                 "[...document.querySelectorAll('article.current .target')].map(each => each.getAttribute('visibility'))"
             )
             assert page.evaluate(rings) == ["hidden" if target is None else "visible" for target in scene.targets]
+
+
+def test_a_road_that_is_not_straight_is_drawn_as_the_world_has_it(browser, tmp_path):
+    path = tmp_path / "bend.html"
+    path.write_text(render_page(bend_report()), encoding="utf-8")
+    (finding,) = bend_report().findings
+    page = browser.open(path.as_uri())
+    for time in (0.0, 2.777, finding.duration):
+        page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
+        page.until(f"Math.abs({TIME} - {time}) < 0.0011")
+        scene = scene_at(finding, page.evaluate(TIME))
+        drawn = page.evaluate(
+            "[...document.querySelectorAll('article.current [data-vehicle]')]"
+            ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
+        )
+        for (along, across), box in zip(drawn, scene.boxes, strict=True):
+            assert (along, across) == pytest.approx((box.along, box.across), abs=0.02)
+        for name, places in (("cell", scene.cells), ("target", scene.targets)):
+            rects = f"[...document.querySelectorAll('article.current rect.{name}')]"
+            shown = page.evaluate(f"{rects}.map(each => each.getAttribute('visibility'))")
+            assert shown == ["visible" if place is not None and place.exists else "hidden" for place in places]
+        angles = page.evaluate(
+            "[...document.querySelectorAll('article.current rect.cell')].map(each => each.getAttribute('transform'))"
+        )
+        for angle, place in zip(angles, scene.cells, strict=True):
+            turn = float(angle.removeprefix("rotate(").split()[0])
+            assert math.cos(math.radians(turn)) == pytest.approx(math.cos(place.heading), abs=0.01)
+    lanes = page.evaluate("document.querySelectorAll('article.current .lane-ground').length")
+    assert lanes == len(finding.road.shapes)
+    assert page.complaints == []
+    page.close()
 
 
 def test_hostile_text_is_shown_and_never_run(browser, tmp_path):

@@ -1,6 +1,6 @@
 """What a search asked for, had driven and saw reached."""
 
-from pytest_pafot.grid import is_adjacent
+from pytest_pafot.grid import Cell, is_adjacent
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
 from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
@@ -34,6 +34,15 @@ def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluati
     assert keys(coverage.reached, "step") == set()
     assert keys(coverage.driven, "bin") == {(0,), (1,)}
     assert coverage.describe(26.8) == "reached 2/8 cells, 0/24 ring steps, 1/6 speed bins; requested 4/8, 3/24, 3/6"
+
+
+def test_cells_that_were_skipped_to_count_as_driven_instead_of_those_that_no_road_has(make_evaluation):
+    chain = (PositionInstruction(2, 8.0), PositionInstruction(3, 8.0))
+    run = make_evaluation(Scenario(npcs=(chain,)), driven=((Cell(2), Cell(6)),), arrived=((True, True),))
+    coverage = Coverage.of([run])
+    assert keys(coverage.requested, "cell") == {(2,), (3,)}
+    assert keys(coverage.driven, "cell") == keys(coverage.reached, "cell") == {(2,), (6,)}
+    assert keys(coverage.driven, "bin") == {(1,)}
 
 
 def test_every_run_counts(make_evaluation):

@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, LANE, X, Y
-from pytest_pafot.world import World, WorldError
+from pytest_pafot.world import World
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.vehicles import Car, ParallelLanes, described, straight_network
+from pytest_pafot.world.vehicles import Car, ParallelLanes, straight_network, straight_road
 from tests.support.world_cases import LENGTH, WIDTH, chains
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
@@ -126,9 +126,8 @@ def from_the_right():
     [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()],
     ids=["empty", "curved", "unequal lengths", "at an angle", "from the right"],
 )
-def test_roads_that_are_not_straight_along_x_are_refused(network):
-    with pytest.raises(WorldError, match="mine-v0: expected one straight road of parallel lanes along the x axis"):
-        described(network, "mine-v0")
+def test_roads_that_are_not_straight_along_x_are_told_apart(network):
+    assert straight_road(network) is None
 
 
 class OwnRoad(HighwayEnv):
@@ -167,7 +166,7 @@ def test_a_registered_environment_of_ones_own_is_driven_on_its_own_road(own_id, 
 
 
 def test_lanes_are_told_apart_as_highway_env_does_and_off_the_road_is_minus_one():
-    grid = described(parallel(3, x=100.0, y=-20.0, width=3.5), "mine-v0").grid
+    grid = straight_road(parallel(3, x=100.0, y=-20.0, width=3.5)).grid
 
     def located(x, y):
         body = Body(5.0, 2.0)

@@ -93,7 +93,7 @@ class Player {
     this.scene = new Scene(this.finding, width, this.zoom);
     this.curves = new Charts(this.finding, width);
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
-      "E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s as the ego saw them. " +
+      `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " as the ego saw them"}. ` +
       "Dashed line: to the cell that an NPC is told to drive to. Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();

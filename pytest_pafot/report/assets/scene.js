@@ -60,14 +60,23 @@ function instructionAt(finding, npc, time) {
   return { ...row, phase: row.arrived !== null && time >= row.arrived - 1e-9 ? "arrived" : "approach" };
 }
 
-function cellCentre(finding, ego, cell) {
+function cellCentre(finding, ego, cell, [index, share]) {
   const road = finding.road;
+  if (road.shapes.length) {
+    // As recorded for the nearest frame; it moves with the ego between them.
+    const frame = share > 0.5 && index + 1 < finding.times.length ? index + 1 : index;
+    const place = finding.grid[frame][cell - 1];
+    if (!place) return { along: ego.along, across: ego.across, heading: 0, exists: false };
+    const track = finding.vehicles[0];
+    const [dx, dy] = [ego.along - track.along[frame], ego.across - track.across[frame]];
+    return { along: place[0] + dx, across: place[1] + dy, heading: place[2], exists: true };
+  }
   const other = finding.vehicles[1] || finding.vehicles[0];
   const row = (ego.length + other.length) / 2 + road.clearance;
   const lane = nearestLane(road, ego.across) + COLUMNS[cell];
   const exists = lane >= 0 && lane < road.lanes.length;
   const across = exists ? road.lanes[lane] : road.lanes[nearestLane(road, ego.across)] + COLUMNS[cell] * road.lane_width;
-  return { along: ego.along + ROWS[cell] * row, across, exists };
+  return { along: ego.along + ROWS[cell] * row, across, heading: 0, exists };
 }
 
 const PHASES = {
@@ -81,6 +90,10 @@ const RULER = 24;
 const LANE_NAME = 50;
 const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
+const HALF_HEIGHT = 18; // What is shown above and below the ego of a road that is not straight.
+
+// Places that move with the road, and are turned: a road that is not straight is drawn as the world has it.
+const turned = (heading, x, y) => `rotate(${px(heading * 180 / Math.PI)} ${px(x)} ${px(y)})`;
 
 class Scene {
   constructor(finding, width, zoom) {
@@ -88,8 +101,10 @@ class Scene {
     this.width = width;
     this.scale = clamp(width / 96, 6.5, 10) * zoom;
     const road = finding.road;
-    this.top = Math.min(...road.lanes) - road.lane_width / 2;
-    this.bottom = Math.max(...road.lanes) + road.lane_width / 2;
+    this.isWorld = road.shapes.length > 0;
+    const half = road.lane_width / 2;
+    this.top = this.isWorld ? SHOULDER - HALF_HEIGHT : Math.min(...road.lanes) - half;
+    this.bottom = this.isWorld ? HALF_HEIGHT - SHOULDER : Math.max(...road.lanes) + half;
     this.height = (this.bottom - this.top + 2 * SHOULDER) * this.scale + RULER;
     this.middle = width * (width < 600 ? 0.5 : 0.42);
     this.root = svg("svg", {
@@ -97,19 +112,21 @@ class Scene {
       "aria-label": "Bird's-eye view of the ego and the NPCs; the table below says the same in numbers.",
     });
     this.egoAlong = 0;
+    this.egoAcross = 0;
     this.build();
   }
 
   x(along) { return this.middle + (along - this.egoAlong) * this.scale; }
-  y(across) { return (across - this.top + SHOULDER) * this.scale; }
+  y(across) { return (across - this.egoAcross - this.top + SHOULDER) * this.scale; }
 
   build() {
     const road = this.finding.road;
     const defs = svg("defs");
+    this.shapes = svg("g", {}, this.isWorld ? this.lanes() : []);
     const y0 = this.y(this.top);
     const y1 = this.y(this.bottom);
-    const ground = [svg("rect", { x: 0, y: px(y0), width: px(this.width), height: px(y1 - y0), class: "road" })];
-    for (const y of [y0, y1]) ground.push(svg("line", { x1: 0, x2: px(this.width), y1: px(y), y2: px(y), class: "edge" }));
+    const ground = this.isWorld ? [this.shapes] : [svg("rect", { x: 0, y: px(y0), width: px(this.width), height: px(y1 - y0), class: "road" })];
+    for (const y of this.isWorld ? [] : [y0, y1]) ground.push(svg("line", { x1: 0, x2: px(this.width), y1: px(y), y2: px(y), class: "edge" }));
     this.dashes = road.lanes.slice(1).map((centre) => {
       const y = px(this.y(centre - road.lane_width / 2));
       return svg("line", {
@@ -137,6 +154,15 @@ class Scene {
       defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...this.lines.flat(), ...names,
       ...this.bodies.map((body) => body.group), ...this.pointers, this.impact, this.ruler(),
     );
+  }
+
+  lanes() {
+    // Every lane with an edge around all of them and a line between neighbours.
+    const layers = [[0.5, "lane-edge"], [0, "lane-line"], [-0.3, "lane-ground"]];
+    return layers.flatMap(([more, name]) => this.finding.road.shapes.map((lane) => svg("path", {
+      class: name, "stroke-width": px((lane.width + more) * this.scale),
+      d: linePath(lane.points.map(([x, y]) => [x * this.scale, y * this.scale])),
+    })));
   }
 
   vehicle(vehicle, index, defs) {
@@ -192,10 +218,14 @@ class Scene {
     const ego = states[0];
     if (!ego) return states;
     this.egoAlong = ego.along;
+    if (this.isWorld) {
+      this.egoAcross = ego.across;
+      this.shapes.setAttribute("transform", `translate(${px(this.x(0))} ${px(this.y(0))})`);
+    }
     const offset = px((this.egoAlong * this.scale - this.middle) % (12 * this.scale));
     for (const dash of this.dashes) dash.setAttribute("stroke-dashoffset", offset);
-    const wanted = this.drawTargets(states, time);
-    this.drawCells(ego, wanted);
+    const wanted = this.drawTargets(states, time, frame);
+    this.drawCells(ego, wanted, frame);
     this.taken = [];
     states.forEach((state, index) => this.drawVehicle(state, index));
     states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
@@ -204,34 +234,38 @@ class Scene {
     return states;
   }
 
-  drawCells(ego, wanted) {
+  drawCells(ego, wanted, frame) {
     const [length, width] = [ego.length * this.scale, this.finding.road.lane_width * this.scale - 6];
     this.cells.forEach(([box, number], index) => {
       const cell = index + 1;
-      const centre = cellCentre(this.finding, ego, cell);
+      const centre = cellCentre(this.finding, ego, cell, frame);
       const visibility = centre.exists ? "visible" : "hidden";
       const [x, y] = [this.x(centre.along), this.y(centre.across)];
       change(box, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width), visibility });
+      box.setAttribute("transform", turned(centre.heading, x, y));
+      number.setAttribute("transform", turned(centre.heading, x, y));
       change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
     });
   }
 
-  drawTargets(states, time) {
+  drawTargets(states, time, frame) {
     const wanted = new Set();
     this.lines.forEach(([line, ring], npc) => {
       const state = states[npc + 1];
       const row = instructionAt(this.finding, npc, time);
-      const isDrawn = state && row && row.cell && row.phase === "approach";
+      const isSought = state && row && row.cell && row.phase === "approach";
+      const goal = isSought ? cellCentre(this.finding, states[0], row.cell, frame) : null;
+      const isDrawn = goal && (goal.exists || !this.isWorld);
       change(line, { visibility: isDrawn ? "visible" : "hidden" });
       change(ring, { visibility: isDrawn ? "visible" : "hidden" });
       if (!isDrawn) return;
       wanted.add(row.cell);
-      const centre = cellCentre(this.finding, states[0], row.cell);
-      const [x, y] = [this.x(centre.along), this.y(centre.across)];
+      const [x, y] = [this.x(goal.along), this.y(goal.across)];
       const [length, width] = [states[0].length * this.scale + 4, this.finding.road.lane_width * this.scale - 2];
       line.setAttribute("d", linePath([[this.x(state.along), this.y(state.across)], [x, y]]));
       change(ring, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width) });
+      ring.setAttribute("transform", turned(goal.heading, x, y));
     });
     return wanted;
   }
@@ -251,7 +285,9 @@ class Scene {
 
   isInside(state) {
     const [x, reach] = [this.x(state.along), state.length * this.scale / 2];
-    return x > -reach && x < this.width + reach;
+    const y = this.y(state.across);
+    const isHigh = this.isWorld && (y < 0 || y > this.height - RULER);
+    return x > -reach && x < this.width + reach && !isHigh;
   }
 
   drawPointer(state, index) {
@@ -260,9 +296,9 @@ class Scene {
     const isInside = this.isInside(state);
     pointer.setAttribute("visibility", isInside ? "hidden" : "visible");
     if (isInside) return;
-    const isLeft = this.x(state.along) < 0;
+    const isLeft = this.isWorld ? state.along < this.egoAlong : this.x(state.along) < 0;
     const [arrow, label] = pointer.children;
-    let y = this.y(state.across);
+    let y = clamp(this.y(state.across), 12, this.height - RULER - 12);
     while (this.taken.some((other) => other.isLeft === isLeft && Math.abs(other.y - y) < other.room)) y += 2;
     this.taken.push({ isLeft, y, room: 15 });
     const edge = isLeft ? LANE_NAME : this.width - 4;
@@ -270,7 +306,9 @@ class Scene {
     arrow.setAttribute("d", `M${edge} ${px(y)}l${9 * inward} -7v14Z`);
     change(label, { x: edge + 14 * inward, y: px(y + 4), "text-anchor": isLeft ? "start" : "end" });
     const away = Math.abs(state.along - this.egoAlong);
-    label.textContent = `NPC ${index - 1}, ${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
+    const beside = Math.hypot(away, state.across - this.egoAcross);
+    const where = this.isWorld ? `${beside.toFixed(0)} m away` : `${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
+    label.textContent = `NPC ${index - 1}, ${where}`;
   }
 
   drawTrails(time, frame, ego) {
@@ -284,7 +322,7 @@ class Scene {
         const state = stateAt(this.finding, index, moment);
         const origin = stateAt(this.finding, 0, moment);
         if (!state || !origin) return null;
-        const along = index ? state.along - origin.along + ego.along : state.along;
+        const along = index && !this.isWorld ? state.along - origin.along + ego.along : state.along;
         return [this.x(along), this.y(state.across)];
       });
       trail.setAttribute("d", linePath(points));
@@ -298,13 +336,18 @@ class Scene {
     this.impact.setAttribute("visibility", isDrawn ? "visible" : "hidden");
     if (!isDrawn) return;
     const ego = states[0];
-    const place = event.kind === "collision" && other ? {
-      along: ego.along + clamp(other.along - ego.along, -ego.length / 2, ego.length / 2),
-      across: ego.across + clamp(other.across - ego.across, -ego.width / 2, ego.width / 2),
-    } : ego;
+    const place = event.kind === "collision" && other ? this.contact(ego, other) : ego;
     const [x, y] = [this.x(place.along), this.y(place.across)];
     this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
     change(this.impact.children[1], { x: 0, y: this.labelOffset(states, x, y), "text-anchor": "middle" });
+  }
+
+  contact(ego, other) {
+    const [cos, sin] = this.isWorld ? [Math.cos(ego.heading), Math.sin(ego.heading)] : [1, 0];
+    const [dx, dy] = [other.along - ego.along, other.across - ego.across];
+    const ahead = clamp(dx * cos + dy * sin, -ego.length / 2, ego.length / 2);
+    const right = clamp(dy * cos - dx * sin, -ego.width / 2, ego.width / 2);
+    return { along: ego.along + ahead * cos - right * sin, across: ego.across + ahead * sin + right * cos };
   }
 
   // How far from the impact its text is: at the nearest height at which it covers no vehicle.

@@ -5,6 +5,7 @@ from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, followi
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
 cdef int NO_LANE
 
+@cython.final
 cdef class Npc(Body):
     cdef public object chain
     cdef public list executed, arrivals
@@ -14,35 +15,49 @@ cdef class Npc(Body):
 
 cdef class Director:
     cdef readonly list npcs
-    cdef object _scenario, _positions, _road
-    cdef double _clearance, _row, _length, _width, _lane_width, _far
-    cdef int _last_lane, _genes, _gene_ticks, _tick, _gene, _left
-    cdef NpcDriver _driver
+    cdef public bint skips
+    cdef readonly object _scenario, _road
+    cdef object _positions
+    cdef readonly double _clearance, _row, _length
+    cdef double _width, _lane_width, _far
+    cdef readonly int _tick
+    cdef int _last_lane, _genes, _gene_ticks, _gene, _left
+    cdef readonly NpcDriver _driver
 
     @cython.locals(npc=Npc)
     cpdef void command(self, Body ego) except *
 
+    @cython.final
     @cython.locals(npc=Npc)
-    cdef _begin_gene(self, int ego_lane)
+    cdef _begin_gene(self, Body ego)
 
+    cpdef object _first_existing(self)
+
+    cpdef object _existing(self, Body ego)
+
+    @cython.final
     @cython.locals(npc=Npc, wanted=int)
     cdef _begin_shifts(self)
 
+    @cython.final
     @cython.locals(npc=Npc)
     cdef _end_chains(self)
 
     @cython.locals(driver=NpcDriver, distance=double, wanted_speed=double, goal=int)
-    cdef void _control(self, Npc npc, Body ego) except *
+    cpdef void _control(self, Npc npc, Body ego) except *
+
+    cpdef double _creeping(self, Npc npc, int goal, double speed) except? -1
 
     @cython.locals(beside=bint)
-    cdef void _keep_lane_if_due(self, Npc npc, int target_lane, double distance) except *
+    cpdef void _keep_lane_if_due(self, Npc npc, int target_lane, double distance) except *
 
     @cython.locals(lane=int, step=int, other=Npc, beside_ego=bint)
-    cdef int _next_lane(self, Npc npc, int target_lane, Body ego) except -2
+    cpdef int _next_lane(self, Npc npc, int target_lane, Body ego) except -2
 
+    @cython.final
     @cython.locals(front=Npc, rear=Npc, reach=double, in_lane=bint, claims=bint)
     cdef bint _clear_of(self, Npc mine, Npc theirs, int lane) except -1
 
     @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double,
                    crosses=bint)
-    cdef double _following(self, Npc mine, double speed) except? -1
+    cpdef double _following(self, Npc mine, double speed) except? -1

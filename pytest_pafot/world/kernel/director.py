@@ -7,15 +7,16 @@ and lets NPCs give way to each other. It sees road coordinates only.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.scenario import LANE_STARTS, Chromosome, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
 from pytest_pafot.world.limits import NpcLimits
 
 if TYPE_CHECKING:
+    from pytest_pafot.world.network_road import NetworkRoad
     from pytest_pafot.world.road import StraightRoad
 
 ARRIVED_LATERAL = 0.5
@@ -69,7 +70,7 @@ class Npc(Body):
 
 
 class Director:
-    """Drives the NPCs of one run.
+    """Drives the NPCs of one run, on a straight road; a subclass says what differs on others.
 
     Args:
         scenario: the chains.
@@ -82,14 +83,17 @@ class Director:
 
     Attributes:
         npcs: one for each chain; their owner puts them where they are before each tick.
+        skips: whether steps on the ring skip cells that do not exist.
     """
 
     npcs: list[Npc]
+    skips: bool
+    _road: Any
 
     def __init__(
         self,
         scenario: Scenario,
-        road: StraightRoad,
+        road: StraightRoad | NetworkRoad,
         limits: NpcLimits,
         *,
         clearance: float,
@@ -102,13 +106,14 @@ class Director:
         self.npcs = [Npc(index, chain, length, width) for index, chain in enumerate(scenario.npcs)]
         self._scenario = scenario
         self._positions = scenario.positions
+        self.skips = False
         self._road = road
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
         self._length = length
         self._width = width
         self._lane_width = road.lane_width
-        self._last_lane = len(road.lanes) - 1
+        self._last_lane = road.lane_count - 1
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
         self._far = length + stopping_room(top_speed)
@@ -126,18 +131,18 @@ class Director:
             for cell, gene in zip(npc.executed, chain, strict=False)
         ):
             return self._scenario
-        chains = [
-            [*(PositionInstruction(c, g.speed) for c, g in zip(npc.executed, npc.chain, strict=False)),
-             *npc.chain[len(npc.executed) :]]
-            for npc in self.npcs
-        ]  # fmt: skip
         return Scenario.repaired(
-            chains,
+            with_cells(self._scenario.npcs, [npc.executed for npc in self.npcs]),
             seed=self._scenario.seed,
             ego_lane=self._scenario.ego_lane,
             ego_speed=self._scenario.ego_speed,
             gene_seconds=self._scenario.gene_seconds,
         )
+
+    @property
+    def driven(self) -> tuple[tuple[Cell, ...], ...]:
+        """Per NPC and started gene, the cell that it drove to, where ``executed`` cannot say so; else nothing."""
+        return ()
 
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
@@ -146,7 +151,7 @@ class Director:
 
     def first_cells(self) -> tuple[Cell, ...]:
         """The cells of the first gene as executed, which say where the NPCs start."""
-        return self._repaired(0, self._scenario.ego_lane, list(range(len(self.npcs))))
+        return self._repaired(0, self._first_existing(), list(range(len(self.npcs))))
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
@@ -154,7 +159,7 @@ class Director:
             self._left = self._gene_ticks
             if self._gene < self._genes:
                 if self._positions:
-                    self._begin_gene(ego.lane)
+                    self._begin_gene(ego)
                 else:
                     self._begin_shifts()
                 self._end_chains()
@@ -164,9 +169,10 @@ class Director:
             self._control(npc, ego)
         self._tick += 1
 
-    def _begin_gene(self, ego_lane: int) -> None:
+    def _begin_gene(self, ego: Body) -> None:
         active = [index for index, npc in enumerate(self.npcs) if self._gene < len(npc.chain)]
-        for index, cell in zip(active, self._repaired(self._gene, ego_lane, active), strict=True):
+        existing = self._existing(ego) if self._gene else self._first_existing()
+        for index, cell in zip(active, self._repaired(self._gene, existing, active), strict=True):
             npc = self.npcs[index]
             npc.executed.append(cell)
             npc.arrivals.append(None)
@@ -198,17 +204,29 @@ class Director:
                 npc.kept_lane = npc.lane
                 npc.kept_speed = npc.speed
 
-    def _repaired(self, gene: int, ego_lane: int, active: list[int]) -> tuple[Cell, ...]:
+    def _first_existing(self) -> frozenset[Cell]:
+        """The cells in which an NPC may start."""
+        cells: frozenset[Cell] = self._road.cells(self._scenario.ego_lane)
+        return cells
+
+    def _existing(self, ego: Body) -> frozenset[Cell]:
+        """The cells that exist around the ego now."""
+        cells: frozenset[Cell] = self._road.cells(ego.lane)
+        return cells
+
+    def _repaired(self, gene: int, existing: frozenset[Cell], active: list[int]) -> tuple[Cell, ...]:
         return repair_gene(
             [self.npcs[index].executed[-1] for index in active] if gene else None,
             [self._positions[index][gene].cell for index in active]
             if self._positions
             else [Cell(start) for start in LANE_STARTS[: len(active)]],
-            self._road.cells(ego_lane),
+            existing,
             partial(_toss, self._scenario.seed, gene, active),
+            skipping=self.skips,
         )
 
     def _control(self, npc: Npc, ego: Body) -> None:
+        """Set acceleration and steering of one NPC for the coming tick."""
         distance = ego.x + npc.target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
             self._keep_lane_if_due(npc, ego.lane + npc.column, distance)
@@ -222,10 +240,8 @@ class Director:
             wanted_speed = npc.kept_speed
             goal = self._next_lane(npc, npc.shift_lane, ego)
         else:
-            wanted_speed = ego.speed + gap_speed(distance)
             goal = self._next_lane(npc, ego.lane + npc.column, ego)
-            if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
-                wanted_speed = max(wanted_speed, CREEP_SPEED)
+            wanted_speed = self._creeping(npc, goal, ego.speed + gap_speed(distance))
         npc.heading_for = goal
         wanted_speed = self._following(npc, wanted_speed)
         driver = self._driver
@@ -234,7 +250,14 @@ class Director:
         npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
         npc.course = driver.course
 
+    def _creeping(self, npc: Npc, goal: int, speed: float) -> float:
+        """A wanted speed, no less than what it takes to change lanes ahead of an ego that stands [m/s]."""
+        if npc.row > 0 and abs(npc.y - goal * self._lane_width) > ARRIVED_LATERAL:
+            return max(speed, CREEP_SPEED)
+        return speed
+
     def _keep_lane_if_due(self, npc: Npc, target_lane: int, distance: float) -> None:
+        """Latch the arrival in a cell, so far away along the road [m], or that its lane does not exist."""
         if not 0 <= target_lane <= self._last_lane:
             npc.kept_lane = npc.lane
             npc.kept_speed = npc.target_speed

@@ -2,7 +2,7 @@ cimport cython
 from libc cimport math
 
 cdef double SPEED_GAIN, GAP_GAIN, GAP_BRAKING, LATERAL_GAIN, HEADING_GAIN, LATERAL_SHARE
-cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP
+cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP, LEAST_SPARE
 
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
@@ -10,6 +10,7 @@ cpdef double stopping_room(double top_speed) except? -1
 cpdef bint clear_to_enter(double gap, double closing_speed) except -1
 cpdef double clamped(double value, double bound) except? -1
 
+@cython.final
 cdef class NpcDriver:
     cdef public double course
     cdef double _dt, _top_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
@@ -24,6 +25,9 @@ cdef class NpcDriver:
     @cython.locals(acceleration=double)
     cdef double _to_standstill(self, double speed) except? -1
 
-    @cython.locals(distance=double, planned=double, lateral_speed=double, bound=double, wanted=double, turn=double,
-                   rate=double, slip=double, new_course=double)
     cpdef double steering(self, double offset, double heading, double course, double speed) except? -1
+
+    @cython.locals(distance=double, aside=double, spare=double, planned=double, lateral_speed=double, bound=double,
+                   wanted=double, fastest=double, rate=double, slip=double, new_course=double)
+    cpdef double steering_in_bend(self, double offset, double heading, double course, double speed, double lean,
+                                  double turn, double sharpest) except? -1

@@ -34,6 +34,8 @@ FOLLOWING_BRAKING = 5.0
 """Braking that an NPC counts on, its leader's and its own [m/s^2]."""
 MAX_SLIP = 0.4
 """Largest slip angle, as far as the wheels turn [rad]."""
+LEAST_SPARE = 0.15
+"""Share of the lateral acceleration that a lane change may take however much a bend takes."""
 
 
 def gap_speed(distance: float) -> float:
@@ -84,7 +86,7 @@ class NpcDriver:
         dt: physics tick [s].
 
     Attributes:
-        course: direction of motion that the last :meth:`steering` gives, to the lane [rad].
+        course: direction of motion that the last steering gives, to the lane [rad].
     """
 
     course: float
@@ -152,23 +154,41 @@ class NpcDriver:
             course: direction of motion in the previous tick, to the lane [rad].
             speed: [m/s].
         """
+        if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
+            self.course = heading
+            return 0.0  # as good as straight
+        return self.steering_in_bend(offset, heading, course, speed, 0.0, 0.0, 0.0)
+
+    def steering_in_bend(
+        self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
+    ) -> float:
+        """The same where the lane turns.
+
+        Args:
+            offset, heading, course, speed: as for :meth:`steering`; angles are to the lane's direction here.
+            lean: angle to the lane of a vehicle that follows it without error; a car in a bend points inwards less than
+                it moves [rad].
+            turn: by how much the heading of such a vehicle turns in the coming tick [rad].
+            sharpest: largest curvature of the lane from here to where a lane change could end [1/m].
+        """
         self.course = heading
         if speed < self._slow:
             return 0.0  # so slow that the wheels may be straightened at once
-        if -1e-3 < offset < 1e-3 and -1e-5 < heading < 1e-5 and -1e-5 < course < 1e-5:
-            return 0.0  # as good as straight
         distance = abs(offset)
-        planned = self._lateral_limit - self._acceleration * abs(heading)  # speeding up turns it into lateral speed
-        planned = LATERAL_SHARE * max(planned, 0.3 * self._lateral_limit)
+        aside = heading - lean
+        spare = self._lateral_limit - sharpest * speed * speed
+        planned = spare - self._acceleration * abs(aside)  # speeding up turns it into lateral speed
+        planned = LATERAL_SHARE * max(planned, LEAST_SPARE * self._lateral_limit)
         lateral_speed = min(LATERAL_GAIN * distance, math.sqrt(2.0 * planned * distance))
-        bound = min(MARGIN * self._most, math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
+        bound = min(MARGIN * self._most - abs(lean), math.sqrt(2.0 * LATERAL_SHARE * distance * self._tightest))
+        bound = max(bound, 0.0)
         wanted = math.asin(lateral_speed / speed) if lateral_speed < speed else bound
         wanted = math.copysign(min(wanted, bound), -offset)
-        turn = self._lateral_limit / speed
-        rate = clamped(self._heading_gain * (wanted - heading), turn)
+        fastest = self._lateral_limit / speed
+        rate = clamped(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
         new_course = clamped(heading + slip, self._most)
-        new_course = course + clamped(new_course - course, turn * self._dt)
+        new_course = course + clamped(new_course - course, fastest * self._dt)
         slip = clamped(new_course - heading, MAX_SLIP)
         self.course = heading + slip
         return math.atan(2.0 * math.tan(slip))

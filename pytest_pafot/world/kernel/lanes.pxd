@@ -4,6 +4,7 @@ from pytest_pafot.world.kernel.bodies cimport Body
 
 cdef double ALMOST
 
+@cython.final
 cdef class Lanes:
     cdef readonly int count
     cdef readonly double width, length

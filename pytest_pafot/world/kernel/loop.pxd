@@ -39,6 +39,7 @@ cdef class PlannerPilot(GivenPilot):
     @cython.locals(started=double, seconds=double)
     cpdef decide(self, int tick)
 
+@cython.final
 cdef class Loop:
     cdef readonly int tick
     cdef readonly bint ego_touched, npcs_touched

@@ -1,6 +1,7 @@
 cimport cython
 from pytest_pafot.world.kernel.lanes cimport Lanes
 
+@cython.final
 cdef class Scene:
     cdef readonly double[::1] record
     cdef readonly list sizes

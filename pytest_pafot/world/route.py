@@ -1,0 +1,203 @@
+"""The way of the ego through a road network: which lanes, in which order, and the line that they make.
+
+``RoadNetwork`` of highway-env is a graph of lanes with shapes of any kind. The grid needs one line to measure along:
+the lane that the ego starts in, what its route (else ``next_lane``) leads to, and the lanes by which it came.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.trace import FloatArray
+
+LaneIndex = tuple[str, str, int]
+
+STEP = 0.5
+"""Distance of the points of a line [m]."""
+WIDEST_GAP = 10.0
+"""Between the end of a lane and the beginning of the next [m]; highway-env's roundabouts have gaps of 6 m."""
+SHARPEST_BEND = 1.3
+"""Between the directions of two lanes where they meet [rad]; more is no way to drive."""
+DECIDED_BEFORE = 2.5
+"""How far before the end of a lane highway-env's vehicles choose the next one [m]."""
+BLEND = 3.0
+"""How far to either side a gap or bend between two lanes is rounded off [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A lane of the way, from a longitudinal coordinate of the lane to another [m]."""
+
+    index: LaneIndex
+    lane: Any
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A line to measure along, a point every 0.5 m.
+
+    Attributes:
+        x, y: world coordinates [m], shape [points].
+        heading: [rad], without jumps.
+        piece: index of the piece that each point belongs to.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    piece: np.ndarray[Any, np.dtype[np.intp]]
+
+
+def way(
+    network: Any, start: LaneIndex, at: float, planned: Sequence[Any] | None, *, ahead: float, behind: float
+) -> tuple[tuple[Piece, ...], int]:
+    """The lanes of the ego's way.
+
+    Args:
+        network: highway-env's.
+        start: the lane that the ego starts in.
+        at: longitudinal coordinate of the start in it [m].
+        planned: the ego's route as highway-env has it, or None.
+        ahead, behind: how far to look [m].
+
+    Returns:
+        the pieces in driving order, and the number of the first.
+    """
+    first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
+    before = list(_before(network, first, behind - at))[::-1]
+    after = _after(network, first, planned, ahead - (first.end - at))
+    return (*before, first, *after), len(before)
+
+
+def _after(network: Any, first: Piece, planned: Sequence[Any] | None, wanted: float) -> Iterator[Piece]:
+    route = [step for step in planned or () if tuple(step[:2]) != first.index[:2]]
+    piece = first
+    while wanted > 0:
+        following = _successor(network, piece, route)
+        if following is None:
+            return
+        yield following
+        wanted -= following.end - following.begin
+        piece = following
+        if route and tuple(route[0][:2]) == following.index[:2]:
+            route.pop(0)
+
+
+def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
+    """The piece that the route asks for, else the nearest one that can be driven on to."""
+    origin, node, number = last.index
+    point = last.lane.position(last.end, 0)
+    deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)
+    is_planned = bool(route) and route[0][0] == node
+    ends = [route[0][1]] if is_planned else list(network.graph.get(node, {}))
+    found: list[tuple[float, int, Piece]] = []
+    for order, end in enumerate(ends):
+        wanted = route[0][2] if is_planned else None
+        chosen, distance = network.next_lane_given_next_road(origin, node, number, end, wanted, deciding)
+        lane = network.get_lane((node, end, chosen))
+        begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), float(lane.length))
+        piece = Piece((node, end, chosen), lane, begin, float(lane.length))
+        if piece.end - piece.begin > STEP and _is_drivable(last, piece):
+            found.append((float(distance), order, piece))
+    return min(found, key=lambda each: each[:2])[2] if found else None
+
+
+def _before(network: Any, first: Piece, wanted: float) -> Iterator[Piece]:
+    """The pieces that lead to one, the last first. highway-env's networks know no predecessors."""
+    piece = first
+    while wanted > 0:
+        leading = _predecessor(network, piece)
+        if leading is None:
+            return
+        yield leading
+        wanted -= leading.end
+        piece = leading
+
+
+def _predecessor(network: Any, piece: Piece) -> Piece | None:
+    point = np.asarray(piece.lane.position(0, 0))
+    found: list[tuple[float, int, Piece]] = []
+    for index, lane in network.lanes_dict().items():
+        if index[1] != piece.index[0]:
+            continue
+        candidate = Piece(index, lane, 0.0, float(lane.length))
+        gap = float(np.linalg.norm(np.asarray(lane.position(lane.length, 0)) - point))
+        if candidate.end > STEP and _is_drivable(candidate, piece):
+            found.append((gap, len(found), candidate))
+    return min(found, key=lambda each: each[:2])[2] if found else None
+
+
+def _is_drivable(last: Piece, piece: Piece) -> bool:
+    step = np.asarray(piece.lane.position(piece.begin, 0)) - np.asarray(last.lane.position(last.end, 0))
+    turn = piece.lane.heading_at(piece.begin) - last.lane.heading_at(last.end)
+    return float(np.hypot(*step)) <= WIDEST_GAP and abs(wrapped(float(turn))) <= SHARPEST_BEND
+
+
+def line_of(pieces: Sequence[Piece]) -> Line:
+    """The centre lines of the pieces as one line; gaps and bends between them are rounded off."""
+    points, owners = _sampled(pieces)
+    points, owners = _spaced(points, owners)
+    joints = [int(index) + 1 for index in np.flatnonzero(np.diff(owners)) if _is_rough(points, int(index) + 1)]
+    if joints:
+        points, owners = _spaced(_rounded(points, joints), owners)
+    dx, dy = np.gradient(points[:, 0]), np.gradient(points[:, 1])
+    return Line(x=points[:, 0], y=points[:, 1], heading=np.unwrap(np.arctan2(dy, dx)), piece=owners)
+
+
+def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
+    rows: list[FloatArray] = []
+    owners: list[int] = []
+    for number, piece in enumerate(pieces):
+        count = max(2, math.ceil((piece.end - piece.begin) / STEP) + 1)
+        for longitudinal in np.linspace(piece.begin, piece.end, count):
+            point = np.asarray(piece.lane.position(float(longitudinal), 0), dtype=float)
+            if rows and np.hypot(*(point - rows[-1])) < STEP / 10:
+                owners[-1] = number
+                continue
+            rows.append(point)
+            owners.append(number)
+    return np.array(rows), np.array(owners)
+
+
+def _spaced(points: FloatArray, owners: Any) -> tuple[FloatArray, Any]:
+    """The same line with points at equal distances along it."""
+    length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    places = np.arange(0.0, length[-1] + STEP / 2, STEP)
+    spaced = np.stack([np.interp(places, length, points[:, axis]) for axis in (0, 1)], axis=-1)
+    return spaced, owners[np.clip(np.searchsorted(length, places - 1e-9), 0, len(owners) - 1)]
+
+
+def _is_rough(points: FloatArray, joint: int) -> bool:
+    """Whether the line turns at a joint more sharply than a vehicle can follow."""
+    near = points[max(joint - 4, 0) : joint + 6]
+    heading = np.unwrap(np.arctan2(*np.diff(near, axis=0).T[::-1]))
+    return len(heading) > 1 and bool(np.abs(np.diff(heading)).max() > 0.06)
+
+
+def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
+    reach = round(3 * BLEND / STEP)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / BLEND) ** 2)
+    kernel /= kernel.sum()
+    ends = points[0] - (points[1] - points[0]) * np.arange(reach, 0, -1)[:, None]
+    beyond = points[-1] + (points[-1] - points[-2]) * np.arange(1, reach + 1)[:, None]
+    padded = np.concatenate([ends, points, beyond])
+    smooth = np.stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=-1)
+    places = np.arange(len(points))
+    share = np.zeros(len(points))
+    for joint in joints:
+        distance = np.abs(places - joint) * STEP
+        share = np.maximum(share, np.clip(2 - distance / (2 * BLEND), 0.0, 1.0))
+    share = (share * share * (3 - 2 * share))[:, None]
+    return points * (1 - share) + smooth * share
+
+
+def wrapped(angle: float) -> float:
+    """An angle in [-pi, pi) [rad]."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi

@@ -1,0 +1,127 @@
+"""Does a search run on every road of highway-env? IDM and constant speed on each registered environment.
+
+    python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
+
+A short search per environment, ego and seed. Prints how many genes are reached, the share of invalid runs, how the
+runs end, and the findings by signature; checks the NPC limits and the fixed point, and confirms every collision by
+``env.step``. Ends with an error where one of these fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+
+from pytest_pafot import Run, Scenario, World
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.world.confirm import replay_in_gym
+from tests.support.road_cases import ENVIRONMENTS, space_of, violations
+
+EGOS: dict[str, Callable[[], Any]] = {"idm": lambda: IDMVehicle, "constant": lambda: ControlledVehicle}
+"""``ControlledVehicle`` keeps its lane and its speed: a constant speed on roads that bend."""
+
+FAILURE = Failure(kind="AssertionError", assertion="assert not run.collision")
+FITNESS = resolve("default")
+
+
+@dataclass
+class Tally:
+    """All searches with one ego on one environment."""
+
+    world: World
+    ego: Callable[[], Any]
+    check_every: int
+    runs: int = 0
+    started: int = 0
+    reached: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
+    signatures: Counter[str] = field(default_factory=Counter)
+    confirmed: int = 0
+    faults: list[str] = field(default_factory=list)
+
+    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        """Simulate and judge."""
+        return [self._one(scenario) for scenario in scenarios]
+
+    def _one(self, scenario: Scenario) -> Evaluation:
+        trace = self.world.rollout(scenario, self.ego)
+        if self.runs % self.check_every == 0:
+            self._check(trace)
+        if trace.error is not None:
+            self.faults.append(f"{scenario.canonical()}: {trace.error.message}")
+        evaluation = Evaluation.of(trace, fitness=FITNESS(trace), failing=trace.collision is not None)
+        self.runs += 1
+        self.started += evaluation.genes_started
+        self.reached += evaluation.genes_reached
+        self.outcomes[str(trace.outcome)] += 1
+        if trace.collision is not None:
+            self._found(trace)
+        return evaluation
+
+    def _check(self, trace: Trace) -> None:
+        broken = violations(trace, self.world)
+        if broken:
+            self.faults.append(f"{trace.scenario.canonical()}: {broken}")
+        again = self.world.rollout(trace.executed, self.ego)
+        if again.executed != trace.executed or again.states.tobytes() != trace.states.tobytes():
+            self.faults.append(f"{trace.scenario.canonical()}: no fixed point")
+
+    def _found(self, trace: Trace) -> None:
+        signature = of_failure(Run(trace), FAILURE)
+        name = f"{signature.slug} ({signature.responsibility})"
+        self.signatures[name] += 1
+        differs = disagreement(Run(trace), Run(replay_in_gym(self.world, trace.executed, self.ego)))
+        self.confirmed += not differs
+        if differs:
+            self.faults.append(f"{trace.executed.canonical()}: not confirmed, {differs}")
+
+    def row(self, env_id: str, ego: str, seconds: float) -> str:
+        """A line of the table."""
+        invalid = self.outcomes[Outcome.INVALID] / max(self.runs, 1)
+        ends = ", ".join(f"{count} {name}" for name, count in self.outcomes.most_common())
+        finds = ", ".join(f"{name} {count}" for name, count in self.signatures.most_common())
+        return (
+            f"| {env_id} | {ego} | {self.runs} | {self.reached / max(self.started, 1):.0%} | {invalid:.0%} | {ends} | "
+            f"{finds or '-'} | {self.confirmed}/{self.signatures.total()} | {len(self.faults)} | "
+            f"{1e3 * seconds / max(self.runs, 1):.0f} |"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--environments", nargs="+", choices=ENVIRONMENTS, default=list(ENVIRONMENTS))
+    parser.add_argument("--egos", nargs="+", choices=EGOS, default=list(EGOS))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--generations", type=int, default=10)
+    parser.add_argument("--check-every", type=int, default=1, help="check limits and fixed point on every n-th run")
+    arguments = parser.parse_args()
+    print("| environment | ego | runs | genes reached | invalid | runs end | finds | confirmed | faults | ms a run |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    faults: list[str] = []
+    for env_id in arguments.environments:
+        for ego in arguments.egos:
+            tally, seconds = Tally(World(env_id), EGOS[ego], arguments.check_every), time.process_time()
+            for seed in range(arguments.seeds):
+                search = PafotSearch(space_of(tally.world))
+                for _ in run_campaign(search, tally.evaluate, generations=arguments.generations, seed=seed):
+                    pass
+            print(tally.row(env_id, ego, time.process_time() - seconds), flush=True)
+            faults += [f"{env_id} {ego}: {fault}" for fault in tally.faults]
+    if faults:
+        raise SystemExit("\n".join(faults))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,316 @@
+"""The grid on every road of highway-env: cells, limits, ends of a run, and the same again by ``env.step``."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import CircularLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+
+from pytest_pafot import criticality
+from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.findings.run import Run
+from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.searching import sample
+from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome
+from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.confirm import replay_in_gym
+from tests.support.road_cases import ENVIRONMENTS, space_of, violations
+
+
+def hold(world, *cells, speed=8.0, genes=1, **fields):
+    """NPCs that hold a cell each, from the environment's own start, in genes that share a run."""
+    lane, ego_speed = world.start
+    seconds = math.floor(world.longest_run * world.physics_hz / genes) / world.physics_hz
+    fields = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": seconds, **fields}
+    return Scenario(npcs=[[PositionInstruction(cell, speed)] * genes for cell in cells], **fields)
+
+
+def idm():
+    return IDMVehicle
+
+
+def constant():
+    """Keeps its lane and its speed."""
+    return ControlledVehicle
+
+
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
+def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
+    world, rng = World(env_id, duration=15.0), np.random.default_rng(3)
+    for ego in (idm, constant):
+        trace = world.rollout(sample(space_of(world), rng), ego)
+        assert violations(trace, world) == [], trace.scenario.canonical()
+        again = world.rollout(trace.executed, ego)
+        assert again.executed == trace.executed
+        assert again.driven == trace.driven
+        assert again.states.tobytes() == trace.states.tobytes()
+
+
+@pytest.mark.parametrize("env_id", ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"])
+@pytest.mark.parametrize("ego", [idm, constant])
+def test_the_plain_environment_agrees(env_id, ego):
+    world, rng = World(env_id, duration=12.0), np.random.default_rng(5)
+    first = world.rollout(sample(space_of(world), rng), ego)
+    again = replay_in_gym(world, first.executed, ego)
+    assert disagreement(Run(first), Run(again)) == ""
+    assert first.states == pytest.approx(again.states, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "action"),
+    [
+        ("merge-v1", 1),
+        ("roundabout-v1", 1),
+        ("exit-v0", 1),
+        ("intersection-v0", 1),
+        ("racetrack-v1", np.zeros(1)),
+        ("lane-keeping-v0", np.zeros(1)),
+    ],
+)
+def test_a_policy_drives_with_the_environments_own_observations_and_actions(env_id, action):
+    world = World(env_id, duration=3.0)
+    seen = []
+
+    def policy(observation):
+        seen.append(observation)
+        return action
+
+    first = world.rollout(hold(world, 2, speed=5.0), lambda: policy)
+    assert first.error is None
+    assert len(first.actions) == len(seen) > 0
+    again = replay_in_gym(world, first.executed, lambda: policy)
+    assert disagreement(Run(first), Run(again)) == ""
+    half = len(seen) // 2
+    for before, after in zip(seen[:half], seen[half:], strict=True):
+        np.testing.assert_allclose(_flat(before), _flat(after), atol=1e-5)
+
+
+def _flat(observation):
+    values = observation.values() if isinstance(observation, dict) else [observation]
+    return np.concatenate([np.ravel(value) for value in values])
+
+
+def test_cells_are_those_whose_centre_is_on_a_lane_in_the_egos_direction():
+    roundabout = World("roundabout-v1").road
+    assert roundabout.start_lanes == (1,)
+    assert roundabout.cells(roundabout.start, 1, 8.0) == {2, 6}  # before the circle there is one lane
+    in_the_circle = roundabout.start + 45
+    assert roundabout.cells(in_the_circle, 1, 8.0) == {1, 2, 6, 7, 8}  # the inner lane is to the left
+    merge = World("merge-v1").road
+    assert merge.cells(merge.start, 1, 8.0) == {1, 2, 6, 7, 8}
+    assert merge.cells(250.0, 1, 8.0) == {1, 2, 3, 4, 5, 6, 7, 8}  # beside the lane that ends
+    assert merge.cells(305.0, 1, 8.0) == {1, 2, 4, 5, 6, 7, 8}
+    assert merge.cells(3.0, 1, 8.0) == {1, 2, 8}  # nothing is behind the beginning of the road
+    two_way = World("two-way-v0").road
+    assert two_way.cells(100.0, 1, 8.0) == {1, 2, 6, 7, 8}  # the oncoming lane lies on the left one
+
+
+def test_more_npcs_than_cells_at_the_start_is_an_error_that_says_so():
+    world = World("roundabout-v1")
+    with pytest.raises(ScenarioError, match="npcs: expected at most 2 NPCs, one per cell that exists beside lane 1"):
+        world.rollout(hold(world, 2, 6, 7), idm)
+    with pytest.raises(ScenarioError, match="ego_lane: expected a lane that exists where the ego starts, 1, rec"):
+        world.rollout(hold(world, 2, ego_lane=0), idm)
+
+
+def test_lane_instructions_are_refused_where_a_road_is_not_straight():
+    world = World("merge-v1")
+    given = Scenario(npcs=[[LaneInstruction("left", 8.0)]], ego_lane=1, ego_speed=20.0, gene_seconds=1.0)
+    with pytest.raises(WorldError, match="expected Position-Instructions on a road that is not straight"):
+        world.rollout(given, idm)
+
+
+def test_ring_steps_skip_cells_that_do_not_exist():
+    """On the single lane before the roundabout a step from 2 to 3 leads to 6."""
+    world = World("roundabout-v1", duration=4.0)
+    chain = [PositionInstruction(2, 8.0), PositionInstruction(3, 8.0)]
+    fields = {"ego_lane": 1, "ego_speed": 1.0, "gene_seconds": 2.0}
+    trace = world.rollout(Scenario(npcs=[chain], **fields), constant)
+    assert trace.driven == ((2, 6),)
+    assert trace.executed.npcs == (tuple(chain),)  # no chain steps from 2 to 6
+    assert [gene.cell for gene in trace.chains[0]] == [2, 6]
+
+
+def test_npcs_never_exceed_what_bends_allow():
+    """The outer bend of the racetrack has a radius of 20 m: 4 m/s^2 allow 8.9 m/s, while the ego drives 10."""
+    world = World("racetrack-v1", duration=40.0)
+    trace = world.rollout(hold(world, 2, speed=10.0), idm)
+    speeds = trace.npcs[:-1, 0, SPEED]
+    turning = abs(np.diff(np.unwrap(trace.npcs[:, 0, HEADING]))) * trace.physics_hz
+    in_the_bend = speeds[turning > speeds / 25]
+    assert len(in_the_bend) > 100
+    assert 5.0 < in_the_bend.max() < 8.95
+
+
+@pytest.mark.parametrize("env_id", ["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"])
+def test_npcs_keep_to_the_centre_of_their_lane_in_bends(env_id):
+    world = World(env_id, duration=25.0)
+    trace = world.rollout(hold(world, 6, speed=6.0), constant)
+    assert np.ptp(np.unwrap(trace.npcs[:, 0, HEADING])) > 0.7
+    assert abs(trace.track[:, 1, OFFSET]).max() < 0.25
+
+
+def test_the_way_is_the_egos_route_and_else_what_highway_envs_vehicles_choose():
+    assert ("ir0", "il1") in World("intersection-v0").road.sections  # planned, to the left
+    assert ("ir0", "il2") in World("intersection-v1").road.sections  # straight on
+    assert ("nx", "nxs") in World("roundabout-v1").road.sections
+    assert ("2", "3") in World("exit-v1").road.sections
+
+
+def test_behind_the_ego_the_way_is_that_by_which_it_came():
+    """On a circuit NPCs behind the ego are on the lanes that lead to its start."""
+    road = World("racetrack-v1").road
+    assert road.start > 150
+    x, y, _ = road.position(road.start - 60, road.ego_lane)
+    x0, y0, _ = road.position(road.start, road.ego_lane)
+    assert math.hypot(x - x0, y - y0) < 60
+
+
+def test_the_speed_limit_is_that_of_the_lane_or_the_egos_first_speed():
+    assert World("merge-v1").speed_limit == 30.0  # the lanes' is 20
+    assert World("racetrack-v1").speed_limit == 10.0
+    assert World("exit-v1").speed_limit == 26.0
+
+
+def test_a_run_lasts_as_long_as_the_shortest_of_option_environment_and_road():
+    assert World("roundabout-v1").longest_run == 11.0
+    assert World("roundabout-v1", duration=5.0).longest_run == 5.0
+    assert World("roundabout-v1", duration=50.0).longest_run == 11.0
+    assert World("merge-v1").longest_run == pytest.approx((460 - 30) / 30)
+    assert World("racetrack-v1").longest_run == 60.0
+
+
+def test_the_end_of_the_road_ends_a_run():
+    world = World("merge-v1")
+    trace = world.rollout(hold(world, 1, speed=30.0, gene_seconds=30.0), constant)
+    assert trace.outcome is Outcome.END_OF_ROAD
+    assert trace.track[:, :, ALONG].max() == pytest.approx(460 - 2.5, abs=2.5)
+    assert "when a vehicle came to the end of the road" in Run(trace).explain()
+
+
+def test_leaving_the_road_ends_a_run():
+    world = World("racetrack-v1", config={"action": {"type": "ContinuousAction"}})
+    trace = world.rollout(hold(world, 8), lambda: lambda observation: np.array([0.0, 0.0]))
+    assert trace.outcome is Outcome.OFF_ROAD
+    assert trace.off_road_tick == trace.ticks
+    assert trace.ego[-1, LANE] == -1
+
+
+def test_leaving_the_route_ends_a_run():
+    """The ego turns right where its route goes left."""
+    world = World("intersection-v0")
+
+    class TurnsRight(ControlledVehicle):
+        def follow_road(self):
+            self.route = [("ir0", "il3", 0), ("il3", "o3", 0)]
+            super().follow_road()
+
+    trace = world.rollout(hold(world, 6, speed=5.0), lambda: TurnsRight)
+    assert trace.outcome is Outcome.LEFT_ROUTE
+    assert trace.ego[-1, LANE] >= 1
+    assert "when the ego left its route" in Run(trace).explain()
+
+
+def test_lanes_of_a_trace_index_its_lanes_and_curved_ones_have_points():
+    world = World("racetrack-v1", duration=20.0)
+    trace = world.rollout(hold(world, 1, 7), idm)
+    for vehicle in range(3):
+        for tick in range(0, trace.ticks, 30):
+            lane = trace.lanes[int(trace.states[tick, vehicle, LANE])]
+            points = np.array(lane.points)
+            distance = np.hypot(*(points - trace.states[tick, vehicle, :2]).T).min()
+            assert distance <= lane.width / 2 + 1.0
+    assert all(lane.points == () for lane in World("merge-v1").road.lanes[:3])
+
+
+@pytest.mark.usefixtures("registered")
+def test_headway_is_along_the_road_and_not_through_the_bend():
+    """Two seconds at 10 m/s and a vehicle's length, on a lane with a radius of 46 m."""
+    world = World("OwnCircuit-v0")
+    trace = world.rollout(hold(world, 2, speed=10.0), constant)
+    chord = 2 * 46 * math.sin(25 / 46 / 2)
+    assert np.hypot(*(trace.npcs[0, 0, :2] - trace.ego[0, :2])) == pytest.approx(chord, abs=0.02)
+    assert criticality.Encounters(trace).ahead[0, 0] == pytest.approx(25, abs=0.05)
+    assert criticality.longitudinal_gap(trace)[0, 0] == pytest.approx(20, abs=0.15)
+
+
+def test_reference_drivers_follow_the_road():
+    world = World("u-turn-v1")
+    trace = world.rollout_reference(hold(world, 4, speed=5.0), "idm-aeb")
+    assert abs(trace.track[:, 0, OFFSET]).max() < 1.0
+    assert trace.track[-1, 0, ALONG] > 120
+    assert np.ptp(trace.track[:, 0, ACROSS]) < 1.0
+
+
+class OwnCircuit(AbstractEnv):
+    """A user's environment: two lanes around a circle, and nothing of highway-env's but its road."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 6, 12]}}
+
+    def _reset(self):
+        network = RoadNetwork()
+        for node, after, start in (("n", "s", 0.0), ("s", "n", math.pi)):
+            for radius in (50, 46):  # clockwise on the screen, so that the outer lane is the left one
+                network.add_lane(node, after, CircularLane([0, 0], radius, start, start + math.pi, speed_limit=12))
+        self.road = Road(network, np_random=self.np_random)
+        lane = network.get_lane(("n", "s", 1))
+        ego = self.action_type.vehicle_class(self.road, lane.position(30, 0), lane.heading_at(30), 10.0)
+        self.road.vehicles.append(ego)
+        self.vehicle = ego
+
+    def _reward(self, action):
+        return 0.0
+
+    def _is_terminated(self):
+        return False
+
+    def _is_truncated(self):
+        return False
+
+
+class OwnDeadEnd(OwnCircuit):
+    """The road ends in front of the ego."""
+
+    def _reset(self):
+        network = RoadNetwork()
+        network.add_lane("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))
+        self.road = Road(network, np_random=self.np_random)
+        self.vehicle = self.action_type.vehicle_class(self.road, [27.0, 36.0], math.atan2(4, 3), 10.0)
+        self.road.vehicles.append(self.vehicle)
+
+
+@pytest.fixture
+def registered():
+    ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd}
+    for env_id, entry_point in ids.items():
+        gymnasium.register(id=env_id, entry_point=entry_point)
+    yield
+    for env_id in ids:
+        del gymnasium.registry[env_id]
+
+
+@pytest.mark.usefixtures("registered")
+def test_an_environment_of_ones_own_works_the_same():
+    world, rng = World("OwnCircuit-v0", duration=30.0), np.random.default_rng(0)
+    assert world.lanes == 2
+    assert world.start == (1, 10.0)
+    for ego in (idm, constant, lambda: lambda observation: 1):
+        trace = world.rollout(sample(space_of(world), rng), ego)
+        assert violations(trace, world) == []
+        again = replay_in_gym(world, trace.executed, ego)
+        assert disagreement(Run(trace), Run(again)) == ""
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_road_that_ends_in_front_of_the_ego_is_refused():
+    with pytest.raises(WorldError, match="OwnDeadEnd-v0: expected a road that goes on from where the ego starts"):
+        World("OwnDeadEnd-v0").check()
