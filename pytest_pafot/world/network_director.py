@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.grid import Cell
@@ -14,6 +16,13 @@ from pytest_pafot.world.network_road import NetworkRoad
 
 LOOK_AHEAD = 3.0
 """For how long a lane must go on to be entered, and from how long before its end on it is left [s]."""
+HEADING_SHARE = 0.9
+"""Share of the largest angle to a lane that is used to the lane that an NPC steers to: the one beside it, in which it
+still is, does not point exactly the same way where bends begin and end."""
+CHANGING_SHARE = 0.3
+"""Share of the lateral acceleration that following a bend may take of an NPC that speeds up while it changes lanes."""
+BETWEEN_LANES = 0.5
+"""How far from the centre of the lane that it steers to an NPC still changes lanes [m]."""
 
 
 class NetworkDirector(Director):
@@ -35,11 +44,13 @@ class NetworkDirector(Director):
     def __init__(
         self, scenario: Scenario, road: NetworkRoad, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
     ) -> None:
-        super().__init__(scenario, road, limits, **common)
+        narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
+        super().__init__(scenario, road, narrower, **common)
         self.skips = True
         self._network = road
         self._start_cells = start_cells
         self._jerk = limits.jerk
+        self._lateral = limits.lateral_acceleration
         self._dt = 1 / common["physics_hz"]
 
     @property
@@ -79,9 +90,20 @@ class NetworkDirector(Director):
         gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
         for lane in (npc.lane, goal):
             wanted = min(wanted, self._network.speed_at(lane, npc.x) - gained)
+        wanted = min(wanted, max(npc.speed, self._changing_speed(npc, goal)))
         npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         self._steer(npc, goal)
+
+    def _changing_speed(self, npc: Npc, goal: int) -> float:
+        """Up to which an NPC speeds up now [m/s]: turned outwards in a bend, it must still be able to turn back."""
+        if abs(npc.y - self._network.centre(goal)) <= BETWEEN_LANES:
+            return math.inf
+        return math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
+
+    def _sharpest(self, npc: Npc, goal: int) -> float:
+        """Curvature of the sharpest bend of a lane that an NPC meets in a lane change [1/m]."""
+        return self._network.columns[goal].sharpest[self._network.point(npc.x)]
 
     def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
         """The lane to steer to, and the speed that the instruction asks for."""
@@ -136,6 +158,6 @@ class NetworkDirector(Director):
             npc.speed,
             lean,
             later_direction + later_lean - direction - lean,
-            network.columns[goal].sharpest[network.point(npc.x)],
+            self._sharpest(npc, goal),
         )
         npc.course = driver.course + direction

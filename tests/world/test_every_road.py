@@ -18,10 +18,10 @@ from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.findings.run import Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import sample
-from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome
+from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.confirm import replay_in_gym
-from tests.support.road_cases import ENVIRONMENTS, space_of, violations
+from tests.support.road_cases import ENVIRONMENTS, off_lanes, space_of, violations
 
 
 def hold(world, *cells, speed=8.0, genes=1, **fields):
@@ -51,6 +51,34 @@ def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
         assert again.executed == trace.executed
         assert again.driven == trace.driven
         assert again.states.tobytes() == trace.states.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("seed", "cells", "speeds"),
+    [
+        # An NPC starts to change lanes at 5 m/s, and could drive 10 m/s in the bend: it must not, turned outwards.
+        (
+            65554407,
+            ([3, 2, 3, 4, 3, 4], [4, 3, 2, 3, 2, 3]),
+            ([4.5, 8.1, 6.9, 1.8, 7.7, 3.9], [2.1, 8.1, 6.9, 4.9, 7.7, 3.9]),
+        ),
+        # An NPC changes lanes where the bend of one of them begins later than that of the other.
+        (
+            974133204,
+            ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
+            ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
+        ),
+    ],
+)
+def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
+    world = World("racetrack-v1")
+    chains = [
+        [PositionInstruction(cell, speed) for cell, speed in zip(*chain, strict=True)]
+        for chain in zip(cells, speeds, strict=True)
+    ]
+    trace = world.rollout(Scenario(npcs=chains, seed=seed, ego_speed=10.0), idm)
+    assert violations(trace, world) == []
+    assert off_lanes(world.network, trace) < 0.1
 
 
 @pytest.mark.parametrize("env_id", ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"])
@@ -288,9 +316,26 @@ class OwnDeadEnd(OwnCircuit):
         self.road.vehicles.append(self.vehicle)
 
 
+class OwnTaper(OwnCircuit):
+    """The right one of two straight lanes ends, and nothing else happens."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "taper": 60.0}
+
+    def _reset(self):
+        network, end = RoadNetwork(), self.config["taper"]
+        network.add_lane("a", "b", StraightLane([0, 0], [end, 0], speed_limit=30))
+        network.add_lane("a", "b", StraightLane([0, 4], [end, 4], speed_limit=30))
+        network.add_lane("b", "c", StraightLane([end, 0], [end + 600, 0], speed_limit=30))
+        self.road = Road(network, np_random=self.np_random)
+        self.vehicle = self.action_type.vehicle_class(self.road, [20.0, 0.0], 0.0, 6.0)
+        self.road.vehicles.append(self.vehicle)
+
+
 @pytest.fixture
 def registered():
-    ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd}
+    ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd, "OwnTaper-v0": OwnTaper}
     for env_id, entry_point in ids.items():
         gymnasium.register(id=env_id, entry_point=entry_point)
     yield
@@ -308,6 +353,36 @@ def test_an_environment_of_ones_own_works_the_same():
         assert violations(trace, world) == []
         again = replay_in_gym(world, trace.executed, ego)
         assert disagreement(Run(trace), Run(again)) == ""
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize(
+    ("speed", "taper", "does_enter"),
+    [(6.0, 100.0, False), (6.0, 130.0, True), (25.0, 350.0, False), (25.0, 500.0, True)],
+)
+def test_a_lane_that_ends_is_entered_only_with_room_to_drive_and_to_brake_in_it(speed, taper, does_enter):
+    """Slow NPCs must have three seconds before its end, fast ones as much as it takes to stop gently."""
+    world = World("OwnTaper-v0", config={"taper": taper}, duration=13.0)
+    chain = [PositionInstruction(2, speed), PositionInstruction(3, speed)]
+    given = Scenario(npcs=[chain], ego_lane=0, ego_speed=speed, gene_seconds=8.0)
+    trace = world.rollout(given, constant)
+    assert bool(trace.npcs[:, 0, Y].max() > 2.0) == does_enter
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_lane_that_ends_is_left_before_it_does():
+    world = World("OwnTaper-v0", config={"taper": 150.0}, duration=16.0)
+    trace = world.rollout(hold(world, 3, speed=10.0, ego_lane=0, ego_speed=10.0), constant)
+    assert trace.npcs[0, 0, Y] == pytest.approx(4.0)
+    assert trace.npcs[-1, 0, :2] == pytest.approx([185.0, 0.0], abs=15.0)
+
+
+@pytest.mark.usefixtures("registered")
+def test_where_the_lane_of_its_cell_is_gone_an_npc_keeps_its_own_and_takes_the_genes_speed():
+    world = World("OwnTaper-v0", config={"taper": 60.0}, duration=12.0)
+    trace = world.rollout(hold(world, 3, speed=14.0, ego_lane=0, ego_speed=10.0), constant)
+    assert trace.arrivals == ((None,),)
+    assert trace.npcs[-1, 0, SPEED] == pytest.approx(14.0, abs=0.2)
 
 
 @pytest.mark.usefixtures("registered")
