@@ -133,7 +133,8 @@ class Trace:
         actions: what the ADS returned, one per decision.
         arrivals: per NPC and gene that was started, the tick at which the cell was reached, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
-        max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
+        max_decision_seconds: longest decision of the ADS in wall-clock time [s], of those that it was asked for; not
+            reproducible.
         track: on roads that are not straight, where the vehicles are on the road; float64, read-only, shape
             [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
             [rad], offset to the centre of the own lane [m], metres driven there per metre of the way (more outside of a

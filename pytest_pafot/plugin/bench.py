@@ -85,15 +85,18 @@ class Bench:
         __tracebackhide__ = True
         return self.seen(self.rolled_out(scenario, world), world)
 
-    def rolled_out(self, scenario: Scenario, world: Any, ads: Callable[..., Any] | None = None) -> Trace:
-        """The same, as its trace alone; the ADS is the item's unless given.
+    def rolled_out(
+        self, scenario: Scenario, world: Any, ads: Callable[..., Any] | None = None, decisions: Sequence[Any] = ()
+    ) -> Trace:
+        """The same, as its trace alone; the ADS is the item's unless given, and not asked for given decisions.
 
         Raises:
             RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
         with self._refusals():
-            trace: Trace = world.rollout(scenario, ads or self.ads)
+            given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
+            trace: Trace = world.rollout(scenario, ads or self.ads, **given)
         return trace
 
     def rolled_out_together(self, scenarios: Sequence[Scenario]) -> list[Trace]:
@@ -118,6 +121,15 @@ class Bench:
 
         is_asked = not is_vehicle_class(self.ads) and not wants_env(self.ads)
         return is_asked and self.request.decision_limit is None and hasattr(self.world, "rollout_batch")
+
+    @property
+    def can_resume(self) -> bool:
+        """Whether decisions of a pure ADS could be taken from earlier runs.
+
+        Only in a world that takes decisions, and not where decisions have a limit of time: those tell none.
+        """
+        takes = "decisions" in inspect.signature(self.world.rollout).parameters
+        return takes and self.request.decision_limit is None
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:

@@ -23,6 +23,7 @@ from pytest_pafot.plugin.oracle import Verdict
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
 from pytest_pafot.plugin.request import RequestError, build_space
+from pytest_pafot.plugin.resuming import Resuming
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
@@ -48,6 +49,7 @@ class Watched:
     bench: Bench
     flight: InFlight
     ahead: LockStep
+    resuming: Resuming
 
     @classmethod
     def of(cls, bench: Bench, flight: InFlight) -> Watched:
@@ -59,24 +61,41 @@ class Watched:
             return bench.rolled_out_together(scenarios)
 
         is_wanted = None if bench.can_lock_step else False
-        return cls(bench, flight, LockStep(apart=ahead_of(bench), together=together, is_wanted=is_wanted))
+        ahead = LockStep(apart=ahead_of(bench), together=together, is_wanted=is_wanted)
+        return cls(bench, flight, ahead, Resuming(is_wanted=None if bench.can_resume else False))
 
     def run(self, scenario: Scenario) -> Run:
-        """One run, whose verdict follows.
+        """One run, whose verdict follows; what a pure ADS decides may be known from earlier ones.
 
         Raises:
             ProcessLostError: where another process made it, and did not come back.
         """
         __tracebackhide__ = True
-        trace = self.ahead.run(scenario, self._run_here)
+        return self._made(scenario, lambda each: self._run_here(each, self.resuming.decisions(each)))
+
+    def afresh(self, scenario: Scenario) -> Run:
+        """The same, with the ADS asked for every decision."""
+        __tracebackhide__ = True
+        return self._made(scenario, self._run_here)
+
+    def _made(self, scenario: Scenario, here: Callable[[Scenario], Trace]) -> Run:
+        __tracebackhide__ = True
+        trace = self.ahead.run(scenario, here)
         self.flight.record(scenario)
+        if not self.ahead.was_together(trace):  # what is decided for many at once is not relied on
+            self.resuming.remember(trace)
         return self.bench.seen(trace, self.bench.world)
 
-    def _run_here(self, scenario: Scenario) -> Trace:
+    def _run_here(self, scenario: Scenario, decisions: Sequence[Any] = ()) -> Trace:
         __tracebackhide__ = True
         self.flight.record(scenario)
-        ads = noted(self.bench.ads, self.ahead.saw) if self.ahead.is_wanted is None else None
-        return self.bench.rolled_out(scenario, self.bench.world, ads)
+        is_known = None not in (self.ahead.is_wanted, self.resuming.is_wanted)
+        ads = None if is_known else noted(self.bench.ads, self._saw)
+        return self.bench.rolled_out(scenario, self.bench.world, ads, decisions)
+
+    def _saw(self, ads: Any) -> None:
+        self.ahead.saw(ads)
+        self.resuming.saw(ads)
 
     def judge(self, run: Run) -> Verdict:
         """The verdict on the last run."""
@@ -88,7 +107,7 @@ class Watched:
     def alone(self, run: Run) -> Run | None:
         """The last run again by itself, where it took place together with others."""
         __tracebackhide__ = True
-        return self.run(run.trace.scenario) if self.ahead.was_together(run.trace) else None
+        return self.afresh(run.trace.scenario) if self.ahead.was_together(run.trace) else None
 
     def retry(self, leftover: Leftover) -> None:
         """Run by itself what was in lock step when a process died, so that a second death has one name."""
@@ -99,9 +118,9 @@ class Watched:
             self.rerun(scenario)
 
     def rerun(self, scenario: Scenario) -> Run:
-        """One run without a verdict."""
+        """One run without a verdict, with the ADS asked for every decision."""
         __tracebackhide__ = True
-        run = self.run(scenario)
+        run = self.afresh(scenario)
         self.flight.clear()
         return run
 
@@ -224,6 +243,7 @@ class Searching:
             bench=self.bench,
             keeper=keeper,
             run=watched.run,
+            afresh=watched.afresh,
             judge=watched.judge,
             lethal=hunt.lethal,
             rollouts=settings.shrink_rollouts,

@@ -33,6 +33,7 @@ class Shrinking:
         bench: of the item.
         keeper: of the finds.
         run: simulates a scenario; the scenario is on disk while it does.
+        afresh: the same with the ADS asked for every decision, for what is saved.
         judge: says what the test function makes of a run; likewise.
         lethal: scenarios in which a process died; they are not run.
         rollouts: that each find may take.
@@ -45,6 +46,7 @@ class Shrinking:
     bench: Bench
     keeper: Keeper
     run: Callable[[Scenario], Run]
+    afresh: Callable[[Scenario], Run]
     judge: Callable[[Run], Verdict]
     lethal: frozenset[Scenario]
     rollouts: int
@@ -69,12 +71,12 @@ class Shrinking:
         before = kept.finding
         shrunk = self._shrunk(kept)
         self.runs += shrunk.rollouts
-        run, verdict = self._tried(shrunk.scenario)
+        run, verdict = self._tried(shrunk.scenario, self.afresh)
         differs = self._difference(before, run, verdict)
         if differs and shrunk.scenario != before.scenario:
             # The simplification does not hold; what was found does, or is flaky itself.
             shrunk = Shrunk(scenario=before.scenario, rollouts=shrunk.rollouts, is_minimal=False)
-            run, verdict = self._tried(before.scenario)
+            run, verdict = self._tried(before.scenario, self.afresh)
             differs = self._difference(before, run, verdict)
         if differs:
             self._call_flaky(kept, differs)
@@ -92,7 +94,7 @@ class Shrinking:
                 return None
             spent += 1
             self.tell(f"shrinking {kept.find.id}, run {spent} of {self.rollouts}")
-            run, verdict = self._tried(candidate)
+            run, verdict = self._tried(candidate, self.run)
             is_same = verdict.failure is not None and of_failure(run, verdict.failure) == signature
             if not is_same:
                 return None
@@ -113,9 +115,9 @@ class Shrinking:
         self.is_cut = self.is_cut or (shrunk.rollouts < self.rollouts and self.is_over())
         return shrunk
 
-    def _tried(self, scenario: Scenario) -> tuple[Run, Verdict]:
+    def _tried(self, scenario: Scenario, simulate: Callable[[Scenario], Run]) -> tuple[Run, Verdict]:
         __tracebackhide__ = True
-        run = self.run(scenario)
+        run = simulate(scenario)
         return run, self.judge(run)
 
     def _difference(self, finding: Finding, run: Run, verdict: Verdict) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import Any
+from typing import Any, cast
 
 from highway_env.road.road import Road
 
@@ -24,7 +24,11 @@ from pytest_pafot.world.vehicles import Car
 
 
 def run(
-    rules: Rules, scenario: Scenario, road: Road, make_ego: Callable[[tuple[float, float, float]], EgoDriver]
+    rules: Rules,
+    scenario: Scenario,
+    road: Road,
+    make_ego: Callable[[tuple[float, float, float]], EgoDriver],
+    decisions: Sequence[Any] = (),
 ) -> Trace:
     """Simulate one scenario.
 
@@ -33,8 +37,14 @@ def run(
         scenario: checked against the world.
         road: fresh, without vehicles; they are added with the ego first.
         make_ego: from the ego's start to its driver; called before the NPCs exist.
+        decisions: the first ones of the run, which the driver, an :class:`AskedDriver`, is not asked for.
     """
     traffic = _started(rules, scenario, road, make_ego(_ego_start(rules, scenario)))
+    for decision in decisions:
+        traffic.record.actions.append(cast("AskedDriver", traffic.driver).apply(decision))
+        ended = _driven(rules, scenario, traffic, None)
+        if ended is not None:
+            return ended
     with HangGuard(rules.hang_limit) as guard:
         while True:
             error = decide(traffic.driver, traffic.record.tick, traffic.record, guard)

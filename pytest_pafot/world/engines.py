@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from pytest_pafot.world.modelled import idm_model
 from pytest_pafot.world.rules import Rules
 
 
-def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any) -> Trace:
+def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
     """Run a scenario on a Highway.
 
     Args:
@@ -27,12 +27,19 @@ def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any) -> Trac
         rules: its rules, or others.
         scenario: checked against the world.
         ads: fresh: a callable from an observation to an action, or a vehicle class.
+        decisions: the first ones of the run, which a callable is not asked for.
 
     Raises:
-        WorldError: when the world insists on the kernel, and that cannot drive this ego.
+        WorldError: when the world insists on the kernel, and that cannot drive this ego; and for decisions in the place
+            of a vehicle class.
     """
     if not is_vehicle_class(ads):
-        return planned(world, rules, scenario, ads)
+        return planned(world, rules, scenario, ads, decisions)
+    if decisions:
+        raise WorldError(
+            f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
+            f"received {len(decisions)}; leave them out"
+        )
     model = None if world.engine == "highway-env" else idm_model(ads)
     if model is not None:
         return run_model(rules, scenario, model)
@@ -45,12 +52,14 @@ def simulate(world: Highway, rules: Rules, scenario: Scenario, ads: Any) -> Trac
     return _by_highway_env(rules, world.network, scenario, ads)
 
 
-def planned(world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observation], Any]) -> Trace:
+def planned(
+    world: Any, rules: Rules, scenario: Scenario, ads: Callable[[Observation], Any], decisions: Sequence[Any] = ()
+) -> Trace:
     """Run a scenario on the road of any world, with a callable from an observation to an action in SI units."""
     insists = isinstance(world, Highway) and world.engine == "highway-env"
     if insists or not rules.straight.starts_at_origin:
-        return _by_highway_env(rules, world.network, scenario, ads)
-    return run_planner(rules, scenario, ads)
+        return _by_highway_env(rules, world.network, scenario, ads, decisions)
+    return run_planner(rules, scenario, ads, decisions)
 
 
 def stepped(world: Highway, scenario: Scenario, guard: HangGuard) -> Stepped:
@@ -63,7 +72,7 @@ def stepped(world: Highway, scenario: Scenario, guard: HangGuard) -> Stepped:
     return engine.SteppedRun(world.rules, scenario, road, partial(_planner, world.rules, scenario, road, None), guard)
 
 
-def _by_highway_env(rules: Rules, network: Any, scenario: Scenario, ads: Any) -> Trace:
+def _by_highway_env(rules: Rules, network: Any, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
     from pytest_pafot.world.engine import run  # noqa: PLC0415
 
     road = _road(network, scenario)
@@ -73,7 +82,7 @@ def _by_highway_env(rules: Rules, network: Any, scenario: Scenario, ads: Any) ->
             return SelfDriving(ads, road, start, scenario.ego_speed)
         return _planner(rules, scenario, road, ads, start)
 
-    return run(rules, scenario, road, make_ego)
+    return run(rules, scenario, road, make_ego, decisions)
 
 
 def _road(network: Any, scenario: Scenario) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
@@ -20,13 +20,14 @@ from pytest_pafot.world.record import Record
 from pytest_pafot.world.rules import NPC_LENGTH, NPC_WIDTH, Rules, start_positions
 
 
-def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any]) -> Trace:
+def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], decisions: Sequence[Any] = ()) -> Trace:
     """Simulate one scenario with a callable from an observation to (acceleration [m/s^2], steering [rad]).
 
     Args:
         rules: of the world.
         scenario: checked against the world.
         ads: fresh.
+        decisions: the first ones of the run, which the ADS is not asked for.
     """
     ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
     ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
@@ -34,7 +35,7 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any]) -> 
     scene = _scene(rules, record)
     every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
     with HangGuard(rules.hang_limit) as guard:
-        pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt)
+        pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt, decisions=decisions)
         error = loop.run(pilot, rules.ticks(scenario))
     record.actions, record.slowest = pilot.actions, pilot.slowest
     return _finished(record, loop, error)

@@ -90,23 +90,27 @@ class Highway(References):
         """How long a run lasts that nothing ends early [s]."""
         return self.duration
 
-    def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
         """Simulate a scenario with a fresh ADS.
 
         Args:
             scenario: to run; checked against this world.
             ads_factory: called once, gives the ADS.
+            decisions: the first decisions of the run, which the ADS is not asked for, as ``Trace.actions`` has them;
+                more than the run comes to are no fault.
 
         Raises:
             ScenarioError: when the scenario does not fit this world.
             AdsFactoryError: when the factory gives nothing that can drive here.
+            BadAction: when one of the decisions is no pair of finite numbers.
+            WorldError: for decisions in the place of a vehicle class, which returns none.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
         from pytest_pafot.world.ads import made  # noqa: PLC0415
         from pytest_pafot.world.engines import simulate  # noqa: PLC0415
 
         self._check(scenario, ads_factory)
-        return simulate(self, self.rules, scenario, made(ads_factory))
+        return simulate(self, self.rules, scenario, made(ads_factory), decisions)
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.

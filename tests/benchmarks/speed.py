@@ -1,6 +1,6 @@
 """How fast a world runs, and where the time goes. One command for all figures of docs/explanation.md, section Speed:
 
-    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch start memory comparison]
+    python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch pure start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, by highway-env's objects, and by the kernel compiled and
@@ -9,6 +9,7 @@
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: what the search, the fitness and the bookkeeping cost beside the rollouts.
 - ``batch``: runs in lock step, with policies that decide for all of them at once, against one by one.
+- ``pure``: searches with a policy of 1 ms that is declared pure, against the same that is asked for everything.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
 - ``memory``: of this process over 10,000 scenarios.
 - ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
@@ -35,8 +36,17 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario, Trace
-from pytest_pafot.searching import Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign, sample
+from pytest_pafot.searching import (
+    Evaluation,
+    PafotSearch,
+    RandomSearch,
+    SearchSpace,
+    algorithm_named,
+    run_campaign,
+    sample,
+)
 from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.prefixes import Prefixes
 from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world import kernel
 from tests.benchmarks.crowd import crowd
@@ -329,6 +339,61 @@ def one_by_one(world: Highway, scenarios: list[Scenario], factory: Callable[[], 
     return [world.rollout(scenario, factory) for scenario in scenarios]
 
 
+class Slow:
+    """A pure policy of 1 ms, which follows what is ahead."""
+
+    def __call__(self, observation: Any) -> tuple[float, float]:
+        """One decision."""
+        until = time.perf_counter() + 1e-3
+        while time.perf_counter() < until:
+            pass
+        return small_python()(observation)
+
+
+def pure(rounds: int) -> None:
+    """Part ``pure``."""
+    print(f"\ndecisions of a pure policy of 1 ms taken from earlier runs, {KERNEL}, 20 generations, 15/5 Hz")
+    for name in ("pafot", "distinct"):
+        shares, ratios, times = [], [], []
+        for seed in range(rounds):
+            seconds, asked, history = _searched(name, seed, resumed=False)
+            seconds_resumed, asked_resumed, history_resumed = _searched(name, seed, resumed=True)
+            assert history_resumed == history, "the searches differ"
+            shares.append(1 - asked_resumed / asked)
+            ratios.append(seconds / seconds_resumed)
+            times.append((seconds, seconds_resumed))
+        before, after = (statistics.median(column) for column in zip(*times, strict=True))
+        print(
+            f"  {name:10} {statistics.median(shares):6.1%} of the decisions saved, {before:6.2f} s without, "
+            f"{after:6.2f} s with, {statistics.median(ratios):5.2f} x as fast"
+        )
+
+
+def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[str]]:
+    """Processor time [s] of a search, decisions asked for, and what each run showed."""
+    world, fitness, prefixes = Highway(), resolve("default"), Prefixes()
+    asked, history = 0, []
+
+    def evaluate(scenarios: Any) -> list[Evaluation]:
+        nonlocal asked
+        done = []
+        for scenario in scenarios:
+            decisions = prefixes.recall(scenario) if resumed else ()
+            trace = world.rollout(scenario, Slow, decisions=decisions)
+            if resumed:
+                prefixes.remember(trace)
+            asked += max(len(trace.actions) - len(decisions), 0)
+            history.append(hashlib.sha256(trace.states.tobytes()).hexdigest())
+            done.append(Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION))
+        return done
+
+    started = time.process_time()
+    algorithm = algorithm_named(name, SearchSpace(), population=4)
+    for _ in run_campaign(algorithm, evaluate, generations=20, seed=seed):
+        pass
+    return time.process_time() - started, asked, history
+
+
 def start(rounds: int) -> None:
     """Part ``start``."""
     first_run = (
@@ -396,7 +461,7 @@ def _compared(job: tuple[str, int]) -> int:
 
 
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "start": start,
+    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "pure": pure, "start": start,
     "memory": memory, "comparison": comparison,
 }  # fmt: skip
 

@@ -35,8 +35,10 @@ cdef class GivenPilot(Pilot):
 cdef class PlannerPilot(GivenPilot):
     cdef object _ads, _guard, _clock
     cdef Scene _scene
+    cdef tuple _decisions
+    cdef Py_ssize_t _given
 
-    @cython.locals(started=double, seconds=double)
+    @cython.locals(started=double, seconds=double, taken=Py_ssize_t)
     cpdef decide(self, int tick)
 
 @cython.final

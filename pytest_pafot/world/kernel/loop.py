@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pytest_pafot.trace import AdsError
@@ -109,6 +109,7 @@ class PlannerPilot(GivenPilot):
         guard: of its decisions.
         every: physics ticks from one decision to the next.
         dt: physics tick [s].
+        decisions: the first ones, which the callable is not asked for.
     """
 
     def __init__(
@@ -120,15 +121,26 @@ class PlannerPilot(GivenPilot):
         *,
         every: int,
         dt: float,
+        decisions: Sequence[Any] = (),
     ) -> None:
         super().__init__(ego, every=every, dt=dt)
+        self._decisions = tuple(decisions)
+        self._given = len(self._decisions)
         self._ads = ads
         self._scene = scene
         self._guard = guard
         self._clock = guard.clock
 
     def decide(self, tick: int) -> AdsError | None:
-        """Observe, ask under guard, check and apply."""
+        """Observe, ask under guard, check and apply; or apply what was decided before.
+
+        Raises:
+            BadAction: when what was decided before is none.
+        """
+        taken = len(self.actions)
+        if taken < self._given:
+            self.take(self._decisions[taken], 0.0)
+            return None
         guard = self._guard
         started = self._clock()
         try:

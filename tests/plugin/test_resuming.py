@@ -1,0 +1,163 @@
+"""A search with an ADS that is declared pure asks it less, and finds and saves what it would have without."""
+
+import re
+import sys
+
+import pytest
+
+from pytest_pafot.plugin.resuming import Resuming
+
+PLANNERS = """
+class Planner:
+    def __init__(self):
+        self.decisions = 0
+
+    def __call__(self, observation):
+        calls.append("call")
+        self.decisions += 1
+        return self.decided(observation)
+
+    def decided(self, observation):
+        return (0.3 - 0.01 * (observation.ego.speed - 20.0), 0.0)
+
+class Pure(Planner):
+    pure = True
+
+calls = []
+"""
+
+SEARCH = """
+@pafot.search(genes=4, gene_seconds=3, ads=ADS, shrink_rollouts=12)
+def test_keeps_its_distance(run):
+    assert run.min_distance > 1.0
+
+def test_calls():
+    print("calls:", len(calls))
+"""
+
+
+def searched(project, ads, source=PLANNERS + SEARCH, args=()):
+    """The finds of a search as saved, the number of decisions, and what was printed."""
+    project.write(source.replace("ads=ADS", f"ads={ads}"))
+    output = project.run("-s", *args, generations=4).stdout.str()
+    finds = {
+        name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
+        for name, text in project.contents.items()
+    }
+    for name in project.files:
+        (project.path / name).unlink()
+    return finds, int(re.search(r"calls: (\d+)", output).group(1)), output
+
+
+@pytest.mark.parametrize("pure", ["Pure", "lambda: Pure()"], ids=["a class", "a function that makes it"])
+def test_a_pure_ads_is_asked_less_for_the_same_finds_in_the_same_runs(project, pure):
+    finds, calls, output = searched(project, pure)
+    plain_finds, plain_calls, plain_output = searched(project, "Planner")
+    assert finds == plain_finds != {}
+    assert calls < 0.8 * plain_calls
+    counts = [re.findall(r"^  (\d+ runs) in", text, re.MULTILINE) for text in (output, plain_output)]
+    assert counts[0] == counts[1] != []
+
+
+def test_an_ads_that_is_wrongly_declared_pure_has_finds_that_are_flaky(project):
+    stateful = """
+class Stateful(Pure):
+    def decided(self, observation):
+        if self.decisions == 1 and observation.time > 0:
+            raise LookupError("my first decision, and not at the start")
+        return (0.0, 0.0)
+
+@pafot.search(genes=4, gene_seconds=3, ads=Stateful)
+def test_drives(run):
+    pass
+"""
+    project.write(PLANNERS + stateful)
+    result = project.run(generations=6)
+    result.stdout.fnmatch_lines(["*LookupError*", "*flaky: running it again gave another run*"])
+    assert len(project.files) == 1
+
+
+def test_a_stateful_ads_that_shrinking_alone_resumes_keeps_the_scenario_that_was_found(project):
+    """Whatever a shorter scenario seemed to do, the file is of a run that asked for everything."""
+    stateful = """
+class Stateful(Pure):
+    def decided(self, observation):
+        if self.decisions == 30:
+            raise LookupError("my thirtieth decision")
+        return (0.0, 0.0)
+
+@pafot.search(genes=4, gene_seconds=3, ads=Stateful, stop_after=1)
+def test_drives(run):
+    pass
+"""
+    project.write(PLANNERS + stateful)
+    project.run(generations=1)
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+@pytest.mark.parametrize("pure", [1, "yes", False, None])
+def test_anything_but_true_is_no_declaration(pure):
+    resuming = Resuming()
+    resuming.saw(type("Planner", (), {"pure": pure})())
+    resuming.saw(type("Planner", (), {"pure": True})())
+    assert resuming.is_wanted is False
+
+
+OWN_WORLD = """
+class Own(pafot.Highway):
+    def rollout(self, scenario, ads_factory):
+        return super().rollout(scenario, ads_factory)
+"""
+
+
+@pytest.mark.parametrize(
+    "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
+)
+def test_it_is_asked_for_everything_where_decisions_cannot_be_given(project, search):
+    source = PLANNERS + OWN_WORLD + SEARCH.replace("genes=4", f"{search}, genes=4")
+    assert searched(project, "Pure", source)[:2] == searched(project, "Planner", source)[:2]
+
+
+def test_beside_lock_step_only_what_is_decided_alone_is_resumed(project):
+    batched = """
+class Batched(Planner):
+    def batch(self, observations):
+        return [self.decided(observation) for observation in observations]
+
+class PureBatched(Batched):
+    pure = True
+"""
+    finds, calls, _ = searched(project, "PureBatched", PLANNERS + batched + SEARCH)
+    plain_finds, plain_calls, _ = searched(project, "Batched", PLANNERS + batched + SEARCH)
+    assert finds == plain_finds != {}
+    assert calls < plain_calls
+
+
+def test_an_ads_that_mixes_its_rows_has_finds_that_repeat_though_it_is_declared_pure(project):
+    mixing = """
+class Mixing(Pure):
+    def batch(self, observations):
+        return [(0.3 + 0.1 * len(observations), 0.0) for observation in observations]
+"""
+    project.write((PLANNERS + mixing + SEARCH).replace("ADS", "Mixing"))
+    project.run(generations=3)
+    found = len(project.files)
+    assert found > 0
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines([f"replayed {found} saved scenarios: {found} still failing"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_runs_of_other_processes_are_resumed_by_none_and_change_nothing(project):
+    slow = """
+import time
+
+def slow():
+    time.sleep(0.015)
+    return KIND()
+"""
+    source = PLANNERS + slow + SEARCH.replace("=12", "=4").replace("ads=ADS", "ads=slow")
+    finds, _, output = searched(project, "", source.replace("KIND", "Pure"), ["--pafot-workers=2"])
+    assert finds == searched(project, "", source.replace("KIND", "Planner"))[0] != {}
+    assert "--pafot-workers=2: in use" in output
