@@ -128,8 +128,11 @@ class Bench:
 
         Only in a world that takes decisions, and not where decisions have a limit of time: those tell none.
         """
-        takes = "decisions" in inspect.signature(self.world.rollout).parameters
-        return takes and self.request.decision_limit is None
+        try:
+            parameters = inspect.signature(self.world.rollout).parameters
+        except (TypeError, ValueError):  # builtins without a signature
+            return False
+        return "decisions" in parameters and self.request.decision_limit is None
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:

@@ -107,7 +107,7 @@ class Watched:
     def alone(self, run: Run) -> Run | None:
         """The last run again by itself, where it took place together with others."""
         __tracebackhide__ = True
-        return self.afresh(run.trace.scenario) if self.ahead.was_together(run.trace) else None
+        return self.run(run.trace.scenario) if self.ahead.was_together(run.trace) else None
 
     def retry(self, leftover: Leftover) -> None:
         """Run by itself what was in lock step when a process died, so that a second death has one name."""

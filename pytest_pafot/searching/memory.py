@@ -41,7 +41,9 @@ class Memory:
         asked = driven = _chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
             driven = _chains(evaluation.executed)
-        self._runs(_key(evaluation.scenario, driven, depth)).setdefault(None, evaluation)
+        # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
+        seed = None if evaluation.scenario.positions else evaluation.scenario.seed
+        self._runs(_key(evaluation.scenario, driven, depth)).setdefault(seed, evaluation)
         if asked != driven:
             self._runs(_key(evaluation.scenario, asked, depth)).setdefault(evaluation.scenario.seed, evaluation)
 

@@ -35,7 +35,10 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, PositionInstruction, Scenario, Trace
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace
+from pytest_pafot.findings.shrink import shrink
+from pytest_pafot.plugin.options import BY_NAME
+from pytest_pafot.plugin.shrinking import driven
 from pytest_pafot.searching import (
     Evaluation,
     PafotSearch,
@@ -367,6 +370,31 @@ def pure(rounds: int) -> None:
             f"  {name:10} {statistics.median(shares):6.1%} of the decisions saved, {before:6.2f} s without, "
             f"{after:6.2f} s with, {statistics.median(ratios):5.2f} x as fast"
         )
+    saved = [_saved_by_shrinking(seed) for seed in range(rounds)]
+    print(f"  shrinking  {statistics.median(saved):6.1%} of the decisions saved")
+
+
+def _saved_by_shrinking(seed: int) -> float:
+    """Share of the decisions that shrinking a collision need not ask for, after its run."""
+    world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), Prefixes(), [0, 0]
+
+    def attempt(scenario: Scenario) -> Scenario | None:
+        decisions = prefixes.recall(scenario)
+        trace = world.rollout(scenario, steady, decisions=decisions)
+        prefixes.remember(trace)
+        counts[0] += min(len(decisions), len(trace.actions))
+        counts[1] += len(trace.actions)
+        return driven(Run(trace)) if trace.outcome is Outcome.COLLISION else None
+
+    found = next(each for each in iter(lambda: sample(SearchSpace(), rng), None) if attempt(each) is not None)
+    counts[:] = [0, 0]
+    shrink(found, attempt, rollouts=BY_NAME["shrink_rollouts"].default, top_speed=world.speed_limit)
+    return counts[0] / counts[1]
+
+
+def steady() -> Callable[[Any], tuple[float, float]]:
+    """A factory of a pure policy that keeps its speed whatever is ahead."""
+    return lambda observation: (0.2 * (22.0 - observation.ego.speed), 0.0)
 
 
 def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[str]]:

@@ -113,3 +113,11 @@ def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
     others = [LaneInstruction(other, 10.0) for other in SHIFTS if other != lane]
     for gene in (*others, *(PI(cell, 10.0) for cell in range(1, 9))):
         assert memory.recall(Scenario(npcs=((gene,),))) is None
+
+
+def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
+    """Where their NPCs start is repaired by the seed."""
+    scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
+    memory = Memory.of([make_evaluation(scenario)])
+    assert memory.recall(scenario) is not None
+    assert memory.recall(replace(scenario, seed=4)) is None
