@@ -19,6 +19,8 @@ SECONDS, HZ, SPACING = 60, 15, 30.0
 class Crowd(Scenario):
     """A scenario of any number of NPCs, whose chains are empty."""
 
+    positions = ()
+
     def __post_init__(self) -> None:
         """Unchecked."""
 
