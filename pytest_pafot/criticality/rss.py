@@ -65,15 +65,7 @@ def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     Speeds are along the road. A leader that drives against it comes closer while it brakes, which is why its
     square takes the sign of the speed; the paper's second formula for oncoming traffic is not part of this.
     """
-    rules = rules or RssRules()
-    road = RoadFrame(trace)
-    ego_follows = road.ahead >= 0
-    follower = np.where(ego_follows, road.speed[:1], road.speed[1:])
-    leader = np.where(ego_follows, road.speed[1:], road.speed[:1])
-    response = np.where(ego_follows, rules.ego_response, rules.npc_response)
-    fastest = follower + response * rules.acceleration
-    travelled = (follower + fastest) / 2 * response + _stopping(fastest, rules.least_braking)
-    return np.maximum(travelled - _stopping(leader, rules.hardest_braking), 0.0).T
+    return RoadFrame(trace).safe_along(rules or RssRules())
 
 
 def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
@@ -85,24 +77,17 @@ def rss_lateral(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     vehicle moves away even after its response time, its stopping distance counts as moving away; the published
     formula has the square of that speed without its sign, having in mind vehicles that come closer.
     """
-    rules = rules or RssRules()
-    road = RoadFrame(trace)
-    towards_npc = np.where(road.right >= 0, 1.0, -1.0)
-    ego_way = _sideways(towards_npc * road.drift[:1], rules.ego_response, rules)
-    npc_way = _sideways(-towards_npc * road.drift[1:], rules.npc_response, rules)
-    return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
+    return RoadFrame(trace).safe_across(rules or RssRules())
 
 
 def longitudinal_gap(trace: Trace) -> FloatArray:
     """Distance between the boxes along the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 while abreast."""
-    road = RoadFrame(trace)
-    return np.maximum(np.abs(road.ahead) - road.half_along[:1] - road.half_along[1:], 0.0).T
+    return RoadFrame(trace).gap_along
 
 
 def lateral_gap(trace: Trace) -> FloatArray:
     """Distance between the boxes across the road [m], shape [ticks + 1, NPCs]; lower is worse, 0 in one track."""
-    road = RoadFrame(trace)
-    return np.maximum(np.abs(road.right) - road.half_across[:1] - road.half_across[1:], 0.0).T
+    return RoadFrame(trace).gap_across
 
 
 class RoadFrame:
@@ -112,6 +97,8 @@ class RoadFrame:
         ahead, right: of the NPC's centre from the ego's [m].
         speed, drift: of each vehicle, along the road and to its right [m/s].
         half_along, half_across: half extents of each box [m].
+
+    Gaps and safe distances have the shape [ticks + 1, NPCs].
     """
 
     def __init__(self, trace: Trace) -> None:
@@ -137,6 +124,33 @@ class RoadFrame:
         self.drift = encounters.speed * np.sin(angle)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
+
+    @property
+    def gap_along(self) -> FloatArray:
+        """See :func:`longitudinal_gap`."""
+        return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
+
+    @property
+    def gap_across(self) -> FloatArray:
+        """See :func:`lateral_gap`."""
+        return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
+
+    def safe_along(self, rules: RssRules) -> FloatArray:
+        """See :func:`rss_longitudinal`."""
+        ego_follows = self.ahead >= 0
+        follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
+        leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
+        response = np.where(ego_follows, rules.ego_response, rules.npc_response)
+        fastest = follower + response * rules.acceleration
+        travelled = (follower + fastest) / 2 * response + _stopping(fastest, rules.least_braking)
+        return np.maximum(travelled - _stopping(leader, rules.hardest_braking), 0.0).T
+
+    def safe_across(self, rules: RssRules) -> FloatArray:
+        """See :func:`rss_lateral`."""
+        towards_npc = np.where(self.right >= 0, 1.0, -1.0)
+        ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
+        npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
+        return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
 
 
 def _half_extents(boxes: Boxes, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray]:

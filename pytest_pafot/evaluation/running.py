@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from pytest_pafot.evaluation.plan import Plan, ads_factory, world_of
 from pytest_pafot.evaluation.rows import Row
 from pytest_pafot.findings.finding import ads_failure, of_failure
-from pytest_pafot.findings.responsibility import position_rule, rss_rule
+from pytest_pafot.findings.near_miss import near_misses
+from pytest_pafot.findings.responsibility import Fault, position_rule, rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.scenario import Scenario
@@ -37,6 +38,7 @@ class Facts:
     responsibility: str
     position_responsibility: str
     signature: str | None
+    fault: Fault | None
 
 
 @dataclass(slots=True)
@@ -66,8 +68,15 @@ class Simulator:
         is_fault = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
         is_blamed = self.blame == "any" or facts.responsibility in ("ego", "both")
         failing = is_fault or (trace.outcome is Outcome.COLLISION and is_blamed)
-        kind = facts.signature if failing else None
-        return replace(Evaluation.of(trace, fitness=self.fitness(trace), failing=failing, kind=kind), note=facts)
+        evaluation = Evaluation.of(
+            trace,
+            fitness=self.fitness(trace),
+            failing=failing,
+            kind=facts.signature if failing else None,
+            fault=facts.fault if failing else None,
+            near_misses=near_misses(trace) if self.blame == "ego" else (),
+        )
+        return replace(evaluation, note=facts)
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
@@ -135,6 +144,7 @@ def facts_of(trace: Trace) -> Facts:
         responsibility=run.attribution.responsibility,
         position_responsibility=position_rule(trace),
         signature=None if failure is None else signature_text(of_failure(run, failure)),
+        fault=run.attribution.fault,
     )
 
 

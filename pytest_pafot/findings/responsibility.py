@@ -13,14 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.criticality import (
-    RoadFrame,
-    RssRules,
-    lateral_gap,
-    longitudinal_gap,
-    rss_lateral,
-    rss_longitudinal,
-)
+from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.findings.avoidance import Braking, Chase, Emergency
 from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, Collision, FloatArray, Trace, X, Y
 
@@ -126,7 +119,19 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
-    return _Case(trace, trace.collision).attribution
+    scene, collision = Scene(trace), trace.collision
+    start = _start(scene.is_close[:, collision.npc] & scene.is_beside[:, collision.npc])
+    conflict = Conflict(scene, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front")
+    verdict = conflict.verdict
+    if collision.ego_speed <= STANDING_SPEED:
+        verdict = Verdict("npc", f"the ego was standing ({collision.ego_speed:.1f} m/s) at the impact")
+    return Attribution(**verdict._asdict(), tick=start, time=start / trace.physics_hz)
+
+
+def _start(is_dangerous: npt.NDArray[np.bool_]) -> int:
+    """First tick of the danger that ends in the impact, at the last tick."""
+    safe = np.flatnonzero(~is_dangerous[:-1])
+    return int(safe[-1]) + 1 if safe.size else 0
 
 
 def position_rule(trace: Trace) -> Responsibility:
@@ -156,7 +161,7 @@ def _place(collision: Collision) -> str:
     return {1: "ahead of", 0: "beside", -1: "behind"}[collision.cell.row]
 
 
-class _Verdict(NamedTuple):
+class Verdict(NamedTuple):
     """An attribution without its moment."""
 
     responsibility: Responsibility
@@ -164,60 +169,71 @@ class _Verdict(NamedTuple):
     fault: Fault | None = None
 
 
-class _Case:
-    """One collision; arrays are of the ego and the NPC that collided, shape [ticks + 1]."""
+class Scene:
+    """A run as the rule sees it, for all of its conflicts.
 
-    def __init__(self, trace: Trace, collision: Collision) -> None:
-        npc = collision.npc
-        self._trace = trace
-        self._collision = collision
-        self._name = f"NPC {npc}"
-        self._columns = trace.npcs[:, npc]
-        frame = RoadFrame(trace)
-        self._road = frame.ahead[npc], frame.right[npc]
-        self._speeds = frame.speed[0], frame.speed[npc + 1]
-        self._drifts = frame.drift[0], frame.drift[npc + 1]
-        self._half_lengths = frame.half_along[0] + frame.half_along[npc + 1]
-        self._along = longitudinal_gap(trace)[:, npc]
-        self._across = lateral_gap(trace)[:, npc]
-        self._safe_along = rss_longitudinal(trace, DISTANCES)[:, npc]
-        self._is_close = (self._along < self._safe_along) | (self._along <= 0)
-        self._is_beside = self._across < rss_lateral(trace, DISTANCES)[:, npc]
+    Attributes:
+        trace: of the run.
+        frame: positions and speeds along and across the road.
+        along, across: gaps between the boxes [m], shape [ticks + 1, NPCs].
+        safe_along: what RSS asks for along the road [m].
+        is_close, is_beside: where RSS would have more, along and across the road. Both at once are a danger.
+    """
 
-    @property
-    def attribution(self) -> Attribution:
-        """The verdict, with the reason in words."""
-        return Attribution(
-            **self._verdict()._asdict(),
-            tick=self._start,
-            time=self._start / self._trace.physics_hz,
-        )
+    def __init__(self, trace: Trace) -> None:
+        self.trace = trace
+        self.frame = RoadFrame(trace)
+        self.along, self.across = self.frame.gap_along, self.frame.gap_across
+        self.safe_along = self.frame.safe_along(DISTANCES)
+        self.is_close = (self.along < self.safe_along) | (self.along <= 0)
+        self.is_beside = self.across < self.frame.safe_across(DISTANCES)
 
-    @cached_property
-    def _start(self) -> int:
-        """First tick of the danger."""
-        safe = np.flatnonzero(~(self._is_close & self._is_beside)[:-1])
-        return int(safe[-1]) + 1 if safe.size else 0
+
+class Conflict:
+    """A danger between the ego and one NPC, from its first tick to its end, which may be an impact.
+
+    Arrays are of the two up to the end, shape [end + 1].
+
+    Args:
+        scene: of the run.
+        npc: the other vehicle.
+        start: first tick of the danger.
+        end: tick at which they touched, or nearly did.
+        by_ego_front: whether it was, or would have been, the ego's front that hit.
+    """
+
+    def __init__(self, scene: Scene, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
+        frame, past = scene.frame, slice(end + 1)
+        self._scene, self._npc, self._start, self._end = scene, npc, start, end
+        self._name, self._hz = f"NPC {npc}", scene.trace.physics_hz
+        self._by_ego_front = by_ego_front
+        self._ego, self._other = scene.trace.ego[past], scene.trace.npcs[past, npc]
+        self._road = frame.ahead[npc, past], frame.right[npc, past]
+        self._speeds = frame.speed[0, past], frame.speed[npc + 1, past]
+        self._drifts = frame.drift[0, past], frame.drift[npc + 1, past]
+        self._half_lengths = (frame.half_along[0] + frame.half_along[npc + 1])[past]
+        self._along, self._across = scene.along[past, npc], scene.across[past, npc]
+        self._safe_along, self._is_beside = scene.safe_along[past, npc], scene.is_beside[past, npc]
 
     @property
     def _before(self) -> int:
         """The last safe tick, from which on a response counts; the start of the run if there is none."""
         return max(self._start - 1, 0)
 
-    def _verdict(self) -> _Verdict:
-        if self._collision.ego_speed <= STANDING_SPEED:
-            return _Verdict("npc", f"the ego was standing ({self._collision.ego_speed:.1f} m/s) at the impact")
+    @property
+    def verdict(self) -> Verdict:
+        """By the rules 3 and 4 of :func:`rss_rule`."""
         ego_moved, npc_moved = self._movers()
         if ego_moved and not self._ego_is_behind and self._leaves_room():
             gap, speed = self._along[self._start], self._towards()[0]
-            return _Verdict(
+            return Verdict(
                 "npc",
                 f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s) {gap:.1f} m ahead, "
                 f"which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
             )
         if ego_moved and npc_moved:
             towards = self._towards()
-            return _Verdict(
+            return Verdict(
                 "both",
                 f"at {self._when} the ego and {self._name} moved sideways into each other "
                 f"({towards[0]:.1f} and {towards[1]:.1f} m/s)",
@@ -231,7 +247,7 @@ class _Case:
 
     @property
     def _when(self) -> str:
-        return f"{self._start / self._trace.physics_hz:.1f} s"
+        return f"{self._start / self._hz:.1f} s"
 
     @property
     def _ego_is_behind(self) -> bool:
@@ -252,72 +268,70 @@ class _Case:
         ego, npc = (speed >= max(DRIFTING, SHARE * sum(towards)) for speed in towards)
         return ego, npc
 
-    def _ego_moved(self) -> _Verdict:
+    def _ego_moved(self) -> Verdict:
         speed, gap = self._towards()[0], self._along[self._start]
         moved = f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s)"
         if self._ego_is_behind or gap <= 0:
             where = f", {self._along_text()}"
         else:
             where = f" {gap:.1f} m ahead, where RSS demands {self._safe_along[self._start]:.1f} m"
-        return _Verdict("ego", f"{moved}{where}", "entered-lane")
+        return Verdict("ego", f"{moved}{where}", "entered-lane")
 
     def _leaves_room(self) -> bool:
         """Whether a lane change of the ego asks little of the NPC behind."""
         return bool(self._along[self._start] > 0) and self._npc_chase.is_avoided(self._start, GIVING_WAY)
 
-    def _npc_moved(self) -> _Verdict:
+    def _npc_moved(self) -> Verdict:
         moved = (
             f"at {self._when} {self._name} moved sideways towards the ego ({self._towards()[1]:.1f} m/s), "
             f"{self._along_text()}"
         )
-        if not self._ego_is_behind or self._collision.side != "front":
-            return _Verdict("npc", moved)
+        if not self._ego_is_behind or not self._by_ego_front:
+            return Verdict("npc", moved)
         seen = self._cut_in_seen()
         if not self._ego_chase.is_avoided(seen, CUT_OFF, EMERGENCY):
-            return _Verdict("npc", f"{moved}, too late to avoid it")
+            return Verdict("npc", f"{moved}, too late to avoid it")
         reason = f"{moved}, but {self._braked_text(seen)} would have avoided it"
-        return _Verdict("ego", reason, "cut-in-unanswered")
+        return Verdict("ego", reason, "cut-in-unanswered")
 
-    def _ego_followed(self) -> _Verdict:
+    def _ego_followed(self) -> Verdict:
         safe = self._safe_along[self._start]
         close = f"from {self._when} it was closer than the {safe:.1f} m that RSS demands behind {self._name}"
         if self._ego_chase.is_avoided(self._before, FOLLOWING):
             reason = f"{close} and {self._ego_braking(self._before, FOLLOWING)}"
-            return _Verdict("ego", reason, "leader-unanswered")
+            return Verdict("ego", reason, "leader-unanswered")
         if self._start == 0:
             reason = f"the run began closer than the {safe:.1f} m that RSS demands, with no time to respond"
         else:
             reason = f"from {self._when} the {safe:.1f} m of RSS were gone, and no response could avoid {self._name}"
-        return _Verdict("npc", reason)
+        return Verdict("npc", reason)
 
-    def _npc_followed(self) -> _Verdict:
+    def _npc_followed(self) -> Verdict:
         safe = self._safe_along[self._start]
-        hardest = float(-self._trace.ego[self._start :, ACCELERATION].min())
+        hardest = float(-self._ego[self._start :, ACCELERATION].min())
         if (
             hardest > DISTANCES.hardest_braking
             and not self._had_reason_to_brake()
             and not self._npc_chase.is_avoided(self._before, FOLLOWING)
         ):
-            return _Verdict(
+            return Verdict(
                 "ego",
                 f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
                 f"and {self._name} behind had no chance",
                 "braked-hard",
             )
         reason = f"from {self._when} {self._name} was closer than the {safe:.1f} m that RSS demands behind the ego"
-        return _Verdict("npc", reason)
+        return Verdict("npc", reason)
 
     def _had_reason_to_brake(self) -> bool:
         """Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger."""
-        trace = self._trace
-        frame = RoadFrame(trace)
-        ahead = frame.ahead.T > 0
-        close = (longitudinal_gap(trace) < rss_longitudinal(trace, DISTANCES)) & ahead
-        return bool((close & (lateral_gap(trace) < rss_lateral(trace, DISTANCES)))[self._start :].any())
+        scene, past = self._scene, slice(self._start, self._end + 1)
+        is_close = (scene.along < scene.safe_along) & (scene.frame.ahead.T > 0)
+        return bool((is_close & scene.is_beside)[past].any())
 
     def _cut_in_seen(self) -> int:
         """First tick of the danger at which the NPC had left the centre of a lane; the first of all if it never did."""
-        offset = np.abs(_lane_offset(self._trace, self._collision.npc, self._start))
+        offset = np.abs(_lane_offset(self._scene.trace, self._npc, slice(self._start, self._end + 1)))
         left = np.flatnonzero(offset > LEAVING)
         return self._start + (int(left[0]) if left.size else 0)
 
@@ -325,13 +339,13 @@ class _Case:
     def _ego_chase(self) -> Chase:
         """The ego behind the NPC."""
         ego, npc = self._speeds
-        return self._chase(self._road[0], ego, npc, self._columns[:, ACCELERATION])
+        return self._chase(self._road[0], ego, npc, self._other[:, ACCELERATION])
 
     @cached_property
     def _npc_chase(self) -> Chase:
         """The NPC behind the ego."""
         ego, npc = self._speeds
-        return self._chase(-self._road[0], npc, ego, self._trace.ego[:, ACCELERATION])
+        return self._chase(-self._road[0], npc, ego, self._ego[:, ACCELERATION])
 
     def _chase(self, ahead: FloatArray, follower: FloatArray, leader: FloatArray, acceleration: FloatArray) -> Chase:
         return Chase(
@@ -340,7 +354,7 @@ class _Case:
             follower=follower,
             leader=leader,
             leader_acceleration=acceleration,
-            hz=self._trace.physics_hz,
+            hz=self._hz,
         )
 
     def _along_text(self) -> str:
@@ -354,7 +368,7 @@ class _Case:
 
     def _braked_text(self, seen: int) -> str:
         demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
-        perceived = min(seen + round(CUT_OFF.perception * self._trace.physics_hz), self._trace.ticks)
+        perceived = min(seen + round(CUT_OFF.perception * self._hz), self._end)
         speed = self._speeds[0]
         highest = float(speed[perceived:].max())
         if highest > speed[perceived] + SPED_UP:
@@ -363,17 +377,17 @@ class _Case:
 
     def _mean_braking(self, since: int, response: Braking) -> float:
         """The ego's, from when its response was due to the impact [m/s^2]."""
-        due = min(since + round(response.delay * self._trace.physics_hz), self._trace.ticks - 1)
+        due = min(since + round(response.delay * self._hz), self._end - 1)
         speed = self._speeds[0]
-        seconds = (self._trace.ticks - due) / self._trace.physics_hz
+        seconds = (self._end - due) / self._hz
         return max(float(speed[due] - speed[-1]) / seconds, 0.0)
 
 
-def _lane_offset(trace: Trace, npc: int, since: int) -> npt.NDArray[np.float64]:
-    """Distance of an NPC to the centre of the lane that it is in, signed [m], from a tick on; NaN off the road."""
-    rows, lanes = trace.npcs[since:, npc], trace.lanes
+def _lane_offset(trace: Trace, npc: int, ticks: slice) -> npt.NDArray[np.float64]:
+    """Distance of an NPC to the centre of the lane that it is in, signed [m], in a part of a run; NaN off the road."""
+    rows, lanes = trace.npcs[ticks, npc], trace.lanes
     if trace.track is not None:
-        return np.where(rows[:, LANE] < 0, np.nan, trace.track[since:, npc + 1, OFFSET])
+        return np.where(rows[:, LANE] < 0, np.nan, trace.track[ticks, npc + 1, OFFSET])
     index = rows[:, LANE].astype(int)
     x, y, heading = (np.array([getattr(lane, name) for lane in lanes])[index] for name in ("x", "y", "heading"))
     offset = (rows[:, Y] - y) * np.cos(heading) - (rows[:, X] - x) * np.sin(heading)

@@ -27,6 +27,7 @@ from pytest_pafot.searching.health import Health
 from pytest_pafot.trace import Outcome
 
 if TYPE_CHECKING:
+    from pytest_pafot.findings.near_miss import NearMiss
     from pytest_pafot.findings.signature import Signature
     from pytest_pafot.plugin.oracle import Verdict
     from pytest_pafot.scenario import Scenario
@@ -46,6 +47,7 @@ class Stage:
         keep_lost: takes the first scenario whose process did not come back, likewise.
         lethal: scenarios in which a process died; they are not run.
         alone: the run again by itself where it took place together with others, else None.
+        near_misses: what the ego nearly had to answer for, where the search looks for that.
     """
 
     run: Callable[[Scenario], Run]
@@ -55,6 +57,7 @@ class Stage:
     keep_lost: Callable[[Lost, int, int], str]
     lethal: frozenset[Scenario] = frozenset()
     alone: Callable[[Run], Run | None] = lambda run: None
+    near_misses: Callable[[Trace], tuple[NearMiss, ...]] = lambda trace: ()
 
 
 @dataclass(slots=True)
@@ -137,6 +140,8 @@ class Hunt:
             failing=verdict.failed,
             discarded=verdict.discarded,
             kind=kind,
+            fault=None if kind is None else kind.fault,
+            near_misses=self.stage.near_misses(run.trace),
         )
 
     def _run(self, scenario: Scenario) -> Run | Lost:

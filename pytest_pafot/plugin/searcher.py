@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.findings.inflight import InFlight, Leftover
+from pytest_pafot.findings.near_miss import NearMiss, near_misses
 from pytest_pafot.findings.responsibility import rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
@@ -188,6 +189,7 @@ class Searching:
                     keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
                     alone=watched.alone,
+                    near_misses=near_misses if self.bench.request.blame == "ego" else _nobody_asks,
                 )
             )
             reason = "interrupted"
@@ -360,6 +362,11 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
     except ValueError as error:
         raise RequestError(f"{bench.item.name}: {error}") from None
     return algorithm
+
+
+def _nobody_asks(trace: Trace) -> tuple[NearMiss, ...]:
+    """No near-misses: where every collision counts, the search need not know whose they nearly were."""
+    return ()
 
 
 def checked_fitness(bench: Bench) -> Fitness:

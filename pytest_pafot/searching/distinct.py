@@ -16,6 +16,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from pytest_pafot.findings.near_miss import NearMiss
+from pytest_pafot.findings.responsibility import Fault
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
@@ -30,8 +32,14 @@ FASTEST_NICHE = 5
 NO_IMPACT = (0, 0)
 """The niche of all runs without a collision, in which the nearest miss stays."""
 
+NEAREST = 3
+"""Parents of each fault."""
+
 Niche = tuple[int, int]
 """The cell of an impact, 1 to 8, and the index of its closing speed."""
+
+Near = tuple[NearMiss, Evaluation]
+"""A run, and what the ego nearly had to answer for in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +50,9 @@ class DistinctState:
         generation: from 0.
         local_generation: always 0; there is no local search.
         kinds: of failures that were shown so far.
+        faults: of the ego that these failures had.
         elites: the worst run for the ego of each niche, in the order of the niches, without those of known kinds.
+        near: the runs that came nearest to each fault that is not known, the nearest first.
         best: so far; None before the first eligible run.
         asked: scenarios that are out for evaluation.
     """
@@ -50,7 +60,9 @@ class DistinctState:
     generation: int = 0
     local_generation: int = 0
     kinds: frozenset[Hashable] = frozenset()
+    faults: frozenset[Fault] = frozenset()
     elites: tuple[tuple[Niche, Evaluation], ...] = ()
+    near: tuple[tuple[Near, ...], ...] = ()
     best: Evaluation | None = None
     asked: tuple[Scenario, ...] = ()
 
@@ -61,9 +73,12 @@ class DistinctSearch:
 
     1. The first generations are random, as the paper's first one is.
     2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
-       near-miss displaces the others. Parents are drawn by binary tournament; a child has one to three mutations.
+       impact displaces the others. So may the three runs that came nearest to each fault of the ego
+       (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
+       fault another; every group has as many children. Parents are drawn by binary tournament; a child has one to
+       three mutations.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
-       then on: simplifying it is the shrinker's work.
+       then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
 
     Attributes:
         space: of the scenarios.
@@ -99,10 +114,10 @@ class DistinctSearch:
             RuntimeError: when the last ask has not been told.
         """
         check_ask(state.asked)
-        parents = [evaluation for _, evaluation in state.elites]
-        is_random = state.generation < self.random_generations or not parents
+        groups = _groups(state)
+        is_random = state.generation < self.random_generations or not groups
         asked = tuple(
-            sample(self.space, rng) if is_random else self._child(parents, rng) for _ in range(self.population)
+            sample(self.space, rng) if is_random else self._child(groups, rng) for _ in range(self.population)
         )
         return replace(state, asked=asked), asked
 
@@ -124,13 +139,22 @@ class DistinctSearch:
             events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
             state = replace(state, best=candidate)
         kinds = state.kinds | {each.kind for each in evaluations if each.failing and each.kind is not None}
-        elites = _elites([*(each for _, each in state.elites), *evaluations], kinds)
-        return replace(state, generation=generation + 1, kinds=kinds, elites=elites, asked=()), tuple(events)
+        faults = state.faults | {each.fault for each in evaluations if each.failing and each.fault is not None}
+        state = replace(
+            state,
+            generation=generation + 1,
+            kinds=kinds,
+            faults=faults,
+            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
+            near=_near(state.near, evaluations, faults),
+            asked=(),
+        )
+        return state, tuple(events)
 
-    def _child(self, elites: Sequence[Evaluation], rng: np.random.Generator) -> Scenario:
-        child = tournament(elites, rng).executed
+    def _child(self, groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Scenario:
+        child = _parent(groups, rng).executed
         if rng.random() < self.crossover_rate:
-            child, _ = crossover(child, tournament(elites, rng).executed, rng)
+            child, _ = crossover(child, _parent(groups, rng).executed, rng)
         for _ in range(int(rng.integers(1, self.most_mutations + 1))):
             child = mutate(child, self.space, rng)
         return child
@@ -142,6 +166,30 @@ def niche(evaluation: Evaluation) -> Niche:
     if hit is None:
         return NO_IMPACT
     return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
+
+
+def _groups(state: DistinctState) -> list[list[Evaluation]]:
+    """Who may have children, each group as often as another: the elites, and whoever came near to a fault."""
+    elites = [evaluation for _, evaluation in state.elites]
+    groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
+    return [group for group in groups if group]
+
+
+def _parent(groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Evaluation:
+    return tournament(groups[int(rng.integers(len(groups)))], rng)
+
+
+def _near(
+    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], faults: frozenset[Fault]
+) -> tuple[tuple[Near, ...], ...]:
+    """The nearest of each fault that is not known, in the order of the faults; the first of equals."""
+    ranked: dict[Fault, list[Near]] = {group[0][0].fault: list(group) for group in before}
+    for each in evaluations:
+        for near_miss in each.near_misses if each.eligible and not each.failing else ():
+            ranked.setdefault(near_miss.fault, []).append((near_miss, each))
+    for group in ranked.values():
+        group.sort(key=lambda near: -near[0].severity)
+    return tuple(tuple(ranked[fault][:NEAREST]) for fault in sorted(ranked) if fault not in faults)
 
 
 def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> tuple[tuple[Niche, Evaluation], ...]:

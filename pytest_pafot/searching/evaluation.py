@@ -10,6 +10,8 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot.criticality import sweep
+from pytest_pafot.findings.near_miss import NearMiss
+from pytest_pafot.findings.responsibility import Fault
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.searching.company import Company
@@ -55,6 +57,8 @@ class Evaluation:
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
+        fault: of the ego in the failure; None where it has none or nobody says.
+        near_misses: what the ego nearly had to answer for; empty where nobody says.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
         driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.
@@ -74,6 +78,8 @@ class Evaluation:
     outran: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
+    fault: Fault | None = None
+    near_misses: tuple[NearMiss, ...] = ()
     arrived: tuple[tuple[bool, ...], ...] = ()
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
@@ -86,7 +92,15 @@ class Evaluation:
 
     @classmethod
     def of(
-        cls, trace: Trace, *, fitness: float, failing: bool, discarded: bool = False, kind: Hashable | None = None
+        cls,
+        trace: Trace,
+        *,
+        fitness: float,
+        failing: bool,
+        discarded: bool = False,
+        kind: Hashable | None = None,
+        fault: Fault | None = None,
+        near_misses: tuple[NearMiss, ...] = (),
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
         interaction, left_behind = company_of(trace)
@@ -105,6 +119,8 @@ class Evaluation:
             outran=left_behind,
             barely_moved=barely_moved(trace),
             kind=kind,
+            fault=fault,
+            near_misses=near_misses,
             arrived=arrived,
             driven=trace.driven,
             collision=trace.collision,

@@ -20,6 +20,7 @@ from typing import Any
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.near_miss import near_misses
 from pytest_pafot.findings.responsibility import rss_rule
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
@@ -46,6 +47,7 @@ class Variant:
     fitness: Any = "default"
     parameters: tuple[tuple[str, float], ...] = ()
     tells_kinds: bool = True
+    tells_near_misses: bool = True
 
 
 DEFAULT = Variant()
@@ -71,6 +73,7 @@ FAILURES: Mapping[str, Variant] = {
     "random": Variant(algorithm=RandomSearch),
     "pafot": DEFAULT,
     "distinct, as it is": DISTINCT,
+    "no near-misses": replace(DISTINCT, tells_near_misses=False),
     "known failures stay parents": replace(DISTINCT, tells_kinds=False),
     "no random generations but the first": replace(DISTINCT, parameters=(("random_generations", 1),)),
     "10 random generations": replace(DISTINCT, parameters=(("random_generations", 10),)),
@@ -109,6 +112,8 @@ def measured(variant: Variant, seed: int, hours: float, blame: bool) -> Tally:
             fitness=fitness(trace),
             failing=is_blamed if blame else is_hit,
             kind=kind if variant.tells_kinds else None,
+            fault=rss_rule(trace).fault if is_blamed else None,
+            near_misses=near_misses(trace) if blame and variant.tells_near_misses else (),
         )
 
     events = run_campaign(

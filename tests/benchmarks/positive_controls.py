@@ -22,6 +22,7 @@ from types import MappingProxyType
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.near_miss import near_misses
 from pytest_pafot.findings.responsibility import Fault
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, algorithm_named, run_campaign
@@ -142,7 +143,14 @@ class Search:
                 Find(generation=self.generation, scenario=run.scenario, signature=signature, explanation=run.explain())
             )
         fitness = resolve("default", responsible=by_ego)(trace)
-        return Evaluation.of(trace, fitness=fitness, failing=failing, kind=signature)
+        return Evaluation.of(
+            trace,
+            fitness=fitness,
+            failing=failing,
+            kind=signature,
+            fault=signature.fault if signature is not None else None,
+            near_misses=near_misses(trace),
+        )
 
 
 def searched(policy: str, seed: int, setting: Setting, options: argparse.Namespace) -> Search:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.findings.near_miss import NearMiss
 from pytest_pafot.grid import Cell
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
 from pytest_pafot.searching.distinct import NO_IMPACT, niche
@@ -129,6 +130,75 @@ def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the
         )
 
     assert found(DistinctSearch()) >= 1.5 * found(PafotSearch()) > 0
+
+
+def near(fault, severity):
+    return NearMiss(fault=fault, npc=0, tick=30, severity=severity)
+
+
+def severities(state):
+    return [(group[0][0].fault, [near_miss.severity for near_miss, _ in group]) for group in state.near]
+
+
+def test_the_three_runs_that_came_nearest_to_a_fault_stay_whatever_their_fitness(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+
+    def evaluate(index, scenario):
+        misses = (near("entered-lane", 0.1 * index), *([near("leader-unanswered", 0.7)] if index == 2 else []))
+        return make_evaluation(scenario, fitness=-index, near_misses=misses)
+
+    state = told(algorithm, algorithm.start(rng), evaluate, rng)
+    assert severities(state) == [
+        ("entered-lane", pytest.approx([0.3, 0.2, 0.1])), ("leader-unanswered", [0.7])
+    ]  # fmt: skip
+    later = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("entered-lane", 0.25),)), rng)
+    assert severities(later)[0] == ("entered-lane", pytest.approx([0.3, 0.25, 0.25]))
+
+
+def test_who_came_near_to_a_fault_that_is_known_is_no_parent_for_that(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+
+    def evaluate(index, scenario):
+        if index == 3:
+            return make_evaluation(scenario, failing=True, kind="a", fault="entered-lane")
+        return make_evaluation(scenario, near_misses=(near("braked-hard", 0.2), near("entered-lane", 0.9)))
+
+    state = told(algorithm, algorithm.start(rng), evaluate, rng)
+    assert severities(state) == [("braked-hard", [0.2, 0.2, 0.2])]
+    state = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("entered-lane", 1.0),)), rng)
+    assert severities(state) == [("braked-hard", [0.2, 0.2, 0.2])]
+
+
+@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
+def test_runs_that_say_nothing_or_that_fail_came_near_to_nothing(make_evaluation, fields):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    misses = (near("entered-lane", 0.9),)
+    state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, near_misses=misses, **fields), rng)
+    assert state.near == ()
+
+
+def test_a_fault_without_failures_nearby_is_found_by_its_near_misses(make_evaluation):
+    """The fitness says nothing of it: only what came near leads there."""
+
+    def slow(scenario):
+        return sum(gene.speed < 7 for chain in scenario.npcs for gene in chain[:3])
+
+    def found(is_told, seed):
+        def evaluate(scenarios):
+            return [
+                make_evaluation(
+                    each,
+                    failing=slow(each) >= 5,
+                    kind="rare" if slow(each) >= 5 else None,
+                    near_misses=(near("entered-lane", slow(each) / 6),) if is_told else (),
+                )
+                for each in scenarios
+            ]
+
+        return any(event.evaluation.failing for event in of(Evaluated, search(evaluate, DistinctSearch(), seed)))
+
+    with_them, without = (sum(found(is_told, seed) for seed in range(20)) for is_told in (True, False))
+    assert with_them >= 10 >= 2 * without
 
 
 @given(st.integers(0, 20))
