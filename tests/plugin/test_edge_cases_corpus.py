@@ -122,6 +122,58 @@ def test_it(run, limit):
     )
 
 
+@pytest.mark.parametrize("place", ["pafot_corpus/test_it", "pafot_corpus", "."])
+def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(failing, place):
+    failing.run()
+    home, id_ = failing.only_file.parent, failing.only_id
+    failing.only_file.rename(failing.path / place / failing.only_file.name)
+    result = failing.run(generations=0)
+    result.assert_outcomes(skipped=1)
+    assert told(result) == [
+        f"{failing.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
+    ]
+    failing.only_file.rename(home / failing.only_file.name)
+    again = failing.run(generations=0)
+    again.assert_outcomes(failed=1, skipped=1)
+    assert (failing.only_id, told(again)) == (id_, [])
+
+
+def told(result):
+    return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
+
+
+def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(failing):
+    failing.run()
+    for folder in ("safety/near", "notes"):
+        (failing.path / folder).mkdir(parents=True)
+    (failing.path / "test_it.py").rename(failing.path / "safety" / "near" / "test_it.py")
+    content = failing.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
+    failing.only_file.unlink()
+    for folder in ("safety", "notes"):
+        (failing.path / folder / "a.pafot.yaml").write_text(content)
+    place = "safety/near/pafot_corpus/test_it/test_fails"
+    expected = [f"safety/a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+    assert told(failing.run(generations=0)) == expected
+    assert told(failing.run("--pafot-corpus", failing.path / "all", generations=0)) == [
+        expected[0].replace(place, "all/safety/near/test_it/test_fails")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [("test: test_old.py::test_it", "the folder of test_old.py::test_it"), ("", "the folder of its test")],
+)
+def test_a_file_that_lies_too_high_and_names_no_collected_test_is_told(failing, line, place):
+    (failing.path / "a.pafot.yaml").write_text(line)
+    assert told(failing.run(generations=0)) == [f"a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+
+
+def test_without_a_search_nobody_looks_for_files_that_lie_too_high(project):
+    project.write("def test_ordinary():\n    pass\n")
+    (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_ordinary")
+    assert "pafot.yaml" not in project.run(generations=None).stdout.str()
+
+
 @pytest.mark.parametrize(
     "selection",
     [
