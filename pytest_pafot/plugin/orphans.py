@@ -67,7 +67,12 @@ def _folders(root: Path) -> Iterator[Path]:
     if not root.is_dir():
         return
     for module in sorted(path for path in root.iterdir() if path.is_dir()):
-        yield from sorted(folder for folder in module.iterdir() if folder.is_dir() and count(folder))
+        yield from sorted(folder for folder in module.iterdir() if count(folder) and _is_of_one_test(folder))
+
+
+def _is_of_one_test(folder: Path) -> bool:
+    """Whether it holds no folders: where one corpus serves all folders of tests, they lie side by side with modules."""
+    return not any(path.is_dir() for path in folder.iterdir())
 
 
 def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, rootpath: Path) -> bool:

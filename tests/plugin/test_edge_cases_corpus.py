@@ -239,6 +239,22 @@ def test_prune_removes_orphans_and_nothing_else(project):
     assert [name.split("/")[2] for name in project.files] == ["test_a"]
 
 
+def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
+    one = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert not run\n"
+    project.write(one, name="test_top")
+    project.write(one, name="tests/test_low")
+    corpus = project.path / "all"
+    project.run("--pafot-corpus", corpus)
+    files = project.files
+    assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
+    (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")
+    result = project.run("--pafot-corpus", corpus, "--pafot-prune", generations=0)
+    assert set(files) < set(project.files)
+    assert told(result) == [
+        "all/tests/test_low/a.pafot.yaml, which lies in no folder of a test; move it to all/tests/test_low/test_fails"
+    ]
+
+
 @pytest.mark.skipif(os.name == "nt", reason="folders have no write permission on Windows")
 @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_checkout_loses_no_find(failing):
