@@ -292,9 +292,11 @@ def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(proje
         """
 import os
 
+SESSION = os.getpid()
+
 @pafot.search(SHORT)
 def test_dies(run):
-    if os.environ.get("DIE"):
+    if os.environ.get("DIE") or os.getpid() != SESSION:
         os._exit(9)
 """
     )
@@ -321,15 +323,14 @@ def test_lives(run):
 
 def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0).assert_outcomes(failed=2)
     project.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
 def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
-    failing.leave_behind("test_it.py::test_fails")
-    result = failing.run(generations=0)
-    result.stdout.fnmatch_lines(["*a kill from outside; if it was killed from outside, delete the file"])
+    failing.leave_crash("test_it.py::test_fails")
+    failing.run(generations=0)
     result = failing.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
@@ -337,7 +338,7 @@ def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
 
 def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run().assert_outcomes(failed=2)
     project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
     project.run("test_it.py::test_lives[search]").assert_outcomes(passed=1)
@@ -345,7 +346,7 @@ def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project)
 
 def test_a_saved_scenario_that_killed_two_processes_runs_only_when_it_is_asked_for(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0)
     project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
     result = project.run(generations=0)
@@ -357,7 +358,7 @@ def test_a_saved_scenario_that_killed_two_processes_runs_only_when_it_is_asked_f
 
 def test_an_xfailed_scenario_that_kills_the_process_is_not_run(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0)
     text = project.only_file.read_text()
     project.only_file.write_text(text.replace('# xfail: "reason"', 'xfail: "native code"'))

@@ -221,7 +221,12 @@ def test_dies(run):
     [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls
     ids=["and the second dies again", "and none dies again"],
 )
-def test_after_a_death_in_lock_step_its_scenarios_are_tried_one_by_one(project, alone, expected):
+def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_process_can_be_forked(
+    project, alone, expected
+):
+    project.pytester.makeconftest(
+        "import pytest_pafot.plugin.retrying\npytest_pafot.plugin.retrying.METHOD = 'spawn'\n"
+    )
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
     assert project.run(subprocess=True, generations=3).ret == 9
     project.write((PLANNERS + DYING).replace("HOW", alone))

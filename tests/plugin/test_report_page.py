@@ -136,7 +136,7 @@ def test_a_find_that_is_not_saved_has_the_command_of_its_search(failing, page):
 
 def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
-    project.leave_behind("test_it.py::test_a")
+    project.leave_crash("test_it.py::test_a")
     project.run("--pafot-report=report/")
     (finding,) = data_of(project.path / "report" / "index.html")["findings"]
     assert finding["id"].startswith("crash-")
