@@ -64,9 +64,7 @@ def named_test(file: Path) -> str:
 
 
 def _folders(root: Path) -> Iterator[Path]:
-    if not root.is_dir():
-        return
-    for module in sorted(path for path in root.iterdir() if path.is_dir()):
+    for module in places.modules_in(root):
         yield from sorted(folder for folder in module.iterdir() if count(folder) and _is_of_one_test(folder))
 
 

@@ -91,6 +91,11 @@ def files_in(folder: Path) -> list[Path]:
         return []  # It has no items; whoever writes a finding into it is told what is wrong with it.
 
 
+def modules_in(root: Path) -> list[Path]:
+    """The folders of a corpus, each of a module, by name; none where there is no corpus."""
+    return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+
+
 def saved_in(folder: Path) -> list[Saved]:
     """All files of one item, by id."""
     return [read_saved_file(path) for path in files_in(folder)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from pytest_pafot.plugin import places
@@ -20,7 +20,7 @@ def find(roots: Mapping[Path, Path], folders: set[Path], rootpath: Path) -> list
     """
     on_the_way: set[Path] = set()
     for root, directory in roots.items():
-        on_the_way |= {*_up(root, rootpath), *_up(directory, rootpath), *_modules(root)}
+        on_the_way |= {*_up(root, rootpath), *_up(directory, rootpath), *places.modules_in(root)}
     return [file for folder in sorted(on_the_way - folders) for file in places.files_in(folder)]
 
 
@@ -42,8 +42,3 @@ def home(file: Path, seen: Seen, collected: set[Path], rootpath: Path) -> str:
 def _up(folder: Path, top: Path) -> list[Path]:
     """A folder and those above it up to a top one; nothing above it where it lies elsewhere."""
     return [folder, *(each for each in folder.parents if folder.is_relative_to(top) and each.is_relative_to(top))]
-
-
-def _modules(root: Path) -> Iterator[Path]:
-    if root.is_dir():
-        yield from (path for path in root.iterdir() if path.is_dir())
