@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from pytest_pafot.findings.corpus import read
+from tests.plugin.test_report_page import data_of
 
 pytest.importorskip("xdist")
 
@@ -26,14 +27,22 @@ def forget(project):
         (project.path / name).unlink()
 
 
-def test_workers_find_save_and_report_the_same_as_one_process(project):
+def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(project):
     project.write(TWO)
-    project.run(generations=2)
-    serial = project.contents
+    page = project.path / "report.html"
+    project.run("--pafot-report=report.html", generations=2)
+    serial, shown = project.contents, data_of(page)
+    assert any("shrunk: {" in text for text in serial.values())
     forget(project)
-    result = project.run("-n2", "-v", "--junitxml=junit.xml", generations=2)
+    result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", generations=2)
     assert project.contents == serial
     result.assert_outcomes(failed=2 + len(serial))
+    parallel = data_of(page)
+    assert parallel["findings"] == shown["findings"]
+    assert parallel["campaigns"] == shown["campaigns"]
+    assert len(shown["findings"]) == len(serial)
+    assert len(shown["campaigns"]) == 2
+    result.stdout.fnmatch_lines([f"report: report.html ({len(serial)} findings)"])
     text = (project.path / "junit.xml").read_text()
     for name in serial:
         test, file = name.split("/")[2:]
@@ -113,11 +122,11 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
 
 def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
     project.write(TWO)
-    result = project.run("--dist=each", "--tx=2*popen")
+    result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-rollouts=0")
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     names = [name.rpartition("/")[2] for name in project.files]
     forget(project)
-    project.run()
+    project.run("--pafot-shrink-rollouts=0")
     assert names == [name.rpartition("/")[2] for name in project.files]
 
 

@@ -123,17 +123,6 @@ def test_a_file_that_holds_the_shrunk_find_is_no_other_find(collides):
     assert collides.contents == first
 
 
-def test_the_same_seed_gives_the_same_files_in_workers(project):
-    project.write(COLLIDES + COLLIDES.replace("test_collides", "test_again"))
-    run(project)
-    serial = project.contents
-    assert len(serial) == 2
-    for name in serial:
-        (project.path / name).unlink()
-    run(project, "-n", "2", subprocess=True)
-    assert project.contents == serial
-
-
 INTERRUPTED = """
 seen = []
 
