@@ -14,7 +14,7 @@ import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 
@@ -105,6 +105,17 @@ class LaneInstruction:
 
 
 Gene = PositionInstruction | LaneInstruction
+
+
+def gene_of(target: Any, speed: Any) -> Gene:
+    """The gene of a target as files and canonical texts have it: a word names a lane, anything else a cell.
+
+    Raises:
+        ScenarioError: where there is no such gene.
+    """
+    kind = LaneInstruction if isinstance(target, str) else PositionInstruction
+    return kind(target, speed)
+
 
 Chromosome = tuple[Gene, ...]
 """One NPC's chain of instructions, executed one after the other."""
@@ -204,6 +215,17 @@ class Scenario:
         npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
         fields = [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
         return json.dumps(fields, separators=(",", ":"))
+
+    @classmethod
+    def from_canonical(cls, fields: Any) -> Scenario:
+        """The inverse of :meth:`canonical`, of what ``json.loads`` makes of that text.
+
+        Raises:
+            ScenarioError, TypeError, ValueError: for anything else.
+        """
+        npcs, seed, ego_lane, ego_speed, gene_seconds = fields
+        chains = tuple(tuple(gene_of(target, speed) for target, speed in chain) for chain in npcs)
+        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
 
     def truncated(self, genes: int) -> Scenario:
         """The same scenario with at most so many genes per NPC."""

@@ -156,7 +156,9 @@ class Folder:
             check_output(block.rest, done.stdout.str())
             return
         assert program == "pytest", block.first
-        quiet = ["-p", "no:sugar", "-p", "no:randomly", "-p", "no:hypothesispytest", "-p", "no:rerunfailures"]
+        # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
+        others = ("sugar", "randomly", "hypothesispytest", "rerunfailures", "unraisableexception")
+        quiet = [part for name in others for part in ("-p", f"no:{name}")]
         run = self.pytester.runpytest_subprocess if "-n" in arguments else self.pytester.runpytest_inprocess
         check_output(block.rest, run(*quiet, *arguments).stdout.str())
 

@@ -24,7 +24,7 @@ from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
 from pytest_pafot.findings.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SHIFTS, Gene, LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.scenario import SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
 
 __all__ = [
@@ -263,7 +263,7 @@ def _gene(field: Field) -> Gene:
     fields = field.mapping(("lane", "speed") if has_lane else ("cell", "speed"))
     target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
     try:
-        return (LaneInstruction if has_lane else PositionInstruction)(target, fields["speed"].number())
+        return gene_of(target, fields["speed"].number())
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
 

@@ -19,8 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.scenario import Scenario, ScenarioError
 
 if sys.platform == "win32":
     import msvcrt
@@ -184,18 +183,11 @@ def _parsed(path: Path, line: bytes) -> Leftover:
     try:
         record = json.loads(line)
         owner, world = str(record["owner"]), dict(record["world"]) if record["world"] is not None else None
-        together = tuple(_scenario(each) for each in record.get("together", ()))
-        scenario = None if together else _scenario(record["scenario"])
+        together = tuple(Scenario.from_canonical(each) for each in record.get("together", ()))
+        scenario = None if together else Scenario.from_canonical(record["scenario"])
     except (ValueError, KeyError, TypeError, ScenarioError, RecursionError):
         return Leftover(path=path, pid=_pid(path), owner="", scenario=None)
     return Leftover(path=path, pid=_pid(path), owner=owner, scenario=scenario, world=world, together=together)
-
-
-def _scenario(fields: list[Any]) -> Scenario:
-    """The inverse of :meth:`Scenario.canonical`."""
-    npcs, seed, ego_lane, ego_speed, gene_seconds = fields
-    chains = tuple(tuple(PositionInstruction(Cell(cell), speed) for cell, speed in chain) for chain in npcs)
-    return Scenario(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
 
 
 def _is_held(descriptor: int, path: Path) -> bool:

@@ -199,8 +199,7 @@ class Bench:
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""
-        root = self.item.config.rootpath
-        return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
+        return places.relative(path, self.item.config.rootpath)
 
 
 def is_same_run(a: Run, b: Run) -> bool:

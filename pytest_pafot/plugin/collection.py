@@ -16,6 +16,9 @@ from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit,
 
 ORPHANS = pytest.StashKey[list[Path]]()
 
+STRAYS = pytest.StashKey[dict[str, str]]()
+"""Where saved scenarios that lie in no folder of a test should be."""
+
 SEARCH = "search"
 """The argument of an item, until a simulated run takes its place."""
 
@@ -73,8 +76,8 @@ class Collection:
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, None, None]:
-        """Find orphans before any selection, drop known searches after all."""
-        config.stash[ORPHANS] = self._orphans(items)
+        """Find what no item runs before any selection, drop known searches after all."""
+        self._left_over(items)
         _keep_explicit(config, items)
         yield
         _drop_known_searches(config, items)
@@ -108,17 +111,23 @@ class Collection:
         _mark(item, saved)
         return True
 
-    def _orphans(self, items: list[pytest.Item]) -> list[Path]:
+    def _left_over(self, items: list[pytest.Item]) -> None:
+        """Find the saved scenarios that no item runs."""
         corpus, rootpath = corpus_name(self._config, {}), self._config.rootpath
         roots = dict(self._seen.roots)
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {places.corpus_root(file, corpus, rootpath): directory for directory, file in files.items()}
-        if not any(root.is_dir() for root in roots):
-            return []
-        from pytest_pafot.plugin import orphans  # noqa: PLC0415
+        if not self._seen.roots and not any(root.is_dir() for root in roots):
+            return
+        from pytest_pafot.plugin import orphans, strays  # noqa: PLC0415
 
-        return orphans.find(self._seen, roots, {item.path for item in items}, rootpath)
+        collected = {item.path for item in items}
+        gone = self._config.stash[ORPHANS] = orphans.find(self._seen, roots, collected, rootpath)
+        self._config.stash[STRAYS] = {
+            places.relative(file, rootpath): strays.home(file, self._seen, collected, rootpath)
+            for file in strays.find(roots, {*self._seen.folders, *gone}, rootpath)
+        }
 
     def _folder(self, item: pytest.Item, arguments: dict[str, Any]) -> Path | None:
         corpus = corpus_name(self._config, arguments)

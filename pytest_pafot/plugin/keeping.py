@@ -29,6 +29,14 @@ if TYPE_CHECKING:
 
 NOT_SAVED = "--pafot-save=none"
 
+UNSEEN_CRASH = Expect(
+    failure=places.CRASH,
+    outcome=Outcome.ADS_ERROR,  # The ADS is the code that a process can die in.
+    time=0.0,
+    message="the process ended while it ran this scenario",
+)
+"""What a scenario is expected to show in which a process died, nobody knows how."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kept:
@@ -167,26 +175,34 @@ class Keeper:
         if self.showing is not None:
             self.showing.find(kept.find, kept.finding, None if run is None else run.trace, tried=tried)
 
-    def keep_crash(self, leftover: Leftover) -> None:
-        """Save what was in flight when a process died, and announce it."""
-        if leftover.scenario is None:
-            return
-        expect = Expect(
-            failure=places.CRASH,
-            # Nobody saw how the run ended; the ADS is the code that a process can die in.
-            outcome=Outcome.ADS_ERROR,
-            time=0.0,
-            message="the process ended while it ran this scenario",
-        )
+    def keep_crash(self, leftover: Leftover, scenario: Scenario, again: Lost | None) -> None:
+        """Save what was in flight when a process died, and announce it.
+
+        Args:
+            leftover: of the process.
+            scenario: that it ran.
+            again: what became of the process that ran it again; None where none could tell.
+        """
         found = Found(seed=self.seed, generation=0, algorithm="crash", versions=self.bench.versions)
-        text = (
-            f"a process (pid {leftover.pid}) died while it ran this scenario, by a crash of native code, a lack of "
-            "memory or a kill from outside; if it was killed from outside, delete the file"
+        others = " and others in lock step" if leftover.together else ""
+        text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
+        if again is None:
+            text += (
+                "by a crash of native code, a lack of memory or a kill from outside; if it was killed from outside, "
+                "delete the file"
+            )
+            headline = "crash: a process died while it ran this scenario"
+            expect = UNSEEN_CRASH
+        else:
+            text += f"and the one that ran it again {again.how}: {_cause(again, 'delete the file')}"
+            headline, expect = _headline(again), again.expect
+        kept = self._saved(
+            self._death(scenario, expect, found, leftover.world),
+            headline,
+            "the record of a session that died",
+            is_timed=again is not None and again.is_hang,
         )
-        headline = "crash: a process died while it ran this scenario"
-        finding = self._death(leftover.scenario, expect, found, leftover.world)
-        self._tell_death(self._saved(finding, headline, "the record of a session that died"), text)
-        leftover.discard()
+        self._tell_death(kept, text)
 
     def keep_lost(self, lost: Lost, generation: int, number: int) -> str:
         """Save a scenario whose process did not come back to this search, and announce it; returns its id.
@@ -198,18 +214,12 @@ class Keeper:
         """
         algorithm = self.bench.request.settings.algorithm
         found = Found(seed=self.seed, generation=generation, algorithm=algorithm, versions=self.bench.versions)
-        text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
-        if lost.is_hang:
-            text += (
-                ": the ADS hangs in code that does not return to the interpreter, or uses a library that does not "
-                "work in a forked process (then --pafot-workers=1 finds nothing here; delete the file)"
-            )
-        else:
-            text += ", and so it was when nothing else ran: by a crash of native code, an exit or a lack of memory"
-        headline = f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
+        alone = "" if lost.is_hang else ", and so it was when nothing else ran"
+        text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
+        text += _cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
         origin = f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
         finding = self._death(lost.scenario, lost.expect, found)
-        kept = self._saved(finding, headline, origin, is_timed=lost.is_hang)
+        kept = self._saved(finding, _headline(lost), origin, is_timed=lost.is_hang)
         self._tell_death(kept, text)
         return kept.find.id
 
@@ -291,3 +301,17 @@ def what_happened(run: Run, verdict: Verdict) -> str:
     is_bare = run.collision is not None and first.startswith("assert ")
     is_told = is_bare or not first or headline.partition(":")[0] in first
     return headline if is_told else f"{type(verdict.exception).__name__}: {first[:120]} ({headline})"
+
+
+def _headline(lost: Lost) -> str:
+    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
+
+
+def _cause(lost: Lost, way_out: str) -> str:
+    """Why a process may not come back, with the way out where the scenario is not to blame."""
+    if not lost.is_hang:
+        return "by a crash of native code, an exit or a lack of memory"
+    return (
+        "the ADS hangs in code that does not return to the interpreter, or uses a library that does not work in a "
+        f"forked process (then {way_out})"
+    )

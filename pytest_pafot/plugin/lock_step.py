@@ -38,7 +38,10 @@ class LockStep:
     @property
     def notes(self) -> list[str]:
         """To be told once."""
-        return self.apart.notes
+        if not self.is_wanted or self.apart.size == 1:
+            return self.apart.notes
+        why = "since the ADS decides for many runs at once, by its `batch`"
+        return [*self.apart.notes, f"--pafot-workers={self.apart.size}: not in use, {why}"]
 
     def __enter__(self) -> LockStep:
         self.apart.__enter__()

@@ -51,14 +51,26 @@ def prune(folders: Iterable[Path]) -> list[str]:
 
 def count(folder: Path) -> int:
     """Saved scenarios in a folder."""
-    return sum(path.name.endswith(places.SUFFIX) for path in folder.iterdir()) if folder.is_dir() else 0
+    return len(places.files_in(folder))
+
+
+def named_test(file: Path) -> str:
+    """The node id of the test that a saved scenario names; empty where it names none."""
+    try:
+        line = _TEST_LINE.search(file.read_bytes()[:65536])
+    except OSError:
+        return ""
+    return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
 
 
 def _folders(root: Path) -> Iterator[Path]:
-    if not root.is_dir():
-        return
-    for module in sorted(path for path in root.iterdir() if path.is_dir()):
-        yield from sorted(folder for folder in module.iterdir() if folder.is_dir() and count(folder))
+    for module in places.modules_in(root):
+        yield from sorted(folder for folder in module.iterdir() if count(folder) and _is_of_one_test(folder))
+
+
+def _is_of_one_test(folder: Path) -> bool:
+    """Whether it holds no folders: where one corpus serves all folders of tests, they lie side by side with modules."""
+    return not any(path.is_dir() for path in folder.iterdir())
 
 
 def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, rootpath: Path) -> bool:
@@ -69,7 +81,7 @@ def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, 
         return True
     if module not in collected:
         return False
-    prefix = module.relative_to(rootpath).as_posix() if module.is_relative_to(rootpath) else module.as_posix()
+    prefix = places.relative(module, rootpath)
     for name in _classes(folder):
         prefix = f"{prefix}::{name}"
         if prefix not in seen.classes:
@@ -81,12 +93,5 @@ def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, 
 
 def _classes(folder: Path) -> list[str]:
     """The classes around the test that a folder belongs to, from the first file that names it."""
-    for path in sorted(folder.glob(f"*{places.SUFFIX}")):
-        try:
-            line = _TEST_LINE.search(path.read_bytes()[:65536])
-        except OSError:
-            continue
-        if line:
-            name = line.group(1).decode("utf-8", "replace").strip("'\"")
-            return name.partition("[")[0].split("::")[1:-1]
-    return []
+    name = next(filter(None, map(named_test, places.files_in(folder))), "")
+    return name.partition("[")[0].split("::")[1:-1]

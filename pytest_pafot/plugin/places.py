@@ -83,9 +83,22 @@ def read_saved_file(path: Path) -> Saved:
         return Saved(path=path, error=str(error))
 
 
+def files_in(folder: Path) -> list[Path]:
+    """The corpus files in a folder, sorted by name; none in one that is missing or cannot be listed."""
+    try:
+        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
+    except OSError:
+        return []  # It has no items; whoever writes a finding into it is told what is wrong with it.
+
+
+def modules_in(root: Path) -> list[Path]:
+    """The folders of a corpus, each of a module, by name; none where there is no corpus."""
+    return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+
+
 def saved_in(folder: Path) -> list[Saved]:
     """All files of one item, by id."""
-    return [read_saved_file(path) for path in _files(folder)]
+    return [read_saved_file(path) for path in files_in(folder)]
 
 
 def read_saved(module_folder: Path, definition: pytest.Item) -> list[Saved]:
@@ -195,6 +208,11 @@ def qualified_name(item: pytest.Item) -> str:
     return "::".join([*classes, base_name(item)])
 
 
+def relative(path: Path, rootpath: Path) -> str:
+    """A path as people read it."""
+    return path.relative_to(rootpath).as_posix() if path.is_relative_to(rootpath) else str(path)
+
+
 def _with_name(item: pytest.Item, name: str) -> str:
     parent = item.parent
     return name if parent is None else f"{parent.nodeid}::{name}"
@@ -209,10 +227,3 @@ def _split(text: str, part: str) -> tuple[str, str] | None:
     """What stands before and after the last occurrence of a part of a parametrised name."""
     found = list(re.finditer(rf"(?<=[\[-]){re.escape(part)}(?=[\]-])", text))
     return (text[: found[-1].start()], text[found[-1].end() :]) if found else None
-
-
-def _files(folder: Path) -> list[Path]:
-    try:
-        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
-    except OSError:
-        return []  # It has no items; whoever writes a finding into it is told what is wrong with it.

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.collection import ORPHANS
+from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin.collection import ORPHANS, STRAYS
 from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.paging import LINES
 from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line
@@ -19,7 +19,7 @@ from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line
 if TYPE_CHECKING:
     from pytest_pafot.report import terminal
 
-WORKER_ORPHANS = "pafot_orphans"
+WORKER_ORPHANS, WORKER_STRAYS = "pafot_orphans", "pafot_strays"
 
 
 class Reporter:
@@ -34,6 +34,7 @@ class Reporter:
         self._searches: list[terminal.Search] = []
         self._replays: list[terminal.Replay] = []
         self._orphans: dict[Path, int] = {}
+        self._strays: dict[str, str] = {}
         self._problems: list[str] = []
         self._notes: dict[str, None] = {}
         self._has_line = False
@@ -63,6 +64,7 @@ class Reporter:
         """Take what a worker knew at its end."""
         for folder in getattr(node, "workeroutput", {}).get(WORKER_ORPHANS, ()):
             self._note_orphan(Path(folder))
+        self._strays |= getattr(node, "workeroutput", {}).get(WORKER_STRAYS, {})
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -77,6 +79,8 @@ class Reporter:
             self._problems += unclaimed(self._config)
         for folder in self._config.stash.get(ORPHANS, []):
             self._note_orphan(folder)
+        strays = self._config.stash.get(STRAYS, {})
+        self._strays |= strays
         if self._config.getoption(BY_NAME["prune"].key):
             from pytest_pafot.plugin import orphans  # noqa: PLC0415
 
@@ -85,7 +89,8 @@ class Reporter:
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
         written = self._config.stash[LINES]
-        if not (self._searches or self._replays or self._orphans or self._problems or self._running or written):
+        left = self._orphans or self._strays or self._problems
+        if not (self._searches or self._replays or self._running or left or written):
             return
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
@@ -93,7 +98,8 @@ class Reporter:
         session = terminal.Session(
             searches=self._searches,
             replays=self._replays,
-            orphans=[(_relative(folder, root), count) for folder, count in self._orphans.items()],
+            orphans=[(places.relative(folder, root), count) for folder, count in self._orphans.items()],
+            strays=sorted(self._strays.items()),
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
             problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
             written=[line for line, is_problem in written if not is_problem],
@@ -235,7 +241,9 @@ class WorkerReporter:
     def pytest_sessionfinish(self) -> None:
         """Hand over what this worker collected."""
         found = self._config.stash.get(ORPHANS, [])
-        self._config.workeroutput[WORKER_ORPHANS] = [str(folder) for folder in found]  # type: ignore[attr-defined]
+        output: dict[str, Any] = self._config.workeroutput  # type: ignore[attr-defined]
+        output[WORKER_ORPHANS] = [str(folder) for folder in found]
+        output[WORKER_STRAYS] = self._config.stash.get(STRAYS, {})
 
 
 def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:
@@ -252,7 +260,3 @@ def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:
 
 def _without_kind(message: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in message.items() if key != "kind"}
-
-
-def _relative(path: Path, root: Path) -> str:
-    return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)

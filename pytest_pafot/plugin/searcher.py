@@ -25,6 +25,7 @@ from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
 from pytest_pafot.plugin.request import RequestError, build_space
 from pytest_pafot.plugin.resuming import Resuming
+from pytest_pafot.plugin.retrying import settle
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
@@ -113,8 +114,7 @@ class Watched:
     def retry(self, leftover: Leftover) -> None:
         """Run by itself what was in lock step when a process died, so that a second death has one name."""
         __tracebackhide__ = True
-        if leftover.together:
-            leftover.discard()  # before another death, of which it would otherwise be the cause for ever
+        leftover.discard()  # before another death, of which it would otherwise be the cause for ever
         for scenario in leftover.together:
             self.rerun(scenario)
 
@@ -176,8 +176,7 @@ class Searching:
                 showing=self.showing,
             )
             for leftover in left_behind(self.bench.item, self.bench.request):
-                keeper.keep_crash(leftover)
-                watched.retry(leftover)
+                self.notes += settle(self.bench, leftover, keeper.keep_crash, watched.retry)
             saved = places.saved_in(self.bench.folder)
             keeper.replayed = frozenset(each.path for each in saved)
             hunt = Hunt(

@@ -180,6 +180,7 @@ class Session:
         replays: likewise.
         orphans: folders of saved scenarios whose test is gone, with their number of files.
         pruned: whether those were removed.
+        strays: saved scenarios that lie in no folder of a test, each with where it should be.
         problems: anything that went wrong beside the tests.
         written: where reports are.
         interrupted: node ids of searches that began and did not end.
@@ -190,6 +191,7 @@ class Session:
     replays: Sequence[Replay] = ()
     orphans: Sequence[tuple[str, int]] = ()
     pruned: bool = False
+    strays: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
@@ -304,6 +306,8 @@ def session_lines(session: Session, *, verbose: bool = False) -> list[str]:
         lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
     if session.orphans and not session.pruned:
         lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune")
+    for file, place in session.strays:
+        lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
     lines += [ascii_text(line) for line in session.written]
     for note in session.notes:
         lines += _wrapped(f"note: {note}")

@@ -23,6 +23,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
+from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.searching.turns import asked_again, check_evaluations, check_order
 from pytest_pafot.trace import FloatArray
@@ -103,16 +104,9 @@ class AvFuzzerSearch:
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
-        for name, least in (("slices", 1), ("local_generations", 0), ("local_after", 0), ("restart_after", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: expected a count of at least {least}, received {getattr(self, name)!r}")
-        for name in ("crossover_rate", "mutation_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(self, name)!r}")
-        if not 0 <= self.local_mutation_factor < math.inf:
-            raise ValueError(
-                f"local_mutation_factor: expected a finite number, at least 0, received {self.local_mutation_factor!r}"
-            )
+        check_counts(self, slices=1, local_generations=0, local_after=0, restart_after=1)
+        check_rates(self, "crossover_rate", "mutation_rate")
+        check_factor(self, "local_mutation_factor")
 
     @property
     def sliced(self) -> SearchSpace:

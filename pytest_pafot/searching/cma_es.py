@@ -20,11 +20,10 @@ from cmaes import CatCMAwM
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
-from pytest_pafot.searching.operators import best_of, improves
+from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.repair import repaired
 from pytest_pafot.searching.space import SearchSpace, fresh_seed
-from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,18 +101,11 @@ class CmaEsSearch:
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
         check_evaluations(state.asked, evaluations)
-        generation = state.generation
-        events: list[AlgorithmEvent] = [
-            GenerationFinished(generation=generation, local_generation=0, population=tuple(evaluations), elites=0)
-        ]
-        candidate = best_of(evaluations)
-        if candidate is not None and improves(candidate, state.best):
-            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
-            state = replace(state, best=candidate)
+        best, events = end_of_generation(state.generation, state.best, evaluations)
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
-        state = replace(state, generation=generation + 1, optimiser=optimiser, solutions=(), asked=())
-        return state, tuple(events)
+        state = replace(state, generation=state.generation + 1, optimiser=optimiser, solutions=(), best=best, asked=())
+        return state, events
 
     def _decoded(self, solution: Any, seed: int) -> Scenario:
         space = self.space

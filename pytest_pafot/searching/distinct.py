@@ -20,10 +20,11 @@ from pytest_pafot.findings.near_miss import NearMiss
 from pytest_pafot.findings.responsibility import Fault
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
-from pytest_pafot.searching.operators import best_of, crossover, improves, mutate, tournament
+from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
+from pytest_pafot.searching.parameters import check_counts, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 SPEED_NICHE = 5.0
 """Width of a niche in closing speed [m/s]."""
@@ -97,11 +98,8 @@ class DistinctSearch:
     most_mutations: int = field(default=3, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("population", "random_generations", "most_mutations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected a count of at least 1, received {getattr(self, name)!r}")
-        if not 0 <= self.crossover_rate <= 1:
-            raise ValueError(f"crossover_rate: expected a number from 0 to 1, received {self.crossover_rate!r}")
+        check_counts(self, population=1, random_generations=1, most_mutations=1)
+        check_rates(self, "crossover_rate")
 
     def start(self, rng: np.random.Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
@@ -131,25 +129,20 @@ class DistinctSearch:
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
         check_evaluations(state.asked, evaluations)
-        generation, candidate = state.generation, best_of(evaluations)
-        events: list[AlgorithmEvent] = [
-            GenerationFinished(generation=generation, local_generation=0, population=tuple(evaluations), elites=0)
-        ]
-        if candidate is not None and improves(candidate, state.best):
-            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
-            state = replace(state, best=candidate)
+        best, events = end_of_generation(state.generation, state.best, evaluations)
         kinds = state.kinds | {each.kind for each in evaluations if each.failing and each.kind is not None}
         faults = state.faults | {each.fault for each in evaluations if each.failing and each.fault is not None}
         state = replace(
             state,
-            generation=generation + 1,
+            generation=state.generation + 1,
             kinds=kinds,
             faults=faults,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
             near=_near(state.near, evaluations, faults),
+            best=best,
             asked=(),
         )
-        return state, tuple(events)
+        return state, events
 
     def _child(self, groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Scenario:
         child = _parent(groups, rng).executed

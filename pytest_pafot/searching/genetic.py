@@ -7,7 +7,6 @@ repair inside a run changed is part of them from then on (section 2.1).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -26,6 +25,7 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.memory import Memory
 from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
+from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.searching.turns import check_ask, check_evaluations
 
@@ -96,26 +96,14 @@ class PafotSearch:
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, an elite and a child, received {self.population!r}")
-        for name in ("crossover_rate", "mutation_rate", "elite_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(self, name)!r}")
+        check_rates(self, "crossover_rate", "mutation_rate", "elite_share")
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
                 f"elite_share: expected room for a child in a population of {self.population}, received "
                 f"{self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
             )
-        for name, least in (
-            ("local_generations", 0),
-            ("local_after", 0),
-            ("restart_after", 1),
-            ("breeding_attempts", 0),
-        ):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: expected a count of at least {least}, received {getattr(self, name)!r}")
-        if not (math.isfinite(self.local_mutation_factor) and self.local_mutation_factor >= 0):
-            raise ValueError(
-                f"local_mutation_factor: expected a finite number, at least 0, received {self.local_mutation_factor!r}"
-            )
+        check_counts(self, local_generations=0, local_after=0, restart_after=1, breeding_attempts=0)
+        check_factor(self, "local_mutation_factor")
 
     @property
     def local_mutation_rate(self) -> float:

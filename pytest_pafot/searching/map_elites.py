@@ -17,10 +17,11 @@ from ribs.archives import GridArchive
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
-from pytest_pafot.searching.operators import best_of, crossover, improves, mutate
+from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.operators import crossover, mutate
+from pytest_pafot.searching.parameters import check_counts, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 NO_IMPACT = 0
 """The cell of a run without a collision; all of these share one niche, in which the nearest miss stays."""
@@ -71,11 +72,8 @@ class MapElitesSearch:
     crossover_rate: float = field(default=0.5, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("population", "random_generations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected a count of at least 1, received {getattr(self, name)!r}")
-        if not 0 <= self.crossover_rate <= 1:
-            raise ValueError(f"crossover_rate: expected a number from 0 to 1, received {self.crossover_rate!r}")
+        check_counts(self, population=1, random_generations=1)
+        check_rates(self, "crossover_rate")
 
     def start(self, rng: np.random.Generator) -> MapElitesState:
         """The state before the first generation: an empty archive."""
@@ -110,14 +108,7 @@ class MapElitesSearch:
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
         check_evaluations(state.asked, evaluations)
-        generation = state.generation
-        events: list[AlgorithmEvent] = [
-            GenerationFinished(generation=generation, local_generation=0, population=tuple(evaluations), elites=0)
-        ]
-        candidate = best_of(evaluations)
-        if candidate is not None and improves(candidate, state.best):
-            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
-            state = replace(state, best=candidate)
+        best, events = end_of_generation(state.generation, state.best, evaluations)
         eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
         archive = copy.deepcopy(state.archive)
         if eligible:
@@ -127,16 +118,15 @@ class MapElitesSearch:
                 objective=np.array([each.fitness for each in eligible]),
                 measures=np.array([niche(each) for each in eligible]),
             )
-        return (
-            replace(
-                state,
-                generation=generation + 1,
-                archive=archive,
-                evaluations=(*state.evaluations, *eligible),
-                asked=(),
-            ),
-            tuple(events),
+        state = replace(
+            state,
+            generation=state.generation + 1,
+            archive=archive,
+            evaluations=(*state.evaluations, *eligible),
+            best=best,
+            asked=(),
         )
+        return state, events
 
     def _child(self, elites: Sequence[Evaluation], rng: np.random.Generator) -> Scenario:
         a, b = (elites[int(index)].executed for index in rng.integers(len(elites), size=2))

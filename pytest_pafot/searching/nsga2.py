@@ -18,10 +18,11 @@ from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
 
 from pytest_pafot.scenario import Scenario, positions_of
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
-from pytest_pafot.searching.operators import best_of, crossover, improves, mutate
+from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.operators import crossover, mutate
+from pytest_pafot.searching.parameters import check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.trace import FloatArray
 
 WORST = 1e9
@@ -68,9 +69,7 @@ class Nsga2Search:
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
-        for name in ("crossover_rate", "mutation_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(self, name)!r}")
+        check_rates(self, "crossover_rate", "mutation_rate")
 
     def start(self, rng: np.random.Generator) -> Nsga2State:
         """The state before the first generation; it needs no draw."""
@@ -99,19 +98,9 @@ class Nsga2Search:
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
         check_evaluations(state.asked, evaluations)
-        generation = state.generation
-        together = (*state.population, *evaluations)
-        events: list[AlgorithmEvent] = [
-            GenerationFinished(
-                generation=generation, local_generation=0, population=together, elites=len(state.population)
-            )
-        ]
-        candidate = best_of(evaluations)
-        if candidate is not None and improves(candidate, state.best):
-            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
-            state = replace(state, best=candidate)
-        survivors = surviving(together, self.population, rng)
-        return replace(state, generation=generation + 1, population=survivors, asked=()), tuple(events)
+        best, events = end_of_generation(state.generation, state.best, evaluations, kept=state.population)
+        survivors = surviving((*state.population, *evaluations), self.population, rng)
+        return replace(state, generation=state.generation + 1, population=survivors, best=best, asked=()), events
 
     def _pair(self, population: Sequence[Evaluation], rng: np.random.Generator) -> list[Scenario]:
         """Two children; the population is in the order in which tournaments prefer it."""

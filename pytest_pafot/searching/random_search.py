@@ -14,10 +14,9 @@ import numpy as np
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
-from pytest_pafot.searching.operators import best_of, improves
+from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
-from pytest_pafot.searching.turns import check_ask, check_evaluations
+from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,15 +85,8 @@ class RandomSearch:
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
         check_evaluations(state.asked, evaluations)
-        generation, candidate = state.generation, best_of(evaluations)
-        events: list[AlgorithmEvent] = [
-            GenerationFinished(generation=generation, local_generation=0, population=tuple(evaluations), elites=0)
-        ]
-        state = replace(state, generation=generation + 1, asked=())
-        if candidate is not None and improves(candidate, state.best):
-            events.append(NewBest(generation=generation, local_generation=0, evaluation=candidate))
-            state = replace(state, best=candidate)
-        return state, tuple(events)
+        best, events = end_of_generation(state.generation, state.best, evaluations)
+        return replace(state, generation=state.generation + 1, best=best, asked=()), events
 
 
 @dataclass(frozen=True, slots=True)

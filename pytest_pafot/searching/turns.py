@@ -1,4 +1,4 @@
-"""Ask and tell take turns; these checks refuse everything else."""
+"""Ask and tell take turns: checks that refuse everything else, and what an end of a turn says."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
+from pytest_pafot.searching.operators import best_of, improves
 
 
 def check_ask(asked: Sequence[Scenario]) -> None:
@@ -57,3 +59,23 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
                 f"{place}: expected the evaluation of {scenario!r} at {index}, received one of "
                 f"{evaluation.scenario!r}; keep the order of the scenarios"
             )
+
+
+def end_of_generation(
+    generation: int, best: Evaluation | None, evaluations: Sequence[Evaluation], *, kept: Sequence[Evaluation] = ()
+) -> tuple[Evaluation | None, tuple[AlgorithmEvent, ...]]:
+    """The best so far and the events at the end of a generation of an algorithm that has no local searches.
+
+    Args:
+        generation: that ends.
+        best: before it.
+        evaluations: of what was asked for.
+        kept: what passed on untouched.
+    """
+    end = GenerationFinished(
+        generation=generation, local_generation=0, population=(*kept, *evaluations), elites=len(kept)
+    )
+    candidate = best_of(evaluations)
+    if candidate is None or not improves(candidate, best):
+        return best, (end,)
+    return candidate, (end, NewBest(generation=generation, local_generation=0, evaluation=candidate))

@@ -202,11 +202,11 @@ def test_a_policy_of_an_environment_is_compared_in_it(tmp_path):
     assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
 
 
-def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path):
+def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path, monkeypatch):
     (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
     arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
-    command = [sys.executable, "-m", "pytest_pafot", "compare", *arguments, "--algorithms=random", "--out=out"]
-    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["compare", *arguments, "--algorithms=random", "--out", str(tmp_path / "out")]) == 0
     space = json.loads((tmp_path / "out" / "comparison.json").read_text())["plan"]["space"]
     assert (space["ego_lane"], space["ego_speed"], space["speed_limit"]) == (1, 30.0, 30.0)
     assert space["genes"] == 3

@@ -142,6 +142,7 @@ def test_every_scenario_comes_back_also_after_a_longer_one(tmp_path_factory, one
         b"{}\n",
         b'{"owner": "a", "world": 3, "scenario": []}\n',
         json.dumps({"owner": "a", "world": None, "scenario": [[[[9, 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
+        json.dumps({"owner": "a", "world": None, "scenario": [[[["up", 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
         b"[" * 100_000,
     ],
 )

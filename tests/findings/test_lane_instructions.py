@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pytest_pafot.findings import corpus
 from pytest_pafot.findings.emit import text_of
 from pytest_pafot.findings.fields import CorpusError
+from pytest_pafot.findings.inflight import InFlight, leftovers
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
@@ -45,6 +46,18 @@ BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 lef
 def test_what_is_written_is_read(npcs):
     finding = plain_finding(scenario=Scenario(npcs=npcs))
     assert corpus.parsed(Path(PATH), text_of(finding).encode()) == finding
+
+
+@given(chains)
+def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, npcs):
+    folder = tmp_path_factory.mktemp("inflight")
+    with InFlight(folder, "test_it.py::test_it") as record:
+        record.record(Scenario(npcs=npcs, seed=3))
+        (path,) = folder.iterdir()
+        content = path.read_bytes()
+    path.write_bytes(content)
+    (left,) = leftovers(folder)
+    assert left.scenario == Scenario(npcs=npcs, seed=3)
 
 
 def test_a_file_names_the_lane():

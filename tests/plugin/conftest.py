@@ -23,6 +23,23 @@ def ads():
     return lambda: lambda observation: (0.0, 0.0)
 """
 
+DEADLY = """
+import os
+import pytest
+
+SESSION = os.getpid()
+
+def drive(observation):
+    if os.getpid() != SESSION:
+        os._exit(9)
+    return 0.0, 0.0
+
+@pytest.fixture
+def ads():
+    return lambda: drive
+"""
+"""With an ADS that ends every process but that of the session."""
+
 SHORT = "genes=2, gene_seconds=5"
 """Marker arguments of ten-second scenarios."""
 
@@ -53,12 +70,18 @@ class Project:
         run = self.pytester.runpytest_subprocess if subprocess else self.pytester.runpytest_inprocess
         return run(*options, *map(str, args), **inline)
 
-    def leave_behind(self, owner):
-        """What a process leaves behind that died while a test ran a scenario."""
+    def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
+        """What a process leaves behind that died while a test ran a scenario, or several at once."""
         folder = self.path / ".pytest_cache" / "d" / "pafot"
-        flight = InFlight(folder, owner, world=Highway(duration=10.0).to_dict())
-        flight.record(Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),) * 2,), gene_seconds=5))
+        flight = InFlight(folder, owner, world=world or Highway(duration=10.0).to_dict())
+        chains = [(PositionInstruction(cell, 20.0),) * 2 for cell in cells]
+        flight.record(*(Scenario(npcs=(chain,), gene_seconds=5) for chain in chains))
         os.close(flight._descriptor)
+
+    def leave_crash(self, owner):
+        """The same with an ADS that ends also the process in which the scenario runs again."""
+        self.pytester.makeconftest(DEADLY)
+        self.leave_behind(owner)
 
     @property
     def files(self):

@@ -122,6 +122,58 @@ def test_it(run, limit):
     )
 
 
+@pytest.mark.parametrize("place", ["pafot_corpus/test_it", "pafot_corpus", "."])
+def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(failing, place):
+    failing.run()
+    home, id_ = failing.only_file.parent, failing.only_id
+    failing.only_file.rename(failing.path / place / failing.only_file.name)
+    result = failing.run(generations=0)
+    result.assert_outcomes(skipped=1)
+    assert told(result) == [
+        f"{failing.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
+    ]
+    failing.only_file.rename(home / failing.only_file.name)
+    again = failing.run(generations=0)
+    again.assert_outcomes(failed=1, skipped=1)
+    assert (failing.only_id, told(again)) == (id_, [])
+
+
+def told(result):
+    return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
+
+
+def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(failing):
+    failing.run()
+    for folder in ("safety/near", "notes"):
+        (failing.path / folder).mkdir(parents=True)
+    (failing.path / "test_it.py").rename(failing.path / "safety" / "near" / "test_it.py")
+    content = failing.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
+    failing.only_file.unlink()
+    for folder in ("safety", "notes"):
+        (failing.path / folder / "a.pafot.yaml").write_text(content)
+    place = "safety/near/pafot_corpus/test_it/test_fails"
+    expected = [f"safety/a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+    assert told(failing.run(generations=0)) == expected
+    assert told(failing.run("--pafot-corpus", failing.path / "all", generations=0)) == [
+        expected[0].replace(place, "all/safety/near/test_it/test_fails")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [("test: test_old.py::test_it", "the folder of test_old.py::test_it"), ("", "the folder of its test")],
+)
+def test_a_file_that_lies_too_high_and_names_no_collected_test_is_told(failing, line, place):
+    (failing.path / "a.pafot.yaml").write_text(line)
+    assert told(failing.run(generations=0)) == [f"a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+
+
+def test_without_a_search_nobody_looks_for_files_that_lie_too_high(project):
+    project.write("def test_ordinary():\n    pass\n")
+    (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_ordinary")
+    assert "pafot.yaml" not in project.run(generations=None).stdout.str()
+
+
 @pytest.mark.parametrize(
     "selection",
     [
@@ -187,6 +239,22 @@ def test_prune_removes_orphans_and_nothing_else(project):
     assert [name.split("/")[2] for name in project.files] == ["test_a"]
 
 
+def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
+    one = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert not run\n"
+    project.write(one, name="test_top")
+    project.write(one, name="tests/test_low")
+    corpus = project.path / "all"
+    project.run("--pafot-corpus", corpus)
+    files = project.files
+    assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
+    (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")
+    result = project.run("--pafot-corpus", corpus, "--pafot-prune", generations=0)
+    assert set(files) < set(project.files)
+    assert told(result) == [
+        "all/tests/test_low/a.pafot.yaml, which lies in no folder of a test; move it to all/tests/test_low/test_fails"
+    ]
+
+
 @pytest.mark.skipif(os.name == "nt", reason="folders have no write permission on Windows")
 @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_checkout_loses_no_find(failing):
@@ -224,9 +292,11 @@ def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(proje
         """
 import os
 
+SESSION = os.getpid()
+
 @pafot.search(SHORT)
 def test_dies(run):
-    if os.environ.get("DIE"):
+    if os.environ.get("DIE") or os.getpid() != SESSION:
         os._exit(9)
 """
     )
@@ -253,15 +323,14 @@ def test_lives(run):
 
 def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0).assert_outcomes(failed=2)
     project.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
 def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
-    failing.leave_behind("test_it.py::test_fails")
-    result = failing.run(generations=0)
-    result.stdout.fnmatch_lines(["*a kill from outside; if it was killed from outside, delete the file"])
+    failing.leave_crash("test_it.py::test_fails")
+    failing.run(generations=0)
     result = failing.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
@@ -269,7 +338,7 @@ def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
 
 def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run().assert_outcomes(failed=2)
     project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
     project.run("test_it.py::test_lives[search]").assert_outcomes(passed=1)
@@ -277,7 +346,7 @@ def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project)
 
 def test_a_saved_scenario_that_killed_two_processes_runs_only_when_it_is_asked_for(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0)
     project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
     result = project.run(generations=0)
@@ -289,7 +358,7 @@ def test_a_saved_scenario_that_killed_two_processes_runs_only_when_it_is_asked_f
 
 def test_an_xfailed_scenario_that_kills_the_process_is_not_run(project):
     project.write(PASSES)
-    project.leave_behind("test_it.py::test_lives")
+    project.leave_crash("test_it.py::test_lives")
     project.run(generations=0)
     text = project.only_file.read_text()
     project.only_file.write_text(text.replace('# xfail: "reason"', 'xfail: "native code"'))

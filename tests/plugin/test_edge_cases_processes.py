@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from pytest_pafot.findings.corpus import read
+from tests.plugin.test_report_page import data_of
 
 pytest.importorskip("xdist")
 
@@ -26,14 +27,22 @@ def forget(project):
         (project.path / name).unlink()
 
 
-def test_workers_find_save_and_report_the_same_as_one_process(project):
+def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(project):
     project.write(TWO)
-    project.run(generations=2)
-    serial = project.contents
+    page = project.path / "report.html"
+    project.run("--pafot-report=report.html", generations=2)
+    serial, shown = project.contents, data_of(page)
+    assert any("shrunk: {" in text for text in serial.values())
     forget(project)
-    result = project.run("-n2", "-v", "--junitxml=junit.xml", generations=2)
+    result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", generations=2)
     assert project.contents == serial
     result.assert_outcomes(failed=2 + len(serial))
+    parallel = data_of(page)
+    assert parallel["findings"] == shown["findings"]
+    assert parallel["campaigns"] == shown["campaigns"]
+    assert len(shown["findings"]) == len(serial)
+    assert len(shown["campaigns"]) == 2
+    result.stdout.fnmatch_lines([f"report: report.html ({len(serial)} findings)"])
     text = (project.path / "junit.xml").read_text()
     for name in serial:
         test, file = name.split("/")[2:]
@@ -62,6 +71,14 @@ def test_workers_report_orphans_once_and_prune_them(project):
     result = project.run("-n2", "--pafot-prune", generations=0)
     assert result.stdout.str().count("of no test in pafot_corpus/test_it/test_first") == 1
     assert project.files == []
+
+
+def test_workers_report_a_file_that_lies_too_high_once(project):
+    project.write(TWO)
+    (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_second")
+    result = project.run("-n2", generations=0)
+    expected = "not run: a.pafot.yaml, which lies in no folder of a test; move it to pafot_corpus/test_it/test_second"
+    assert result.stdout.lines.count(expected) == 1
 
 
 def test_a_worker_that_dies_loses_no_find_and_its_replacement_collects_the_same(project):
@@ -105,11 +122,11 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
 
 def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
     project.write(TWO)
-    result = project.run("--dist=each", "--tx=2*popen")
+    result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-rollouts=0")
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     names = [name.rpartition("/")[2] for name in project.files]
     forget(project)
-    project.run()
+    project.run("--pafot-shrink-rollouts=0")
     assert names == [name.rpartition("/")[2] for name in project.files]
 
 

@@ -8,21 +8,21 @@ from pytest_pafot.plugin import header
 from pytest_pafot.world import kernel
 
 
-def test_a_session_that_is_not_verbose_says_nothing(pytester):
-    pytester.runpytest_subprocess().stdout.no_fnmatch_line("*kernel*")
+def test_a_session_that_is_not_verbose_says_nothing(project):
+    project.run().stdout.no_fnmatch_line("*kernel*")
 
 
-def test_a_verbose_session_says_it_once(pytester):
-    result = pytester.runpytest_subprocess("-v")
+def test_a_verbose_session_says_it_once(project):
+    result = project.run("-v")
     told = [line for line in result.outlines if line.startswith("pafot: kernel")]
     expected = "compiled" if kernel.is_compiled() else "interpreted"
     assert len(told) == 1
     assert told[0].startswith(f"pafot: kernel {expected}")
 
 
-def test_an_environment_that_demands_the_interpreted_one_is_named(pytester, monkeypatch):
+def test_an_environment_that_demands_the_interpreted_one_is_named(project, monkeypatch):
     monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
-    pytester.runpytest_subprocess("-v").stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
+    project.run("-v").stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
 
 
 @pytest.mark.parametrize("compiled", [False, True])

@@ -130,6 +130,21 @@ def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project):
 
 
 @pytest.mark.parametrize(
+    ("ads", "workers", "notes"),
+    [
+        ("Batched", 2, ["not in use, since the ADS decides for many runs at once, by its `batch`"]),
+        ("Batched", 1, []),
+        ("Planner", 2, ["not in use, since a run took ... ms, and it pays from 10 ms on"]),
+    ],
+)
+def test_a_search_tells_once_why_workers_are_idle(project, ads, workers, notes):
+    project.write(PLANNERS + f"@pafot.search(SHORT, ads={ads})\ndef test_drives(run):\n    pass\n")
+    text = " ".join(project.run(f"--pafot-workers={workers}", generations=3).stdout.str().split())
+    told = [note.partition(" ==")[0] for note in text.split("note: --pafot-workers=2: ")[1:]]
+    assert [re.sub(r"took [\d.]+ ms", "took ... ms", note) for note in told] == notes
+
+
+@pytest.mark.parametrize(
     "search", ["decision_limit=1.0", "world=Own()"], ids=["a limit of time for decisions", "a world of ones own"]
 )
 def test_runs_take_place_one_by_one_where_lock_step_would_not_do(project, search):
@@ -206,7 +221,12 @@ def test_dies(run):
     [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls
     ids=["and the second dies again", "and none dies again"],
 )
-def test_after_a_death_in_lock_step_its_scenarios_are_tried_one_by_one(project, alone, expected):
+def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_process_can_be_forked(
+    project, alone, expected
+):
+    project.pytester.makeconftest(
+        "import pytest_pafot.plugin.retrying\npytest_pafot.plugin.retrying.METHOD = 'spawn'\n"
+    )
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
     assert project.run(subprocess=True, generations=3).ret == 9
     project.write((PLANNERS + DYING).replace("HOW", alone))

@@ -13,7 +13,8 @@ def settings(project, *args, ini="", marker=None, environ=None):
     """The settings of a config that is made from these sources."""
     if ini:
         project.pytester.makeini(f"[pytest]\n{ini}")
-    config = project.pytester.parseconfigure("-p", "pafot", *args)
+    # unraisableexception collects all garbage when a config ends, which is slow and shows nothing here.
+    config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
     return resolve(config, marker or {}, fresh_seed=77, environ=environ or {})
 
 

@@ -17,16 +17,6 @@ from pytest_pafot.world.references import REFERENCES
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
-TWO = """
-@pafot.search(SHORT, stop_after=1)
-def test_a(run):
-    assert run.duration < 1
-
-@pafot.search(SHORT, stop_after=1)
-def test_b(run):
-    assert run.duration < 2
-"""
-
 INTERRUPTED = """
 seen = []
 
@@ -80,18 +70,6 @@ def test_the_text_of_the_file_is_on_the_page(failing, page):
     assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
 
 
-def test_pages_are_the_same_with_workers(project, page):
-    project.write(TWO)
-    project.run("--pafot-report=report.html", "--pafot-save=none")
-    serial = data_of(page)
-    result = project.run("--pafot-report=report.html", "--pafot-save=none", "-n", "2", subprocess=True)
-    parallel = data_of(page)
-    assert len(serial["findings"]) == 2
-    assert parallel["findings"] == serial["findings"]
-    assert parallel["campaigns"] == serial["campaigns"]
-    result.stdout.fnmatch_lines(["report: report.html (2 findings)"])
-
-
 def test_a_saved_scenario_that_still_fails_is_on_the_page(failing, page):
     failing.run()
     failing.run("--pafot-report=report.html", generations=0)
@@ -136,7 +114,7 @@ def test_a_find_that_is_not_saved_has_the_command_of_its_search(failing, page):
 
 def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
-    project.leave_behind("test_it.py::test_a")
+    project.leave_crash("test_it.py::test_a")
     project.run("--pafot-report=report/")
     (finding,) = data_of(project.path / "report" / "index.html")["findings"]
     assert finding["id"].startswith("crash-")

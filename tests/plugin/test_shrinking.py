@@ -123,17 +123,6 @@ def test_a_file_that_holds_the_shrunk_find_is_no_other_find(collides):
     assert collides.contents == first
 
 
-def test_the_same_seed_gives_the_same_files_in_workers(project):
-    project.write(COLLIDES + COLLIDES.replace("test_collides", "test_again"))
-    run(project)
-    serial = project.contents
-    assert len(serial) == 2
-    for name in serial:
-        (project.path / name).unlink()
-    run(project, "-n", "2", subprocess=True)
-    assert project.contents == serial
-
-
 INTERRUPTED = """
 seen = []
 
@@ -160,7 +149,7 @@ def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
     assert read(project.only_file).original is None
     project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
     result = run(project, "--pafot-stop-after=1")
-    result.stdout.fnmatch_lines(["*crash: a process died while it ran this scenario*"])
+    result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
 
 
 def test_max_time_leaves_a_find_as_it_was_found(project):

@@ -1,0 +1,116 @@
+"""What was in flight when a process died runs again, in a process of its own, before it is called a finding.
+
+A process also dies because somebody ends it: a job that is cancelled, a system that is short of memory. The scenario
+that it ran then says nothing of the ADS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.plugin.ahead import METHOD, hired
+from pytest_pafot.plugin.crew import Answer, Lost
+from pytest_pafot.trace import Outcome
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.inflight import Leftover
+    from pytest_pafot.plugin.bench import Bench
+    from pytest_pafot.scenario import Scenario
+    from pytest_pafot.trace import Trace
+
+Keep = Callable[["Leftover", "Scenario", Lost | None], None]
+"""Saves a scenario in which a process died, and another one when it ran again, as far as that is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A run with its verdict as one thing: a process may also die in the user's function."""
+
+    bench: Bench
+    world: Any
+
+    @property
+    def hang_limit(self) -> float:
+        """Of a decision [s]."""
+        return float(getattr(self.world, "hang_limit", 30.0))
+
+    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        """The run of it that was judged."""
+        run = self.bench.seen(self.bench.rolled_out(scenario, self.world, ads), self.world)
+        self.bench.judge(run)
+        return run.trace
+
+
+def settle(bench: Bench, leftover: Leftover, keep: Keep, rerun: Callable[[Leftover], None]) -> list[str]:
+    """Keep what is to blame for the death of a process; returns notes on what is not.
+
+    Where no process can be made to try it in, one death is enough for a scenario that was alone in flight.
+
+    Args:
+        bench: of the item whose search it was.
+        leftover: of the process; removed once all is said.
+        keep: saves a scenario.
+        rerun: runs what was in lock step in this process, with the scenario on disk, for the next session to settle.
+    """
+    scenarios = leftover.together or ((leftover.scenario,) if leftover.scenario else ())
+    answers = _answers(bench, leftover, scenarios)
+    if answers is None and leftover.together:
+        rerun(leftover)
+        return []
+    fates = [(scenario, None if answers is None else answers[scenario]) for scenario in scenarios]
+    for scenario, fate in fates:
+        if isinstance(fate, Lost):
+            keep(leftover, scenario, fate)
+        elif not _is_innocent(fate) and not leftover.together:
+            keep(leftover, scenario, None)
+    leftover.discard()
+    return [_recovery(leftover)] if all(_is_innocent(fate) for _, fate in fates) else []
+
+
+def _answers(bench: Bench, leftover: Leftover, scenarios: tuple[Scenario, ...]) -> dict[Scenario, Answer | Lost] | None:
+    """What running each by itself shows; None where that cannot be tried.
+
+    Only forked processes have the fixtures of the test function. A death counts, also where the process that the crew
+    tries it in again lives: it is not the first.
+    """
+    world = _world(bench, leftover)
+    if METHOD != "fork" or world is None:
+        return None
+    errand = replace(bench.errand, world=Whole(bench, world), plain_world=leftover.world)
+    crew = hired(errand, 1, METHOD, [])
+    if crew is None:
+        return None
+    with crew:
+        crew.expect(scenarios)
+        answers = {scenario: crew.fetch(scenario) for scenario in scenarios}
+    return None if crew.failure else answers | {lost.scenario: lost for lost in crew.recovered}
+
+
+def _world(bench: Bench, leftover: Leftover) -> Any:
+    """That the process ran in; None where it cannot be made again."""
+    if leftover.world in (None, bench.errand.plain_world):
+        return bench.world
+    from pytest_pafot.world import WorldError, from_dict  # noqa: PLC0415
+
+    try:
+        return from_dict(dict(leftover.world))
+    except (WorldError, TypeError, ValueError):
+        return None
+
+
+def _is_innocent(fate: Answer | Lost | None) -> bool:
+    """Whether a run came to its end. One in which the ADS failed may have failed since it was another process."""
+    trace = fate.trace if isinstance(fate, Answer) else None
+    return trace is not None and trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+
+
+def _recovery(leftover: Leftover) -> str:
+    ran = (
+        f"{len(leftover.together)} scenarios in lock step, each of" if leftover.together else f"{leftover.scenario!r},"
+    )
+    return (
+        f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
+        "process was killed from outside, or there was too little memory"
+    )

@@ -1,0 +1,174 @@
+"""What was in flight when a process died is run again before anybody is blamed."""
+
+import signal
+import sys
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+import pytest_pafot.plugin.retrying
+from pytest_pafot.findings.corpus import read
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world import Highway
+
+forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+OWNER = "test_it.py::test_it"
+TEST = "@pafot.search(SHORT, ads=ADS)\ndef test_it(run):\n    pass\n"
+INNOCENT = "*note: a process (pid *) died while it ran <Scenario *>, which ran to its end when it was tried again*"
+
+ELSEWHERE = """
+import os
+import signal
+import time
+
+SESSION = os.getpid()
+
+def is_elsewhere():
+    return os.getpid() != SESSION
+
+def planner(act):
+    def drive(observation):
+        if is_elsewhere():
+            act(observation)
+        return 0.0, 0.0
+    return lambda: drive
+"""
+
+
+def write(project, act, test=TEST):
+    """A test whose ADS does something in every process but that of the session."""
+    project.write(ELSEWHERE + test.replace("ADS", f"planner(lambda observation: {act})"))
+
+
+def replayed(project):
+    """A session that searches for nothing new, as lines that are not wrapped."""
+    result = project.run(generations=0)
+    text = result.stdout.str().replace("\n    ", " ")
+    result.stdout.lines[:] = text.splitlines()
+    return result
+
+
+def records(project):
+    return list(project.path.rglob("*.inflight"))
+
+
+@forks
+def test_a_scenario_that_runs_to_its_end_is_told_once_and_not_saved(project):
+    write(project, "None")
+    project.leave_behind(OWNER)
+    result = replayed(project)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines([INNOCENT])
+    assert (project.files, records(project)) == ([], [])
+    assert "died" not in replayed(project).stdout.str()
+
+
+@forks
+def test_a_session_that_is_killed_from_outside_blames_nobody(project):
+    killed_once = """
+import pathlib
+
+@pafot.search(SHORT, ads=ADS)
+def test_it(run):
+    if not pathlib.Path("killed").exists():
+        pathlib.Path("killed").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+    write(project, "None", killed_once)
+    assert project.run(subprocess=True).ret == -signal.SIGKILL
+    assert len(records(project)) == 1
+    replayed(project).stdout.fnmatch_lines([INNOCENT])
+    assert (project.files, records(project)) == ([], [])
+
+
+@forks
+@pytest.mark.parametrize("end", ["os._exit(9)", "os.kill(os.getpid(), signal.SIGKILL)"])
+def test_a_scenario_that_ends_another_process_is_saved_with_how_that_ended(project, end):
+    write(project, end)
+    project.leave_behind(OWNER)
+    result = replayed(project)
+    result.assert_outcomes(failed=2)
+    how = "ended with exit code 9" if "exit" in end else "was ended by SIGKILL"
+    result.stdout.fnmatch_lines([f"*died while it ran this scenario, and the one that ran it again {how}: by a crash*"])
+    finding = read(project.only_file)
+    assert finding.id.startswith("crash-")
+    assert finding.expect.message == f"the process that ran this scenario {how}"
+    assert records(project) == []
+
+
+@forks
+def test_a_death_in_the_test_function_comes_again(project):
+    write(project, "None", TEST.replace("pass", "if is_elsewhere(): os._exit(3)"))
+    project.leave_behind(OWNER)
+    replayed(project).stdout.fnmatch_lines(["*the one that ran it again ended with exit code 3*"])
+    assert project.only_id.startswith("crash-")
+
+
+@forks
+def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, monkeypatch):
+    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    write(
+        project,
+        "(signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM]), time.sleep(60))",
+    )
+    project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
+    result = replayed(project)
+    assert project.only_id.startswith("hang-")
+    assert read(project.only_file).expect.outcome is Outcome.HANG
+    result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
+
+
+def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
+    monkeypatch.setattr(pytest_pafot.plugin.retrying, "METHOD", "spawn")
+    write(project, "None")
+    project.leave_behind(OWNER)
+    result = replayed(project)
+    assert project.only_id.startswith("crash-")
+    result.stdout.fnmatch_lines(["*a kill from outside; if it was killed from outside, delete the file"])
+
+
+@pytest.mark.parametrize(
+    ("act", "world"),
+    [("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict()), ("None", {"kind": "mine"})],
+    ids=["the ADS raises there", "it hangs there", "the world is no more"],
+)
+def test_a_run_that_says_nothing_of_the_death_does_not_excuse_the_scenario(project, act, world):
+    write(project, act)
+    project.leave_behind(OWNER, world=world)
+    replayed(project).stdout.fnmatch_lines(["*if it was killed from outside, delete the file"])
+    assert project.only_id.startswith("crash-")
+
+
+@forks
+def test_it_is_the_world_of_that_time_that_it_runs_in(project):
+    write(project, "os._exit(9) if observation.time > 6 else None")
+    project.leave_behind(OWNER, world=Highway(duration=5.0).to_dict())
+    replayed(project).stdout.fnmatch_lines([INNOCENT])
+    project.leave_behind(OWNER, world=Highway(duration=10.0).to_dict())
+    replayed(project).stdout.fnmatch_lines(["*the one that ran it again ended with exit code 9*"])
+
+
+AROUND = (Cell.FRONT, Cell.REAR, Cell.RIGHT)
+
+
+@forks
+def test_of_scenarios_in_lock_step_the_one_that_ends_a_process_is_saved(project):
+    write(project, "os._exit(9) if observation.time == 0 and observation.others[0].x < observation.ego.x - 5 else None")
+    project.leave_behind(OWNER, AROUND)
+    result = replayed(project)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*died while it ran this scenario and others in lock step, and the one that ran it*"])
+    ((gene, _),) = read(project.only_file).scenario.npcs
+    assert gene.cell is Cell.REAR
+    assert records(project) == []
+
+
+@forks
+def test_scenarios_in_lock_step_that_all_run_to_their_ends_are_told_together(project):
+    write(project, "None")
+    project.leave_behind(OWNER, AROUND)
+    result = replayed(project)
+    result.stdout.fnmatch_lines(["*died while it ran 3 scenarios in lock step, each of which ran to its end when*"])
+    assert (project.files, records(project)) == ([], [])
