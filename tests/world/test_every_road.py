@@ -68,6 +68,12 @@ def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
             ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
             ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
         ),
+        # A slow NPC changes to the outer lane in a bend: the lane turns away from it while it turns back.
+        (
+            748242784,
+            ([4, 5, 4, 5, 5, 6], [2, 1, 8, 1, 8, 7]),
+            ([4.9, 3.9, 3.9, 3.4, 0.2, 6.0], [2.0, 1.7, 6.9, 9.6, 8.3, 5.1]),
+        ),
     ],
 )
 def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
