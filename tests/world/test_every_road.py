@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import gymnasium
@@ -273,6 +274,12 @@ def test_headway_is_along_the_road_and_not_through_the_bend():
     assert np.hypot(*(trace.npcs[0, 0, :2] - trace.ego[0, :2])) == pytest.approx(chord, abs=0.02)
     assert criticality.Encounters(trace).ahead[0, 0] == pytest.approx(25, abs=0.05)
     assert criticality.longitudinal_gap(trace)[0, 0] == pytest.approx(20, abs=0.15)
+
+
+def test_a_copied_vehicle_shares_the_way_it_drives_on():
+    """highway-env's intersections copy every vehicle, with all that hangs on it, to see whether it must yield."""
+    road = World("intersection-v0").road
+    assert copy.deepcopy([road])[0] is road
 
 
 def test_reference_drivers_follow_the_road():
