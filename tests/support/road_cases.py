@@ -21,8 +21,8 @@ ENVIRONMENTS = (
 ON_LANE_MARGIN = 0.1
 """By how much a corner may be beyond the edge of all lanes [m]."""
 IN_A_GAP_MARGIN = 0.6
-"""The same where lanes do not meet [m]: in ``roundabout-v0`` and ``-v1`` there is a gap of 6 m between two lanes, with a
-bend of 50 degrees in it, in which whoever stays on the way is beside both."""
+"""The same in some roundabouts [m]: between two lanes there is a gap of 6 m with a bend of 50 degrees in it, in which
+whoever stays on the way is beside both."""
 WITH_GAPS = ("roundabout-v0", "roundabout-v1")
 
 

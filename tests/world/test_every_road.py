@@ -20,7 +20,7 @@ from pytest_pafot.findings.run import Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import sample
 from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
-from pytest_pafot.world import World, WorldError
+from pytest_pafot.world import NpcLimits, World, WorldError
 from pytest_pafot.world.confirm import replay_in_gym
 from tests.support.road_cases import ENVIRONMENTS, off_lanes, space_of, violations
 
@@ -86,6 +86,13 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
     trace = world.rollout(Scenario(npcs=chains, seed=seed, ego_speed=10.0), idm)
     assert violations(trace, world) == []
     assert off_lanes(world.network, trace) < 0.1
+
+
+def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
+    world = World("racetrack-v1", limits=NpcLimits(lateral_acceleration=2.0), duration=2.0)
+    trace = world.rollout(hold(world, 6), idm)
+    assert violations(trace, world) == []
+    assert trace.npcs[0, 0, SPEED] < trace.ego[0, SPEED]
 
 
 @pytest.mark.parametrize("env_id", ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"])
