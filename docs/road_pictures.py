@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
@@ -21,18 +22,20 @@ sys.path.insert(0, str(DOCS.parent))
 from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
-from pytest_pafot.report.animation import WIDTH, still  # noqa: E402
+from pytest_pafot.report.animation import FOOT, HEAD, PAPER, WIDTH, still  # noqa: E402
 from pytest_pafot.report.finding_views import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from pytest_pafot.trace import Trace  # noqa: E402
 from tests.support.road_cases import space_of  # noqa: E402
 
 ENVIRONMENTS = (
-    "merge-v1", "merge-generic-v1", "exit-v1", "two-way-v0", "racetrack-v1", "racetrack-oval-v1",
-    "racetrack-large-v1", "u-turn-v1", "roundabout-v1", "roundabout-generic-v1", "intersection-v0", "lane-keeping-v0",
+    "merge-v1", "merge-generic-v1", "exit-v1", "two-way-v0", "u-turn-v1", "racetrack-large-v1",
+    "racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "roundabout-generic-v1", "intersection-v0", "lane-keeping-v0",
 )  # fmt: skip
 COLUMNS = 2
 TITLE = 30
+MARGIN = 10
+"""Left above and below the lanes of pictures that stand side by side [pixels]."""
 RUNS = 25
 """Random scenarios of an environment, at most."""
 BEFORE_IMPACT = 0.5
@@ -72,18 +75,37 @@ def picture(env_id: str) -> Image.Image:
     return Image.open(io.BytesIO(still(view, trace.duration - BEFORE_IMPACT))).convert("RGB")
 
 
+def row(names: Sequence[str]) -> Image.Image:
+    """Pictures side by side, without the paper above and below the lanes of all of them."""
+    pictures = [picture(name) for name in names]
+    wide = Image.new("RGB", (COLUMNS * WIDTH, pictures[0].height), PAPER)
+    for number, each in enumerate(pictures):
+        wide.paste(each, (number * WIDTH, 0))
+    lanes = np.asarray(wide)[HEAD:-FOOT]
+    drawn = np.flatnonzero((lanes != np.array(ImageColor.getrgb(PAPER))).any(axis=(1, 2)))
+    first, last = max(drawn[0] - MARGIN, 0), min(drawn[-1] + MARGIN, len(lanes))
+    parts = (0, HEAD), (HEAD + first, HEAD + last), (wide.height - FOOT, wide.height)
+    framed = Image.new("RGB", (wide.width, TITLE + sum(end - begin for begin, end in parts)), PAPER)
+    y = TITLE
+    for begin, end in parts:
+        framed.paste(wide.crop((0, int(begin), wide.width, int(end))), (0, int(y)))
+        y += end - begin
+    draw, font = ImageDraw.Draw(framed), ImageFont.load_default(18)
+    for number, name in enumerate(names):
+        x = number * WIDTH
+        draw.text((x + 10, TITLE / 2), name, fill="#171b20", font=font, anchor="lm")
+        draw.rectangle((x, 0, x + WIDTH - 1, framed.height - 1), outline="#8b939b")
+    return framed
+
+
 def main() -> None:
     """Write the sheet."""
-    pictures = [picture(env_id) for env_id in ENVIRONMENTS]
-    height = TITLE + max(each.height for each in pictures)
-    rows = -(-len(pictures) // COLUMNS)
-    sheet = Image.new("RGB", (COLUMNS * WIDTH, rows * height), "#fbfbfa")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(18)
-    for number, (env_id, each) in enumerate(zip(ENVIRONMENTS, pictures, strict=True)):
-        x, y = number % COLUMNS * WIDTH, number // COLUMNS * height
-        draw.text((x + 10, y + TITLE / 2), env_id, fill="#171b20", font=font, anchor="lm")
-        sheet.paste(each, (x, y + TITLE))
-        draw.rectangle((x, y, x + WIDTH - 1, y + height - 1), outline="#8b939b")
+    rows = [row(ENVIRONMENTS[first : first + COLUMNS]) for first in range(0, len(ENVIRONMENTS), COLUMNS)]
+    sheet = Image.new("RGB", (COLUMNS * WIDTH, sum(each.height for each in rows)), PAPER)
+    y = 0
+    for each in rows:
+        sheet.paste(each, (0, y))
+        y += each.height
     path = DOCS / "roads.png"
     sheet.quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path.name}: {path.stat().st_size} bytes")

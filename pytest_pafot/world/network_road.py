@@ -90,6 +90,10 @@ class NetworkRoad:
     ego_speed: float
     end: float
 
+    def __deepcopy__(self, _: dict[int, object]) -> NetworkRoad:
+        """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
+        return self
+
     @property
     def lane_count(self) -> int:
         """How many lanes there are along the way, each of them somewhere."""

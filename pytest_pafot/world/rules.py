@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.network_director import NetworkDirector
 from pytest_pafot.world.network_road import NetworkRoad
 from pytest_pafot.world.road import StraightRoad
+from pytest_pafot.world.speeds import BEND_SHARE
 
 NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
 """highway-env's vehicles [m]."""
@@ -123,9 +125,17 @@ def start_places(
 
 
 def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
-    """Of each NPC [m/s]: the ego's, or less where it starts in a bend that it could not drive so fast."""
+    """Of each NPC [m/s]: the ego's, or less where it starts in a bend that it could not drive so fast, or just after.
+
+    There it still lies in its lane as in the bend, and turns as fast as it drives.
+    """
     road = rules.road
     if isinstance(road, StraightRoad):
         return [scenario.ego_speed] * len(cells)
     _, *places = start_places(rules, scenario, cells, ego_length)
-    return [min(scenario.ego_speed, road.speed_at(lane, along)) for along, lane in places]
+    most = BEND_SHARE * rules.limits.lateral_acceleration * NPC_LENGTH / 2
+    turning = [math.sqrt(most / max(math.sin(abs(road.lane_at(lane, along)[2])), 1e-9)) for along, lane in places]
+    return [
+        min(scenario.ego_speed, road.speed_at(lane, along), fastest)
+        for (along, lane), fastest in zip(places, turning, strict=True)
+    ]

@@ -11,13 +11,18 @@ import math
 from typing import Any
 
 import numpy as np
-from highway_env.road.lane import StraightLane
+from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.trace import Lane
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.road import StraightRoad, parallel_along_x
+
+BOX_STEP = 1.0
+"""Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""
+ROUNDING = 1e-6
+"""Far more than the rounding errors of a distance [m]."""
 
 
 class ParallelLanes(RoadNetwork):  # type: ignore[misc]
@@ -42,16 +47,52 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
 
 
 class SearchedLanes(RoadNetwork):  # type: ignore[misc]
-    """Any road network, with highway-env's own lane search under the name that :class:`Car` uses."""
+    """Any road network, with highway-env's own lane search, but only among the lanes that are near enough.
+
+    highway-env's distance of a vehicle to a lane is no less than that to a box around the lane, so that whatever lane
+    is further than that from one whose distance is known need not be asked.
+    """
 
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
         self.graph = network.graph
+        self._lanes = list(network.lanes_dict().items())
+        boxes = np.array([_box(lane) for _, lane in self._lanes])
+        self._low, self._high, self._share = boxes[:, :2], boxes[:, 2:4], boxes[:, 4]
+
+    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
+        """As highway-env's: least lateral distance plus angle, the first of equals."""
+        aside = np.maximum(np.maximum(self._low - position, position - self._high), 0.0)
+        away = np.hypot(aside[:, 0], aside[:, 1])
+        first = int(away.argmin())
+        enough = self._lanes[first][1].distance_with_heading(position, heading) + ROUNDING
+        near = np.flatnonzero(~(self._share * away > enough))  # all, where a position is no number
+        distances = [self._lanes[each][1].distance_with_heading(position, heading) for each in near]
+        index: tuple[str, str, int] = self._lanes[near[int(np.argmin(distances))]][0]
+        return index
 
     def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
         """highway-env's index of the closest lane."""
         index: tuple[str, str, int] = self.get_closest_lane_index(np.array([x, y]), heading)
         return index
+
+
+def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
+    """Around a lane: least x and y, largest x and y [m]; and which share of the way there a distance is, at least.
+
+    How far a vehicle is beyond an end counts along the lane, or along the axis of a lane that swings to and fro: such a
+    line is longer than its axis. Nothing is known of the distances of other classes of lanes.
+    """
+    share = 0.0
+    if type(lane) in (StraightLane, CircularLane):
+        share = 1.0
+    elif type(lane) is SineLane:
+        share = 1.0 / math.hypot(1.0, lane.amplitude * lane.pulsation)
+    count = math.ceil(lane.length / BOX_STEP / (share or 1.0)) + 1
+    places = np.linspace(0.0, lane.length, max(2, count))
+    points = np.array([lane.position(float(place), 0) for place in places])
+    low, high = points.min(axis=0) - BOX_STEP, points.max(axis=0) + BOX_STEP
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1]), share
 
 
 class Car(Vehicle):  # type: ignore[misc]

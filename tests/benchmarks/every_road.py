@@ -1,5 +1,7 @@
 """Does a search run on every road of highway-env? IDM and constant speed on each registered environment.
 
+The straight roads are there to compare with.
+
     python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
 
 A short search per environment, ego and seed. Prints how many genes are reached, the share of invalid runs, how the
@@ -27,7 +29,10 @@ from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.confirm import replay_in_gym
+from tests.support import world_cases
 from tests.support.road_cases import ENVIRONMENTS, space_of, violations
+
+STRAIGHT = ("highway-v0", "highway-fast-v0")
 
 EGOS: dict[str, Callable[[], Any]] = {"idm": lambda: IDMVehicle, "constant": lambda: ControlledVehicle}
 """``ControlledVehicle`` keeps its lane and its speed: a constant speed on roads that bend."""
@@ -71,7 +76,7 @@ class Tally:
         return evaluation
 
     def _check(self, trace: Trace) -> None:
-        broken = violations(trace, self.world)
+        broken = limits_broken(trace, self.world)
         if broken:
             self.faults.append(f"{trace.scenario.canonical()}: {broken}")
         again = self.world.rollout(trace.executed, self.ego)
@@ -99,9 +104,17 @@ class Tally:
         )
 
 
+def limits_broken(trace: Trace, world: World) -> list[str]:
+    """Which limits the NPCs break, by the road's own lanes where it is not straight."""
+    if trace.track is None:
+        return world_cases.violations(trace, world.limits, world.speed_limit)
+    return violations(trace, world)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--environments", nargs="+", choices=ENVIRONMENTS, default=list(ENVIRONMENTS))
+    every = (*STRAIGHT, *ENVIRONMENTS)
+    parser.add_argument("--environments", nargs="+", choices=every, default=list(every))
     parser.add_argument("--egos", nargs="+", choices=EGOS, default=list(EGOS))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--generations", type=int, default=10)

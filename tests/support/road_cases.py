@@ -18,9 +18,12 @@ ENVIRONMENTS = (
 )  # fmt: skip
 """highway-env's, but for its straight roads, its parking lots and those with more than one ego."""
 
-ON_LANE_MARGIN = 0.6
-"""By how much a corner may be beyond the edge of all lanes [m]: in highway-env's roundabout there is a gap of 6 m
-between two lanes, with a bend of 50 degrees in it, in which whoever stays on the way is beside both."""
+ON_LANE_MARGIN = 0.1
+"""By how much a corner may be beyond the edge of all lanes [m]."""
+IN_A_GAP_MARGIN = 0.6
+"""The same in some roundabouts [m]: between two lanes there is a gap of 6 m with a bend of 50 degrees in it, in which
+whoever stays on the way is beside both."""
+WITH_GAPS = ("roundabout-v0", "roundabout-v1")
 
 
 def space_of(world, npcs=2):
@@ -67,6 +70,7 @@ def violations(trace, world):
     lateral = limits.lateral_acceleration
     turning = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
     direction, fastest = lanes_of(trace, world.road)
+    beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
     bounds = {
         "acceleration": (acceleration, -limits.braking, limits.acceleration),
         "jerk": (jerk, -limits.jerk, limits.jerk),
@@ -79,7 +83,7 @@ def violations(trace, world):
         "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
         "motion follows course, x": (np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt, 0.0, 0.0),
         "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
-        "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, ON_LANE_MARGIN),
+        "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, beside),
     }
     broken = []
     for name, (values, low, high) in bounds.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import gymnasium
@@ -19,7 +20,7 @@ from pytest_pafot.findings.run import Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import sample
 from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
-from pytest_pafot.world import World, WorldError
+from pytest_pafot.world import NpcLimits, World, WorldError
 from pytest_pafot.world.confirm import replay_in_gym
 from tests.support.road_cases import ENVIRONMENTS, off_lanes, space_of, violations
 
@@ -68,6 +69,12 @@ def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
             ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
             ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
         ),
+        # A slow NPC changes to the outer lane in a bend: the lane turns away from it while it turns back.
+        (
+            748242784,
+            ([4, 5, 4, 5, 5, 6], [2, 1, 8, 1, 8, 7]),
+            ([4.9, 3.9, 3.9, 3.4, 0.2, 6.0], [2.0, 1.7, 6.9, 9.6, 8.3, 5.1]),
+        ),
     ],
 )
 def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
@@ -79,6 +86,13 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
     trace = world.rollout(Scenario(npcs=chains, seed=seed, ego_speed=10.0), idm)
     assert violations(trace, world) == []
     assert off_lanes(world.network, trace) < 0.1
+
+
+def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
+    world = World("racetrack-v1", limits=NpcLimits(lateral_acceleration=2.0), duration=2.0)
+    trace = world.rollout(hold(world, 6), idm)
+    assert violations(trace, world) == []
+    assert trace.npcs[0, 0, SPEED] < trace.ego[0, SPEED]
 
 
 @pytest.mark.parametrize("env_id", ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"])
@@ -267,6 +281,12 @@ def test_headway_is_along_the_road_and_not_through_the_bend():
     assert np.hypot(*(trace.npcs[0, 0, :2] - trace.ego[0, :2])) == pytest.approx(chord, abs=0.02)
     assert criticality.Encounters(trace).ahead[0, 0] == pytest.approx(25, abs=0.05)
     assert criticality.longitudinal_gap(trace)[0, 0] == pytest.approx(20, abs=0.15)
+
+
+def test_a_copied_vehicle_shares_the_way_it_drives_on():
+    """highway-env's intersections copy every vehicle, with all that hangs on it, to see whether it must yield."""
+    road = World("intersection-v0").road
+    assert copy.deepcopy([road])[0] is road
 
 
 def test_reference_drivers_follow_the_road():

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from highway_env.envs.highway_env import HighwayEnv
-from highway_env.road.lane import SineLane, StraightLane
+from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -21,7 +21,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.vehicles import Car, ParallelLanes, straight_network, straight_road
+from pytest_pafot.world.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
 from tests.support.world_cases import LENGTH, WIDTH, chains
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
@@ -49,6 +49,62 @@ def test_the_closest_lane_is_highway_envs(network, x, y, heading):
     assert ParallelLanes(network).get_closest_lane_index(position, heading) == network.get_closest_lane_index(
         position, heading
     )
+
+
+class Shifted(StraightLane):
+    """A class of lane of which nothing is known: all along it is elsewhere than its positions say."""
+
+    def local_coordinates(self, position):
+        return super().local_coordinates(np.asarray(position) - [0.0, 60.0])
+
+
+def tangled():
+    """Lanes of all kinds that cross and lie on each other, some of them twice."""
+    network = RoadNetwork()
+    lanes = [
+        StraightLane([-40, -10], [60, 30]),
+        StraightLane([60, 30], [-40, -10]),
+        CircularLane([0, 0], 25, -0.4, 1.2),
+        CircularLane([5, 0], 18, 3.0, -2.5, clockwise=False),
+        CircularLane([0, 0], 25, -0.4, 1.2),
+        SineLane([0, -60], [4, -60], 12.0, 0.3, -1.2),
+        StraightLane([20, -45], [-20, -45]),
+        SineLane([0, -40], [0, 40], 0.5, 0.2, 0.0),
+        Shifted([-60, -30], [60, -30]),
+    ]
+    for number, lane in enumerate(lanes):
+        network.add_lane("abc"[number % 3], "def"[number % 2], lane)
+    return network
+
+
+def places(network, rng, count):
+    """Near lanes, beyond their ends, and anywhere else."""
+    for number in range(count):
+        heading = None if number % 2 else rng.uniform(-10, 10)
+        lane = network.lanes_list()[rng.integers(len(network.lanes_list()))]
+        yield lane.position(rng.uniform(-8, lane.length + 8), rng.normal(0, 2)), heading
+        yield rng.uniform(-120, 120, 2), heading
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("tangled", 1500), ("racetrack-v1", 150), ("roundabout-v1", 100), ("intersection-v0", 100)]
+)
+def test_the_closest_lane_is_highway_envs_on_winding_roads(name, count):
+    network, found = tangled() if name == "tangled" else World(name).network, set()
+    searched = SearchedLanes(network)
+    for position, heading in places(network, np.random.default_rng(0), count):
+        closest = RoadNetwork.get_closest_lane_index(network, position, heading)
+        assert searched.get_closest_lane_index(position, heading) == closest
+        found.add(closest)
+    assert len(found) > len(network.lanes_list()) / 2
+
+
+@pytest.mark.parametrize("position", [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf)])
+def test_a_position_that_is_no_place_has_the_closest_lane_that_highway_env_says(position):
+    network = tangled()
+    with np.errstate(invalid="ignore"):
+        closest = SearchedLanes(network).get_closest_lane_index(np.array(position), 0.0)
+        assert closest == network.get_closest_lane_index(np.array(position), 0.0)
 
 
 @given(st.floats(-1, 1), st.floats(-41, 42), controls, st.sampled_from([5, 15, 50]))

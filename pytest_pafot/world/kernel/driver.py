@@ -164,6 +164,10 @@ class NpcDriver:
     ) -> float:
         """The same where the lane turns.
 
+        The heading of a vehicle that keeps its angle to a lane that turns differs from its course by the lean. The
+        course is bounded by what that leaves of the largest angle: in a bend the wheel comes back only slowly, with
+        what following the lane leaves of the lateral acceleration, and meanwhile the heading goes after the course.
+
         Args:
             offset, heading, course, speed: as for :meth:`steering`; angles are to the lane's direction here.
             lean: angle to the lane of a vehicle that follows it without error; a car in a bend points inwards less than
@@ -187,7 +191,7 @@ class NpcDriver:
         fastest = self._lateral_limit / speed
         rate = clamped(turn / self._dt + self._heading_gain * (wanted - aside), fastest)
         slip = math.asin(clamped(rate * self._half_length / speed, MAX_SLIP))
-        new_course = clamped(heading + slip, self._most)
+        new_course = clamped(heading + slip, max(self._most - abs(lean), 0.0))
         new_course = course + clamped(new_course - course, fastest * self._dt)
         slip = clamped(new_course - heading, MAX_SLIP)
         self.course = heading + slip
