@@ -1,6 +1,6 @@
 """What the parts of a search contribute: one changed at a time, at equal simulated time.
 
-    python -m tests.benchmarks.ablation [--runs 20] [--hours 3] [--workers 2]
+    python -m tests.benchmarks.ablation [--runs 20] [--hours 3] [--workers 2] [--tables collisions failures]
 
 The ego is highway-env's IDM+MOBIL on the default road. The first table counts collisions, as the paper does: its
 algorithm with other grids, fitness terms, populations and genes. The second counts distinct failures for which the ego
@@ -28,6 +28,7 @@ from pytest_pafot.searching.fitness import Weights, resolve
 from pytest_pafot.trace import Outcome, Trace
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
+TABLES = ("collisions", "failures")
 ENDLESS = 100_000
 """Generations; the simulated time ends a run before."""
 
@@ -151,6 +152,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--hours", type=float, default=3.0)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
     arguments = parser.parse_args()
 
     def table(
@@ -165,10 +167,12 @@ def main() -> None:
             for name, runs in jobs.items():
                 print(row(name, [run.result() for run in runs]), flush=True)
 
-    head = "| search | colliding share of runs | simulated s per collision | simulated s per run |"
-    table(head, COLLISIONS, False, collisions_row)
-    head = "| search | distinct ego-responsible failures | runs with any | ego-responsible collisions |"
-    table(head, FAILURES, True, failures_row)
+    if "collisions" in arguments.tables:
+        head = "| search | colliding share of runs | simulated s per collision | simulated s per run |"
+        table(head, COLLISIONS, False, collisions_row)
+    if "failures" in arguments.tables:
+        head = "| search | distinct ego-responsible failures | runs with any | ego-responsible collisions |"
+        table(head, FAILURES, True, failures_row)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,99 @@
+"""Does nearness to a fault lead to it? How many children of the nearest runs fail, against those of other parents.
+
+    python -m tests.benchmarks.nearness [--scenarios 20000] [--parents 60] [--children 60] [--seed 0]
+
+Random scenarios with highway-env's IDM+MOBIL as the ego; those that fail already are left out. Of the others the
+first by each measure have children of one mutation. A row tells how many of these are collisions that the ego answers
+for, and how many of the parents have one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from example_ads import idm_mobil
+from pytest_pafot import Highway, Scenario
+from pytest_pafot.findings.near_miss import near_misses
+from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.searching import SearchSpace
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.operators import mutate
+from pytest_pafot.searching.space import sample
+from pytest_pafot.trace import Outcome, Trace
+
+SPACE = SearchSpace()
+FAULTS = ("entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-hard")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A run that may be a parent."""
+
+    scenario: Scenario
+    fitness: float
+    is_collision: bool
+    severities: dict[str, float]
+
+
+def by_ego(trace: Trace) -> bool:
+    """Whether the ego answers for a collision."""
+    return trace.outcome is Outcome.COLLISION and rss_rule(trace).blames_ego
+
+
+def candidates(world: Highway, count: int, rng: np.random.Generator) -> Iterator[Candidate]:
+    """Valid random runs that do not fail."""
+    fitness = resolve("default", responsible=by_ego)
+    for _ in range(count):
+        trace = world.rollout(sample(SPACE, rng), idm_mobil.make)
+        if trace.outcome is not Outcome.INVALID and not by_ego(trace):
+            yield Candidate(
+                scenario=trace.executed,
+                fitness=fitness(trace),
+                is_collision=trace.outcome is Outcome.COLLISION,
+                severities={each.fault: each.severity for each in near_misses(trace)},
+            )
+
+
+def row(name: str, parents: Sequence[Candidate], children: int, world: Highway, rng: np.random.Generator) -> str:
+    """A line of the table."""
+    failing = [
+        sum(by_ego(world.rollout(mutate(parent.scenario, SPACE, rng), idm_mobil.make)) for _ in range(children))
+        for parent in parents
+    ]
+    share = sum(failing) / max(len(parents) * children, 1)
+    return f"| {name} | {share:.2%} | {sum(map(bool, failing))} of {len(parents)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", type=int, default=20_000)
+    parser.add_argument("--parents", type=int, default=60)
+    parser.add_argument("--children", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    world, rng = Highway(), np.random.default_rng(arguments.seed)
+    pool = list(candidates(world, arguments.scenarios, rng))
+
+    def first(key: Callable[[Candidate], float], among: Sequence[Candidate]) -> Sequence[Candidate]:
+        return sorted(among, key=key, reverse=True)[: arguments.parents]
+
+    safe = [each for each in pool if not each.is_collision]
+    groups = {
+        "any": [pool[int(index)] for index in rng.integers(len(pool), size=arguments.parents)],
+        "first by the default fitness": first(lambda each: each.fitness, pool),
+        "first by the default fitness, of those without a collision": first(lambda each: each.fitness, safe),
+    }
+    for fault in FAULTS:
+        near = [each for each in pool if fault in each.severities]
+        groups[f"nearest to `{fault}`"] = first(lambda each, fault=fault: each.severities[fault], near)
+    print("| parents | children that fail by the ego's fault | parents with any |\n| --- | --- | --- |")
+    for name, parents in groups.items():
+        print(row(name, parents, arguments.children, world, rng), flush=True)
+
+
+if __name__ == "__main__":
+    main()
