@@ -34,7 +34,7 @@ NO_IMPACT = (0, 0)
 """The niche of all runs without a collision, in which the nearest miss stays."""
 
 NEAREST = 3
-"""Parents of each fault."""
+"""Near-misses of each fault, whose runs may be parents."""
 
 Niche = tuple[int, int]
 """The cell of an impact, 1 to 8, and the index of its closing speed."""
@@ -53,7 +53,7 @@ class DistinctState:
         kinds: of failures that were shown so far.
         faults: of the ego that these failures had.
         elites: the worst run for the ego of each niche, in the order of the niches, without those of known kinds.
-        near: the runs that came nearest to each fault that is not known, the nearest first.
+        near: the worst near-misses of each fault that is not known, with their runs, the worst first.
         best: so far; None before the first eligible run.
         asked: scenarios that are out for evaluation.
     """
@@ -74,7 +74,7 @@ class DistinctSearch:
 
     1. The first generations are random, as the paper's first one is.
     2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
-       impact displaces the others. So may the three runs that came nearest to each fault of the ego
+       impact displaces the others. So may the runs of the three worst near-misses of each fault of the ego
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
        fault another; every group has as many children. Parents are drawn by binary tournament; a child has one to
        three mutations.
@@ -175,14 +175,19 @@ def _parent(groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) ->
 def _near(
     before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], faults: frozenset[Fault]
 ) -> tuple[tuple[Near, ...], ...]:
-    """The nearest of each fault that is not known, in the order of the faults; the first of equals."""
-    ranked: dict[Fault, list[Near]] = {group[0][0].fault: list(group) for group in before}
+    """The nearest of each fault that is not known, in the order of the faults; the first of equals.
+
+    A child that differs from its parent in what comes later has the same near-miss; it takes no second place.
+    """
+    found: dict[Fault, dict[NearMiss, Evaluation]] = {group[0][0].fault: dict(group) for group in before}
     for each in evaluations:
         for near_miss in each.near_misses if each.eligible and not each.failing else ():
-            ranked.setdefault(near_miss.fault, []).append((near_miss, each))
-    for group in ranked.values():
-        group.sort(key=lambda near: -near[0].severity)
-    return tuple(tuple(ranked[fault][:NEAREST]) for fault in sorted(ranked) if fault not in faults)
+            found.setdefault(near_miss.fault, {}).setdefault(near_miss, each)
+    return tuple(
+        tuple(sorted(found[fault].items(), key=lambda near: -near[0].severity)[:NEAREST])
+        for fault in sorted(found)
+        if fault not in faults
+    )
 
 
 def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> tuple[tuple[Niche, Evaluation], ...]:
