@@ -15,7 +15,7 @@ from pytest_pafot.findings.responsibility import Fault, position_rule, rss_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Evaluation, algorithm_named, fitness_of, run_campaign
+from pytest_pafot.searching import Evaluation, algorithm_named, fitness_of, reads_near_misses, run_campaign
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.searching.space import SearchSpace
@@ -49,12 +49,14 @@ class Simulator:
         rollout: a scenario's trace.
         fitness: of a trace.
         blame: ``any`` or ``ego``.
+        asks_for_near_misses: whether the algorithm reads what the ego nearly had to answer for.
         seconds: simulated so far [s].
     """
 
     rollout: Callable[[Scenario], Trace]
     fitness: Fitness
     blame: str
+    asks_for_near_misses: bool = False
     seconds: float = 0.0
 
     def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
@@ -74,7 +76,7 @@ class Simulator:
             failing=failing,
             kind=facts.signature if failing else None,
             fault=facts.fault if failing else None,
-            near_misses=near_misses(trace) if self.blame == "ego" else (),
+            near_misses=near_misses(trace) if self.asks_for_near_misses else (),
         )
         return replace(evaluation, note=facts)
 
@@ -87,6 +89,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
         rollout=lambda scenario: world.rollout(scenario, factory),
         fitness=_fitness(plan, algorithm),
         blame=plan.blame,
+        asks_for_near_misses=plan.blame == "ego" and reads_near_misses(algorithm),
     )
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED

@@ -56,7 +56,7 @@ class Emergency:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chase:
-    """A follower and a leader along the road, from the start of a run to their contact at its last tick.
+    """A follower and a leader along the road, from the start of a run to their contact, or almost, at the last tick.
 
     Attributes:
         gap: between the boxes, leader's rear minus follower's front [m]; negative beside each other. Shape [ticks + 1].
@@ -77,7 +77,7 @@ class Chase:
         """Whether the follower keeps off the leader by braking.
 
         During the delay it drives as it did, except that it does not speed up once it perceives the danger. Beyond
-        the impact the leader goes on braking as it did then, to a standstill, or keeps its speed.
+        the last tick the leader goes on braking as it did then, to a standstill, or keeps its speed.
 
         Args:
             since: tick from which on there is something to respond to.

@@ -26,9 +26,9 @@ class NearMiss:
     """A danger that no impact ended, though the ego would have answered for it.
 
     Attributes:
-        fault: of the ego, had they touched when they were nearest.
+        fault: of the ego, had they touched then.
         npc: the other vehicle.
-        tick: at which they were nearest.
+        tick: of the greatest severity.
         severity: mean of the risks of the time to contact and of the gap of the boxes, 0 to 1.
     """
 
@@ -41,9 +41,9 @@ class NearMiss:
 def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
     """The worst near-miss of each fault, in the order of the faults' names.
 
-    A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
-    :func:`~pytest_pafot.findings.responsibility.rss_rule`, as if the two had touched when they were nearest. The
-    danger that ended in the impact of the run is none of these.
+    A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by the rules 3 and 4
+    of :func:`~pytest_pafot.findings.responsibility.rss_rule`, as if the ego's front had touched the NPC when the danger
+    was most severe. The danger that ended in the impact of the run is none of these.
     """
     worst: dict[Fault, NearMiss] = {}
     for each in _all(trace):

@@ -190,7 +190,7 @@ class Scene:
 
 
 class Conflict:
-    """A danger between the ego and one NPC, from its first tick to its end, which may be an impact.
+    """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one.
 
     Arrays are of the two up to the end, shape [end + 1].
 
@@ -214,6 +214,8 @@ class Conflict:
         self._half_lengths = (frame.half_along[0] + frame.half_along[npc + 1])[past]
         self._along, self._across = scene.along[past, npc], scene.across[past, npc]
         self._safe_along, self._is_beside = scene.safe_along[past, npc], scene.is_beside[past, npc]
+        self._abreast = self._across <= 0
+        self._abreast[-1] = True  # They touched there, or are judged as if they had.
 
     @property
     def _before(self) -> int:
@@ -350,7 +352,7 @@ class Conflict:
     def _chase(self, ahead: FloatArray, follower: FloatArray, leader: FloatArray, acceleration: FloatArray) -> Chase:
         return Chase(
             gap=ahead - self._half_lengths,
-            abreast=self._across <= 0,
+            abreast=self._abreast,
             follower=follower,
             leader=leader,
             leader_acceleration=acceleration,
@@ -376,7 +378,7 @@ class Conflict:
         return f"{demanded} instead of {self._mean_braking(seen, CUT_OFF):.1f}"
 
     def _mean_braking(self, since: int, response: Braking) -> float:
-        """The ego's, from when its response was due to the impact [m/s^2]."""
+        """The ego's, from when its response was due to the end [m/s^2]."""
         due = min(since + round(response.delay * self._hz), self._end - 1)
         speed = self._speeds[0]
         seconds = (self._end - due) / self._hz

@@ -47,7 +47,7 @@ class Stage:
         keep_lost: takes the first scenario whose process did not come back, likewise.
         lethal: scenarios in which a process died; they are not run.
         alone: the run again by itself where it took place together with others, else None.
-        near_misses: what the ego nearly had to answer for, where the search looks for that.
+        near_misses: what the ego nearly had to answer for in a trace, where the algorithm reads that.
     """
 
     run: Callable[[Scenario], Run]

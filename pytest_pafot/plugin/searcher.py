@@ -30,11 +30,12 @@ from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Algorithm, algorithm_named, check_road, run_campaign, sample
+from pytest_pafot.searching import Algorithm, algorithm_named, check_road, reads_near_misses, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 
 if TYPE_CHECKING:
+    from pytest_pafot.plugin.request import Request
     from pytest_pafot.plugin.showing import Showing
     from pytest_pafot.trace import Trace
 
@@ -188,7 +189,7 @@ class Searching:
                     keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
                     alone=watched.alone,
-                    near_misses=near_misses if self.bench.request.blame == "ego" else _nobody_asks,
+                    near_misses=near_misses if _asks_for_near_misses(self.bench.request) else _nobody_asks,
                 )
             )
             reason = "interrupted"
@@ -363,8 +364,13 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
     return algorithm
 
 
+def _asks_for_near_misses(request: Request) -> bool:
+    """Whether it matters whose a collision is, to a search that makes use of it."""
+    return request.blame == "ego" and reads_near_misses(request.settings.algorithm)
+
+
 def _nobody_asks(trace: Trace) -> tuple[NearMiss, ...]:
-    """No near-misses: where every collision counts, the search need not know whose they nearly were."""
+    """No near-misses, where nobody reads them."""
     return ()
 
 

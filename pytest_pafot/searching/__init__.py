@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.campaign import Algorithm, Evaluate, SearchState, run_campaign
-from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, check_road, fitness_of
+from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, check_road, fitness_of, reads_near_misses
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.genetic import PafotSearch
@@ -31,6 +31,7 @@ __all__ = [
     "algorithm_named",
     "check_road",
     "fitness_of",
+    "reads_near_misses",
     "run_campaign",
     "sample",
     "sample_manoeuvres",

@@ -22,6 +22,7 @@ class Entry:
         fitness: that it maximises unless another one is asked for.
         library: that it needs beside this package, as pip knows it.
         knows_grid: whether its genes are Position-Instructions; else they are Lane-Instructions.
+        reads_near_misses: whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`.
     """
 
     module: str
@@ -29,11 +30,12 @@ class Entry:
     fitness: str = "default"
     library: str | None = None
     knows_grid: bool = True
+    reads_near_misses: bool = False
 
 
 CATALOGUE: Mapping[str, Entry] = MappingProxyType(
     {
-        "distinct": Entry("distinct", "DistinctSearch"),
+        "distinct": Entry("distinct", "DistinctSearch", reads_near_misses=True),
         "pafot": Entry("genetic", "PafotSearch"),
         "av-fuzzer": Entry("av_fuzzer", "AvFuzzerSearch", fitness="av-fuzzer", knows_grid=False),
         "random": Entry("random_search", "RandomSearch"),
@@ -81,6 +83,11 @@ def check_road(name: str, world: Any) -> None:
         f"algorithm: expected one of {others} on a road that is not straight, received {name!r}, whose "
         "Lane-Instructions know no lanes that begin and end; or take a straight road such as pafot.Highway()"
     )
+
+
+def reads_near_misses(name: str) -> bool:
+    """Whether an algorithm makes use of near-misses, so that it is worth looking for them."""
+    return CATALOGUE[name].reads_near_misses
 
 
 def fitness_of(name: str) -> str:

@@ -76,8 +76,8 @@ class DistinctSearch:
     2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
        impact displaces the others. So may the runs of the three worst near-misses of each fault of the ego
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
-       fault another; every group has as many children. Parents are drawn by binary tournament; a child has one to
-       three mutations.
+       fault another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
+       A child has one to three mutations.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
        then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
 
@@ -162,7 +162,7 @@ def niche(evaluation: Evaluation) -> Niche:
 
 
 def _groups(state: DistinctState) -> list[list[Evaluation]]:
-    """Who may have children, each group as often as another: the elites, and whoever came near to a fault."""
+    """Who may have children, each group with the same chance: the elites, and whoever came near to a fault."""
     elites = [evaluation for _, evaluation in state.elites]
     groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
     return [group for group in groups if group]
@@ -177,14 +177,18 @@ def _near(
 ) -> tuple[tuple[Near, ...], ...]:
     """The nearest of each fault that is not known, in the order of the faults; the first of equals.
 
-    A child that differs from its parent in what comes later has the same near-miss; it takes no second place.
+    A child that differs from its parent in what comes later, or in which NPC is which, has the same near-miss; it takes
+    no second place.
     """
-    found: dict[Fault, dict[NearMiss, Evaluation]] = {group[0][0].fault: dict(group) for group in before}
-    for each in evaluations:
-        for near_miss in each.near_misses if each.eligible and not each.failing else ():
-            found.setdefault(near_miss.fault, {}).setdefault(near_miss, each)
+    known = (near for group in before for near in group)
+    judged = (each for each in evaluations if each.eligible and not each.failing)
+    told = ((near_miss, each) for each in judged for near_miss in each.near_misses)
+    found: dict[Fault, dict[tuple[float, int], Near]] = {}
+    for near_miss, each in (*known, *told):
+        same = (near_miss.severity, near_miss.tick)
+        found.setdefault(near_miss.fault, {}).setdefault(same, (near_miss, each))
     return tuple(
-        tuple(sorted(found[fault].items(), key=lambda near: -near[0].severity)[:NEAREST])
+        tuple(sorted(found[fault].values(), key=lambda near: -near[0].severity)[:NEAREST])
         for fault in sorted(found)
         if fault not in faults
     )

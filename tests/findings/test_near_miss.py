@@ -90,3 +90,20 @@ def test_any_run_has_at_most_one_of_each_fault_within_its_time(seed, ticks, vehi
         assert 0 <= each.tick <= ticks
         assert 0 <= each.npc < vehicles - 1
         assert 0 < each.severity <= 1
+
+
+@pytest.mark.parametrize("to", [1.0, 1.5, OWN])
+def test_a_cut_in_that_nobody_could_answer_is_none_whether_or_not_the_tracks_came_to_overlap(to):
+    npc = driven(28.0, LEFT, speed=10.0, shifts=[(2.0, to, 0.6)])
+    whole = crash(driven(0.0), driven(28.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 0.6)]))
+    assert rss_rule(whole).reason.endswith("too late to avoid it")
+    ego = driven(0.0)
+    ticks = whole.ticks
+    assert faults(trace_of(ego[:ticks], npc[:ticks])) == []
+
+
+@given(ticks=st.integers(1, 6))
+def test_just_before_a_collision_by_a_cut_in_that_came_too_late_there_is_none(ticks):
+    trace = crash(driven(0.0), driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)]))
+    assert rss_rule(trace).reason.endswith("too late to avoid it")
+    assert faults(before(trace, ticks)) == []
