@@ -14,7 +14,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,6 +27,8 @@ else:
     import fcntl
 
 SUFFIX = ".inflight"
+TRIED = ".tried"
+"""Before the suffix of a record whose scenario was run again and came to its end."""
 MAX_BYTES = 1 << 20
 _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
 _LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the bytes that are locked
@@ -119,6 +121,19 @@ class Leftover:
     scenario: Scenario | None
     world: Mapping[str, Any] | None = field(default=None)
     together: tuple[Scenario, ...] = ()
+
+    @property
+    def is_tried(self) -> bool:
+        """Whether an earlier session ran it again without harm, and died as well before it was through."""
+        return self.path.name.endswith(TRIED + SUFFIX)
+
+    def tried(self) -> Leftover:
+        """Mark the record until the session that ran it again is through with its search; returns the marked one."""
+        marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
+        with contextlib.suppress(OSError):  # a record that keeps its name is run again, which loses nothing
+            self.path.rename(marked)
+            return replace(self, path=marked)
+        return self
 
     def discard(self) -> None:
         """Remove the record once it is reported; another process may have done so already."""

@@ -186,16 +186,20 @@ class Keeper:
         found = Found(seed=self.seed, generation=0, algorithm="crash", versions=self.bench.versions)
         others = " and others in lock step" if leftover.together else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
-        if again is None:
+        if leftover.is_tried:
+            text += (
+                "which ran to its end when the next session tried it alone, and that session died as well: by what "
+                "builds up from run to run, such as memory, or by a kill from outside; then delete the file"
+            )
+        elif again is None:
             text += (
                 "by a crash of native code, a lack of memory or a kill from outside; if it was killed from outside, "
                 "delete the file"
             )
-            headline = "crash: a process died while it ran this scenario"
-            expect = UNSEEN_CRASH
         else:
             text += f"and the one that ran it again {again.how}: {_cause(again, 'delete the file')}"
-            headline, expect = _headline(again), again.expect
+        headline = "crash: a process died while it ran this scenario" if again is None else _headline(again)
+        expect = UNSEEN_CRASH if again is None else again.expect
         kept = self._saved(
             self._death(scenario, expect, found, leftover.world),
             headline,

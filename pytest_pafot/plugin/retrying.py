@@ -1,7 +1,8 @@
 """What was in flight when a process died runs again, in a process of its own, before it is called a finding.
 
 A process also dies because somebody ends it: a job that is cancelled, a system that is short of memory. The scenario
-that it ran then says nothing of the ADS.
+that it ran then says nothing of the ADS. Where the next session dies as well, it is no accident: something that builds
+up from run to run, such as memory. That scenario is then called a finding after all, or nobody would hear of it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,20 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.bench import Bench
     from pytest_pafot.scenario import Scenario
     from pytest_pafot.trace import Trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settled:
+    """What came of the record of a process that died.
+
+    Attributes:
+        notes: on what is not to blame.
+        pending: a record to discard once the search is through; until then this session may die as well.
+    """
+
+    notes: tuple[str, ...] = ()
+    pending: Leftover | None = None
+
 
 Keep = Callable[["Leftover", "Scenario", Lost | None], None]
 """Saves a scenario in which a process died, and another one when it ran again, as far as that is known."""
@@ -43,30 +58,33 @@ class Whole:
         return run.trace
 
 
-def settle(bench: Bench, leftover: Leftover, keep: Keep, rerun: Callable[[Leftover], None]) -> list[str]:
-    """Keep what is to blame for the death of a process; returns notes on what is not.
+def settle(bench: Bench, leftover: Leftover, keep: Keep, rerun: Callable[[Leftover], None]) -> Settled:
+    """Keep what is to blame for the death of a process.
 
-    Where no process can be made to try it in, one death is enough for a scenario that was alone in flight.
+    Where no process can be made to try it in, one death is enough for a scenario that was alone in flight; and where
+    the session that tried it died as well, that is enough too.
 
     Args:
         bench: of the item whose search it was.
-        leftover: of the process; removed once all is said.
+        leftover: of the process; removed once all is said, unless it is pending.
         keep: saves a scenario.
         rerun: runs what was in lock step in this process, with the scenario on disk, for the next session to settle.
     """
     scenarios = leftover.together or ((leftover.scenario,) if leftover.scenario else ())
-    answers = _answers(bench, leftover, scenarios)
+    answers = None if leftover.is_tried else _answers(bench, leftover, scenarios)
     if answers is None and leftover.together:
         rerun(leftover)
-        return []
+        return Settled()
     fates = [(scenario, None if answers is None else answers[scenario]) for scenario in scenarios]
     for scenario, fate in fates:
         if isinstance(fate, Lost):
             keep(leftover, scenario, fate)
         elif not _is_innocent(fate) and not leftover.together:
             keep(leftover, scenario, None)
-    leftover.discard()
-    return [_recovery(leftover)] if all(_is_innocent(fate) for _, fate in fates) else []
+    if not all(_is_innocent(fate) for _, fate in fates):
+        leftover.discard()
+        return Settled()
+    return Settled(notes=(_recovery(leftover),), pending=leftover.tried())
 
 
 def _answers(bench: Bench, leftover: Leftover, scenarios: tuple[Scenario, ...]) -> dict[Scenario, Answer | Lost] | None:

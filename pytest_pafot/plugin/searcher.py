@@ -176,8 +176,11 @@ class Searching:
                 confirm=lambda run: difference(run, watched.rerun, watched.elsewhere),
                 showing=self.showing,
             )
-            for leftover in left_behind(self.bench.item, self.bench.request):
-                self.notes += settle(self.bench, leftover, keeper.keep_crash, watched.retry)
+            settled = [
+                settle(self.bench, leftover, keeper.keep_crash, watched.retry)
+                for leftover in left_behind(self.bench.item, self.bench.request)
+            ]
+            self.notes += [note for each in settled for note in each.notes]
             saved = places.saved_in(self.bench.folder)
             keeper.replayed = frozenset(each.path for each in saved)
             hunt = Hunt(
@@ -201,6 +204,9 @@ class Searching:
                 reason = "error"
                 raise
             finally:
+                for each in settled:
+                    if each.pending is not None:
+                        each.pending.discard()
                 self.notes += watched.ahead.notes
                 if flight.error is not None:
                     self.notes.append(str(flight.error))

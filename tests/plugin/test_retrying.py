@@ -84,6 +84,29 @@ def test_it(run):
 
 
 @forks
+def test_what_builds_up_until_each_session_dies_is_a_finding_of_the_third(project):
+    builds_up = """
+RUNS = []
+
+@pafot.search(SHORT, ads=ADS)
+def test_it(run):
+    RUNS.append(run)
+    if not is_elsewhere() and len(RUNS) == 3:
+        os._exit(9)
+"""
+    write(project, "None", builds_up)
+    for _ in range(2):
+        assert project.run(subprocess=True, generations=5).ret == 9
+    assert project.files == []
+    assert len(records(project)) == 2, "of both sessions, the first one tried"
+    replayed(project).stdout.fnmatch_lines(
+        ["*ran to its end when the next session tried it alone, and that session died*"]
+    )
+    assert project.only_id.startswith("crash-")
+    assert records(project) == []
+
+
+@forks
 @pytest.mark.parametrize("end", ["os._exit(9)", "os.kill(os.getpid(), signal.SIGKILL)"])
 def test_a_scenario_that_ends_another_process_is_saved_with_how_that_ended(project, end):
     write(project, end)
