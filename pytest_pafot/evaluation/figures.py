@@ -56,6 +56,7 @@ STYLES = (
     Style("#d9b310", (0, (5, 1, 1, 1, 1, 1)), "v", "\\\\\\"),  # type: ignore[arg-type]
     Style("#3f9a9a", (0, (1, 1)), "P", "+++"),  # type: ignore[arg-type]
     Style("#808080", (0, (8, 3)), "X", "---"),  # type: ignore[arg-type]
+    Style("#b8325a", (0, (3, 1)), "*", "ooo"),  # type: ignore[arg-type]
 )
 
 
