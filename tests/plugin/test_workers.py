@@ -219,6 +219,14 @@ def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scen
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
 
 
+OBEYING = """
+import signal, sys, pytest
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(pytest.main())
+"""
+"""A session that can be interrupted, also where this one was put in the background by a shell and so cannot."""
+
+
 def test_an_interrupt_from_the_keyboard_ends_all_processes_and_loses_no_find(dear):
     more = """
 def noting(observation):
@@ -227,7 +235,7 @@ def noting(observation):
     return 0.0, 0.0
 """
     project = dear("noting", more, test=MANY)
-    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
+    command = [sys.executable, "-c", OBEYING, "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
     with subprocess.Popen(
         [*command, "--pafot-workers=2"],
         cwd=project.path,
