@@ -379,7 +379,7 @@ def test_what_a_died_process_ran_is_told_even_when_its_test_does_not_run(project
     project.leave_behind("test_old.py::test_dies")
     result = project.run()
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran"])
+    result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran*"])
 
 
 def test_a_file_that_is_copied_to_another_parametrisation_keeps_its_id(project):
