@@ -21,6 +21,7 @@ sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
+from pytest_pafot.findings.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.report.animation import FOOT, HEAD, PAPER, WIDTH, still  # noqa: E402
 from pytest_pafot.report.finding_views import finding_view  # noqa: E402
@@ -52,8 +53,7 @@ def found(world: World) -> Trace:
         trace = world.rollout(sample(space, rng), lambda: ControlledVehicle)
         if trace.collision is None or trace.collision.time < EARLIEST:
             continue
-        is_egos = Run(trace).responsibility in ("ego", "both")
-        rank = 2 * is_egos + (np.ptp(trace.npcs[:, trace.collision.npc, 6]) > 0)
+        rank = 2 * is_ego_responsible(trace) + (np.ptp(trace.npcs[:, trace.collision.npc, 6]) > 0)
         if best is None or rank > best[0]:
             best = rank, trace
         if rank == 2 + (world.lanes > 1):

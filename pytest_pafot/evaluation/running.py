@@ -11,7 +11,7 @@ from pytest_pafot.evaluation.plan import Plan, ads_factory, world_of
 from pytest_pafot.evaluation.rows import Row
 from pytest_pafot.findings.finding import ads_failure, of_failure
 from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import Fault, position_rule, rss_rule
+from pytest_pafot.findings.responsibility import Fault, is_ego_responsible, position_rule
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.scenario import Scenario
@@ -154,11 +154,6 @@ def facts_of(trace: Trace) -> Facts:
 def signature_text(signature: Signature) -> str:
     """A text that is equal exactly for equal signatures, and can be read."""
     return f"{signature.slug}-{hashlib.sha256(repr(signature).encode()).hexdigest()[:6]}"
-
-
-def is_ego_responsible(trace: Trace) -> bool:
-    """Whether the ego is responsible for the collision, alone or with the NPC."""
-    return rss_rule(trace).responsibility in ("ego", "both")
 
 
 def _fitness(plan: Plan, algorithm: str) -> Fitness:

@@ -134,6 +134,11 @@ def _start(is_dangerous: npt.NDArray[np.bool_]) -> int:
     return int(safe[-1]) + 1 if safe.size else 0
 
 
+def is_ego_responsible(trace: Trace) -> bool:
+    """Whether the ego answers for a collision by :func:`rss_rule`, alone or with the NPC; False without one."""
+    return rss_rule(trace).blames_ego
+
+
 def position_rule(trace: Trace) -> Responsibility:
     """The rule of the authors' released code: by where the NPC was at the impact. A second opinion.
 

@@ -10,7 +10,7 @@ import pytest
 
 from pytest_pafot.findings.inflight import InFlight, Leftover
 from pytest_pafot.findings.near_miss import NearMiss, near_misses
-from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.findings.responsibility import is_ego_responsible
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.ahead import ahead_of
@@ -386,9 +386,9 @@ def checked_fitness(bench: Bench) -> Fitness:
     Raises:
         RequestError: for a fitness that does not exist.
     """
-    by_ego = (lambda trace: rss_rule(trace).responsibility in ("ego", "both")) if bench.request.blame == "ego" else None
+    responsible = is_ego_responsible if bench.request.blame == "ego" else None
     try:
-        return resolve(bench.request.fitness, responsible=by_ego)
+        return resolve(bench.request.fitness, responsible=responsible)
     except FitnessError as error:
         raise RequestError(f"@pafot.search(fitness=...): {error}") from None
 

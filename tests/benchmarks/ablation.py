@@ -21,21 +21,16 @@ from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.findings.responsibility import is_ego_responsible, rss_rule
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import Weights, resolve
-from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.trace import Outcome
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
 TABLES = ("collisions", "failures")
 ENDLESS = 100_000
 """Generations; the simulated time ends a run before."""
-
-
-def by_ego(trace: Trace) -> bool:
-    """Whether the ego answers for a collision."""
-    return trace.outcome is Outcome.COLLISION and rss_rule(trace).blames_ego
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +92,11 @@ class Tally:
 def measured(variant: Variant, seed: int, hours: float, blame: bool) -> Tally:
     """One search of so many simulated hours."""
     tally = Tally()
-    fitness = resolve(variant.fitness, responsible=by_ego if blame else None)
+    fitness = resolve(variant.fitness, responsible=is_ego_responsible if blame else None)
 
     def one(scenario: Scenario) -> Evaluation:
         trace = variant.world.rollout(scenario, idm_mobil.make)
-        is_hit, is_blamed = trace.outcome is Outcome.COLLISION, by_ego(trace)
+        is_hit, is_blamed = trace.outcome is Outcome.COLLISION, is_ego_responsible(trace)
         kind = of_failure(Run(trace), COLLIDES) if is_blamed else None
         tally.runs += 1
         tally.seconds += trace.duration

@@ -18,12 +18,12 @@ import numpy as np
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Scenario
 from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.findings.responsibility import is_ego_responsible
 from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import sample
-from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.trace import Outcome
 
 SPACE = SearchSpace()
 FAULTS = ("entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-hard")
@@ -39,17 +39,12 @@ class Candidate:
     severities: dict[str, float]
 
 
-def by_ego(trace: Trace) -> bool:
-    """Whether the ego answers for a collision."""
-    return trace.outcome is Outcome.COLLISION and rss_rule(trace).blames_ego
-
-
 def candidates(world: Highway, count: int, rng: np.random.Generator) -> Iterator[Candidate]:
     """Valid random runs that do not fail."""
-    fitness = resolve("default", responsible=by_ego)
+    fitness = resolve("default", responsible=is_ego_responsible)
     for _ in range(count):
         trace = world.rollout(sample(SPACE, rng), idm_mobil.make)
-        if trace.outcome is not Outcome.INVALID and not by_ego(trace):
+        if trace.outcome is not Outcome.INVALID and not is_ego_responsible(trace):
             yield Candidate(
                 scenario=trace.executed,
                 fitness=fitness(trace),
@@ -60,10 +55,11 @@ def candidates(world: Highway, count: int, rng: np.random.Generator) -> Iterator
 
 def row(name: str, parents: Sequence[Candidate], children: int, world: Highway, rng: np.random.Generator) -> str:
     """A line of the table."""
-    failing = [
-        sum(by_ego(world.rollout(mutate(parent.scenario, SPACE, rng), idm_mobil.make)) for _ in range(children))
-        for parent in parents
-    ]
+
+    def fails(scenario: Scenario) -> bool:
+        return is_ego_responsible(world.rollout(mutate(scenario, SPACE, rng), idm_mobil.make))
+
+    failing = [sum(fails(parent.scenario) for _ in range(children)) for parent in parents]
     share = sum(failing) / max(len(parents) * children, 1)
     return f"| {name} | {share:.2%} | {sum(map(bool, failing))} of {len(parents)} |"
 

@@ -16,16 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pytest_pafot import Highway, Outcome, Run, Scenario
-from pytest_pafot.findings.responsibility import rss_rule
+from pytest_pafot.findings.responsibility import is_ego_responsible
 from pytest_pafot.searching import Evaluation, PafotSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.trace import Trace
 from pytest_pafot.world.references import REFERENCES, Driver
-
-
-def is_egos(trace: Trace) -> bool:
-    """Whether the run is a finding under ``blame="ego"``."""
-    return rss_rule(trace).responsibility in ("ego", "both")
 
 
 @dataclass
@@ -46,7 +40,7 @@ class Control:
 
     def _one(self, scenario: Scenario) -> Evaluation:
         trace = self.world.rollout(scenario, self._driver)
-        found = is_egos(trace)
+        found = is_ego_responsible(trace)
         self.runs += 1
         self.simulated += trace.duration
         run = Run(trace)
@@ -60,7 +54,7 @@ class Control:
         return REFERENCES[self.name]()
 
 
-FITNESS = resolve("default", responsible=is_egos)
+FITNESS = resolve("default", responsible=is_ego_responsible)
 
 
 def main() -> None:

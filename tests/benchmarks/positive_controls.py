@@ -23,12 +23,11 @@ from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import Fault
+from pytest_pafot.findings.responsibility import Fault, is_ego_responsible
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, algorithm_named, run_campaign
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.trace import Outcome, Trace
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
@@ -102,11 +101,6 @@ FAULTS: Mapping[str, frozenset[Fault]] = MappingProxyType(
 """The kinds of failure that the mechanism shows as."""
 
 
-def by_ego(trace: Trace) -> bool:
-    """Whether a collision counts under ``blame="ego"``."""
-    return trace.outcome is Outcome.COLLISION and Run(trace).responsibility in ("ego", "both")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Find:
     """A colliding run that the ego is responsible for."""
@@ -135,14 +129,14 @@ class Search:
     def _one(self, scenario: Scenario) -> Evaluation:
         trace = self.setting.world.rollout(scenario, defects.make(self.policy))
         self.runs += 1
-        failing, signature = by_ego(trace), None
+        failing, signature = is_ego_responsible(trace), None
         if failing:
             run = Run(trace)
             signature = of_failure(run, NOT_RUN_COLLISION)
             self.finds.append(
                 Find(generation=self.generation, scenario=run.scenario, signature=signature, explanation=run.explain())
             )
-        fitness = resolve("default", responsible=by_ego)(trace)
+        fitness = resolve("default", responsible=is_ego_responsible)(trace)
         return Evaluation.of(
             trace,
             fitness=fitness,

@@ -168,6 +168,14 @@ def test_the_scrubber_says_where_it_is(page):
     assert text == f"0.00 s of {real_report().findings[0].duration:.2f} s"
 
 
+def drawn_vehicles(page):
+    """Where each vehicle is drawn, along and across the road [m]."""
+    return page.evaluate(
+        "[...document.querySelectorAll('article.current [data-vehicle]')]"
+        ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
+    )
+
+
 def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
     for finding in real_report().findings:
         page = opened(f"#finding={finding.id}")
@@ -175,10 +183,7 @@ def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
             page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
             page.until(f"Math.abs({TIME} - {time}) < 0.0011")
             scene = scene_at(finding, page.evaluate(TIME))
-            drawn = page.evaluate(
-                "[...document.querySelectorAll('article.current [data-vehicle]')]"
-                ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
-            )
+            drawn = drawn_vehicles(page)
             for (along, across), box in zip(drawn, scene.boxes, strict=True):
                 assert along == pytest.approx(box.along, abs=0.02)
                 assert across == pytest.approx(box.across, abs=0.02)
@@ -197,10 +202,7 @@ def test_a_road_that_is_not_straight_is_drawn_as_the_world_has_it(browser, tmp_p
         page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
         page.until(f"Math.abs({TIME} - {time}) < 0.0011")
         scene = scene_at(finding, page.evaluate(TIME))
-        drawn = page.evaluate(
-            "[...document.querySelectorAll('article.current [data-vehicle]')]"
-            ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
-        )
+        drawn = drawn_vehicles(page)
         for (along, across), box in zip(drawn, scene.boxes, strict=True):
             assert (along, across) == pytest.approx((box.along, box.across), abs=0.02)
         for name, places in (("cell", scene.cells), ("target", scene.targets)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
-from tests.support.world_cases import LENGTH, STANDING, WIDTH
+from tests.support.world_cases import LENGTH, STANDING, WIDTH, beyond
 
 ENVIRONMENTS = (
     "exit-v0", "exit-v1", "intersection-v0", "intersection-v1", "intersection-v2", "lane-keeping-v0", "merge-v0",
@@ -85,12 +85,7 @@ def violations(trace, world):
         "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
         "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, beside),
     }
-    broken = []
-    for name, (values, low, high) in bounds.items():
-        worst = max(np.max(values - high, initial=-1.0), np.max(low - values, initial=-1.0))
-        if not worst <= 1e-6:  # also NaN
-            broken.append(f"{name}: {worst:.3g} beyond [{low:g}, {high:g}]")
-    return broken
+    return beyond(bounds)
 
 
 def lanes_of(trace, road):

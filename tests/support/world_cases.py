@@ -105,6 +105,11 @@ def violations(trace, limits, speed_limit):
         "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
         "motion follows course": (np.diff(y, axis=0) - speed[:-1] * np.sin(course[1:]) * dt, 0.0, 0.0),
     }
+    return beyond(bounds)
+
+
+def beyond(bounds):
+    """Of values, each by a name with its least and greatest, those that are out of bounds, as texts with the worst."""
     broken = []
     for name, (values, low, high) in bounds.items():
         worst = max(np.max(values - high, initial=-1.0), np.max(low - values, initial=-1.0))
