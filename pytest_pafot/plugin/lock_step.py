@@ -90,7 +90,14 @@ class LockStep:
 
 
 def noted(factory: Callable[..., Any], see: Callable[[Any], None]) -> Callable[..., Any]:
-    """The same factory, whose ADSs are shown to somebody."""
+    """The same factory, whose ADSs are shown to somebody.
+
+    A vehicle class is told by itself and makes no ADS: it stays as it is.
+    """
+    from pytest_pafot.world.ads import is_vehicle_class  # noqa: PLC0415
+
+    if is_vehicle_class(factory):
+        return factory
 
     def make(*arguments: Any, **named: Any) -> Any:
         __tracebackhide__ = True
