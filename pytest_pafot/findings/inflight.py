@@ -35,7 +35,7 @@ _LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the 
 
 
 class InFlightError(Exception):
-    """The folder cannot be written; the search goes on, but a hard crash would not name its scenario."""
+    """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
 
 
 class InFlight:
@@ -239,9 +239,11 @@ def _pid(path: Path) -> int:
 
 def _error(folder: Path, error: OSError) -> InFlightError:
     reason = error.strerror or str(error)
+    is_full = error.errno in (errno.EMFILE, errno.ENFILE)
+    way_out = "close the files that the ADS and the tests open" if is_full else "make the folder readable and writable"
     return InFlightError(
-        f"{folder}: expected a folder that can be written, received: {reason}; a hard crash of this process "
-        "will not name the scenario that caused it; make the folder writable"
+        f"{folder}: expected a folder that can be read and written, received: {reason}; a hard crash of this process "
+        f"will not name the scenario that caused it; {way_out}"
     )
 
 

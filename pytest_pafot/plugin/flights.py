@@ -26,7 +26,7 @@ def flight_folder(item: pytest.Item, request: Request) -> Path:
 def unclaimed(config: pytest.Config) -> list[str]:
     """What died processes have left behind that no test of this session took up."""
     folder = _cached_folder(config)
-    if folder is None or not any(folder.iterdir()):
+    if folder is None or _is_empty(folder):
         return []
     from pytest_pafot.findings.inflight import InFlightError, leftovers  # noqa: PLC0415
 
@@ -50,7 +50,7 @@ def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Le
         owner: of the records; without it the item's own.
     """
     folder = flight_folder(item, request)
-    if not folder.is_dir() or not any(folder.iterdir()):
+    if _is_empty(folder):
         return []
     from pytest_pafot.findings.inflight import InFlightError, leftovers  # noqa: PLC0415
 
@@ -59,6 +59,16 @@ def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Le
         return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
     except InFlightError:
         return []  # Writing a record into the same folder fails as well, and says so.
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether there is certainly no record: told without what reads them, which a session may never need."""
+    try:
+        return not any(folder.iterdir())
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False  # Whoever reads it says what is wrong with it.
 
 
 def _cached_folder(config: pytest.Config) -> Path | None:

@@ -6,7 +6,8 @@ other, at once; everybody else takes it for a passed phase that shows nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -34,6 +35,20 @@ def received(report: Any) -> dict[str, Any] | None:
         return None
     message: dict[str, Any] = report.pafot
     return message
+
+
+@contextmanager
+def faults_told(tell: Callable[[str], None], work: str) -> Iterator[None]:
+    """Tell of a fault in work at the end of a session, where pytest would lose the texts of all failures by it.
+
+    Args:
+        tell: takes one line for the summary.
+        work: that is done inside, in a few words.
+    """
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001  (whatever it is, the summary says so)
+        tell(f"{work}: {type(error).__name__}: {error}")
 
 
 class Unseen:

@@ -138,12 +138,16 @@ class Pages:
         lines = self._config.stash[LINES]
         is_interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
         for path, page in self._pages.items():
-            lines += _written(
-                page.target, path, page.report(self._config, self._completed, is_interrupted=is_interrupted)
-            )
+            with messages.faults_told(self._tell_problem, f"--pafot-report={page.target}: not written"):
+                lines += _written(
+                    page.target, path, page.report(self._config, self._completed, is_interrupted=is_interrupted)
+                )
         asked = self._config.getoption(BY_NAME["report"].key)
         if asked and not self._pages and not self._config.getoption("collectonly", False):
             lines.append((f"--pafot-report={asked}: nothing was written, since no search and no replay ran", True))
+
+    def _tell_problem(self, text: str) -> None:
+        self._config.stash[LINES].append((text, True))
 
     def _take(self, message: Mapping[str, Any]) -> None:
         finding = _finding(message)

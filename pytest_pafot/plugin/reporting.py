@@ -62,9 +62,10 @@ class Reporter:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Take what a worker knew at its end."""
-        for folder in getattr(node, "workeroutput", {}).get(WORKER_ORPHANS, ()):
-            self._note_orphan(Path(folder))
-        self._strays |= getattr(node, "workeroutput", {}).get(WORKER_STRAYS, {})
+        output = getattr(node, "workeroutput", {})
+        with self._told("orphans"):
+            self._note_orphans(map(Path, output.get(WORKER_ORPHANS, ())))
+        self._strays |= output.get(WORKER_STRAYS, {})
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -72,22 +73,24 @@ class Reporter:
         self._erase_line()
         # An interrupt or a dead worker leaves finds whose search never came to its teardown.
         for node_id in list(self._pending):
-            self._expand(node_id)
-        if self._searches or self._replays or self._running:
-            from pytest_pafot.plugin.flights import unclaimed  # noqa: PLC0415
-
-            self._problems += unclaimed(self._config)
-        for folder in self._config.stash.get(ORPHANS, []):
-            self._note_orphan(folder)
+            with self._told(f"report of what {node_id} found"):
+                self._expand(node_id)
+        with self._told("records of processes that died"):
+            self._note_unclaimed()
+        gone = self._config.stash.get(ORPHANS, [])
         strays = self._config.stash.get(STRAYS, {})
         self._strays |= strays
-        if self._config.getoption(BY_NAME["prune"].key):
-            from pytest_pafot.plugin import orphans  # noqa: PLC0415
-
-            self._problems += orphans.prune(self._orphans)
+        with self._told("orphans"):
+            self._note_orphans(gone)
+        with self._told("--pafot-prune"):
+            self._prune()
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
+        with messages.faults_told(terminalreporter.line, "summary of pytest-pafot"):
+            self._summarise(terminalreporter)
+
+    def _summarise(self, terminalreporter: Any) -> None:
         written = self._config.stash[LINES]
         left = self._orphans or self._strays or self._problems
         if not (self._searches or self._replays or self._running or left or written):
@@ -225,11 +228,27 @@ class Reporter:
     def _terminal(self) -> Any:
         return self._config.pluginmanager.get_plugin("terminalreporter")
 
-    def _note_orphan(self, folder: Path) -> None:
-        if folder not in self._orphans:
+    def _told(self, work: str) -> AbstractContextManager[None]:
+        """A fault inside is a problem of the summary."""
+        return messages.faults_told(self._problems.append, work)
+
+    def _note_unclaimed(self) -> None:
+        if self._searches or self._replays or self._running:
+            from pytest_pafot.plugin.flights import unclaimed  # noqa: PLC0415
+
+            self._problems += unclaimed(self._config)
+
+    def _note_orphans(self, folders: Iterable[Path]) -> None:
+        for folder in folders:
             from pytest_pafot.plugin import orphans  # noqa: PLC0415
 
-            self._orphans[folder] = orphans.count(folder)
+            self._orphans.setdefault(folder, orphans.count(folder))
+
+    def _prune(self) -> None:
+        if self._config.getoption(BY_NAME["prune"].key):
+            from pytest_pafot.plugin import orphans  # noqa: PLC0415
+
+            self._problems += orphans.prune(self._orphans)
 
 
 class WorkerReporter:

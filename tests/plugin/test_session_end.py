@@ -1,0 +1,117 @@
+"""What goes wrong while a session ends is told in its summary, beside the texts of all failures."""
+
+import errno
+import sys
+from pathlib import Path
+
+import pytest
+
+import pytest_pafot.plugin.flights
+import pytest_pafot.plugin.orphans
+import pytest_pafot.plugin.paging
+import pytest_pafot.plugin.reporting
+import pytest_pafot.report.terminal
+
+FAILS = """
+@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
+def test_fails(run):
+    assert run.duration < 1, "the text of the failure"
+"""
+
+
+def is_whole(result):
+    """Whether a session ended as one whose tests failed, with the text of the failure."""
+    result.stdout.fnmatch_lines(["*AssertionError: the text of the failure*", "FAILED test_it.py::test_fails*"])
+    return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "expected"),
+    [
+        (pytest_pafot.plugin.flights, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
+        (pytest_pafot.plugin.reporting.Reporter, "_note_orphans", "problem: orphans: ValueError: a fault"),
+        (pytest_pafot.plugin.orphans, "prune", "problem: --pafot-prune: ValueError: a fault"),
+        (pytest_pafot.plugin.paging, "_written", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        (pytest_pafot.report.terminal, "session_lines", "summary of pytest-pafot: ValueError: a fault"),
+    ],
+    ids=["records", "orphans", "prune", "report", "summary"],
+)
+def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, owner, name, expected):
+    def fail(*arguments, **named):
+        raise ValueError("a fault")
+
+    project.write(FAILS.replace("test_fails", "test_old"))
+    project.run()
+    project.write(FAILS)
+    monkeypatch.setattr(owner, name, fail)
+    result = project.run("--pafot-prune", "--pafot-report=x.html")
+    assert is_whole(result)
+    assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
+
+
+def test_finds_that_cannot_be_reported_at_the_end_of_a_cut_session_are_named(project, monkeypatch):
+    project.write(
+        """
+seen = []
+
+@pafot.search(SHORT)
+def test_fails(run):
+    seen.append(run)
+    if len(seen) > 1:
+        raise KeyboardInterrupt
+    assert not run
+"""
+    )
+    monkeypatch.setattr(pytest_pafot.plugin.reporting, "_phase", lambda report, when: 1 / 0)
+    result = project.run(no_reraise_ctrlc=True)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    text = " ".join(result.stdout.str().split())
+    assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
+
+
+def test_a_cache_folder_that_cannot_be_read_is_one_line_of_the_summary(project, monkeypatch):
+    listed = Path.iterdir
+
+    def refuse(path):
+        if path.parts[-2:] == ("d", "pafot"):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return listed(path)
+
+    project.write(FAILS)
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    result = project.run()
+    assert is_whole(result)
+    text = " ".join(result.stdout.str().split())
+    assert "pafot: expected a folder that can be read and written, received: Permission denied;" in text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
+def test_a_session_that_has_no_file_descriptors_left_says_so_and_keeps_all_texts(project):
+    project.pytester.makeconftest(
+        """
+import os
+import resource
+import pytest
+
+@pytest.fixture
+def ads():
+    return lambda: lambda observation: (0.0, 0.0)
+
+@pytest.fixture(scope="session", autouse=True)
+def leak():
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+    try:
+        while True:
+            os.open(os.devnull, os.O_RDONLY)
+    except OSError:
+        pass
+"""
+    )
+    project.write(FAILS)
+    result = project.run("--pafot-report=x.html", subprocess=True)
+    assert is_whole(result)
+    text = " ".join(result.stdout.str().split())
+    assert "problem: --pafot-report=x.html: not written: " in text
+    assert "received: Too many open files;" in text
+    assert "close the files that the ADS and the tests open" in text
