@@ -3,8 +3,9 @@
 import warnings
 from pathlib import Path
 
-from setuptools import Extension, setup
+from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
 
 FOLDERS = [Path("pytest_pafot", room) for room in ("criticality", "searching", "world/kernel")]
 DIRECTIVES = {
@@ -12,6 +13,25 @@ DIRECTIVES = {
     "annotation_typing": False,  # the types are those of the .pxd files
 }
 FLAGS = ["-O2", "-ffp-contract=off", "-fno-math-errno"]  # no fused multiply-add: the same numbers as interpreted
+
+
+EXAMPLES = "example_ads"
+EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # no package of a general name among the user's own
+
+
+class WithoutExampleTests(build_py):
+    """Installs the example policies without the tests that search them in a clone."""
+
+    def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
+        """The modules of a package."""
+        modules: list[tuple[str, str, str]] = super().find_package_modules(package, package_dir)
+        return [each for each in modules if package != EXAMPLES_INSTALLED or each[1] not in ("conftest", "test_safety")]
+
+
+def packages() -> list[str]:
+    """Those of ``pytest_pafot``, and the policies that lie beside it in a clone."""
+    examples = find_packages(include=[f"{EXAMPLES}*"])
+    return [*find_packages(include=["pytest_pafot*"]), *(f"pytest_pafot.{name}" for name in examples)]
 
 
 class AllOrNothing(build_ext):
@@ -47,4 +67,8 @@ def extensions() -> list[Extension]:
     return modules
 
 
-setup(ext_modules=extensions(), cmdclass={"build_ext": AllOrNothing})
+setup(
+    packages=packages(),
+    ext_modules=extensions(),
+    cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
+)

@@ -42,5 +42,5 @@ def make(name: str) -> type[Any]:
         KeyError: for a name that is not in :data:`POLICIES`.
     """
     module, _, class_name = POLICIES[name].partition(":")
-    policy: type[Any] = getattr(import_module(f"example_ads.defects.{module}"), class_name)
+    policy: type[Any] = getattr(import_module(f".{module}", __name__), class_name)
     return policy

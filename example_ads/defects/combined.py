@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from example_ads.defects.lane_change import LooksOnlyAhead
-from example_ads.defects.perception import IgnoresStandingVehicles
+from .lane_change import LooksOnlyAhead
+from .perception import IgnoresStandingVehicles
 
 
 class IgnoresStandingAndLooksOnlyAhead(IgnoresStandingVehicles, LooksOnlyAhead):

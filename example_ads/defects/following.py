@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from example_ads.defects.driver import Driver
+from .driver import Driver
 
 
 class FollowsTooClose(Driver):

@@ -6,7 +6,7 @@ from collections import deque
 from copy import copy
 from typing import Any
 
-from example_ads.defects.driver import Driver
+from .driver import Driver
 
 
 class BlindBesideFrontWheel(Driver):

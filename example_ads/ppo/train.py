@@ -20,7 +20,7 @@ import highway_env
 import numpy as np
 import numpy.typing as npt
 
-from example_ads.ppo import ACTOR, Layers, PpoPolicy, read_actor
+from . import ACTOR, Layers, PpoPolicy, read_actor
 
 TRAINING_CONFIG = {
     "lanes_count": 4,
@@ -105,7 +105,7 @@ def actor_of(model: Any) -> Layers:
 
 
 def write_actor(path: Path, layers: Layers) -> None:
-    """Store layers as :func:`example_ads.ppo.read_actor` reads them."""
+    """Store layers as :func:`read_actor` reads them."""
     arrays = {f"weights_{n}": np.ascontiguousarray(weights) for n, (weights, _) in enumerate(layers)}
     arrays |= {f"biases_{n}": biases for n, (_, biases) in enumerate(layers)}
     np.savez(path, **arrays)  # type: ignore[arg-type]  # its keyword arguments are arrays, but for one flag

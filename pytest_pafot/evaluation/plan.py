@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
+from types import ModuleType
 from typing import Any, Literal
 
 from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, check_road
@@ -21,6 +22,7 @@ from pytest_pafot.world import from_dict as world_from_dict
 Mode = Literal["collisions", "ego"]
 
 EXAMPLES = "example_ads"
+"""The package of example policies: at the top of a clone, inside of this package where it is installed."""
 
 
 class PlanError(ValueError):
@@ -126,7 +128,7 @@ def ads_factory(reference: str) -> Callable[..., Any]:
         )
     module_name = parts[0] if len(parts) > 1 else f"{EXAMPLES}.{parts[0]}"
     try:
-        factory = getattr(importlib.import_module(module_name), parts[1] if len(parts) > 1 else "make", None)
+        factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
     except ModuleNotFoundError as error:
         raise PlanError(
             f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command where "
@@ -135,6 +137,16 @@ def ads_factory(reference: str) -> Callable[..., Any]:
     if not callable(factory):
         raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which is none")
     return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
+
+
+def _imported(module_name: str) -> ModuleType:
+    """The module; one of the examples comes from the clone in which the command runs, or as it was installed."""
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name != EXAMPLES:
+            raise
+        return importlib.import_module(f"pytest_pafot.{module_name}")
 
 
 def world_of(plan: Plan) -> Highway | World:

@@ -1,0 +1,67 @@
+"""The package as it is installed: what lies in it, and what works in a folder that is no clone."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BUILD = (
+    "import runpy, sys\n"
+    "sys.modules['Cython'] = None  # which modules are compiled changes nothing here\n"
+    "sys.argv = ['setup.py', '-q', 'egg_info', '--egg-base', sys.argv[1], 'build_py', '--build-lib', sys.argv[2]]\n"
+    "runpy.run_path('setup.py')\n"
+)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The folder of modules that an installation puts beside other packages."""
+    lib = tmp_path_factory.mktemp("installed")
+    scratch = tmp_path_factory.mktemp("egg-info")
+    subprocess.run([sys.executable, "-W", "ignore", "-c", BUILD, scratch, lib], cwd=ROOT, check=True)
+    return lib
+
+
+def run(installed, folder, *arguments):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(installed)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_one_package_is_installed_with_every_policy_and_no_test(installed):
+    assert [path.name for path in installed.iterdir()] == ["pytest_pafot"]
+    examples = installed / "pytest_pafot" / "example_ads"
+    source = {path.relative_to(ROOT / "example_ads") for path in (ROOT / "example_ads").rglob("*.py")}
+    there = {path.relative_to(examples) for path in examples.rglob("*.py")}
+    assert source - there == {Path("conftest.py"), Path("test_safety.py")}
+    assert not there - source
+
+
+def test_the_policies_that_the_documents_name_are_there_in_an_empty_folder(installed, tmp_path):
+    documents = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md"))
+    names = sorted({*re.findall(r"--ads ([a-z][\w.:-]+)", documents)} - {"policy:make"})
+    assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
+    code = (
+        "import sys, pytest_pafot\n"
+        "from pytest_pafot.evaluation.plan import ads_factory\n"
+        "made = [ads_factory(name)() for name in sys.argv[1:]]\n"
+        "print(len(made), pytest_pafot.__file__)"
+    )
+    done = run(installed, tmp_path, "-c", code, *names)
+    assert done.stderr == ""
+    assert done.stdout.split() == [str(len(names)), str(installed / "pytest_pafot" / "__init__.py")]
+
+
+def test_the_comparison_of_an_example_policy_runs_in_an_empty_folder(installed, tmp_path):
+    arguments = "compare --ads idm_mobil --algorithms random --runs 1 --generations 1 --workers 1 --out compared"
+    done = run(installed, tmp_path, "-m", "pytest_pafot", *arguments.split())
+    assert (done.returncode, done.stdout) == (0, str(Path("compared", "report.md")) + "\n"), done.stderr
