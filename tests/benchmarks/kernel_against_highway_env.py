@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.kernel_against_highway_env [--runs 3000] [--first 0]
 
-Each run is simulated twice by highway-env's objects: with numpy's functions as they are, and rounded as the C library
-rounds them. With the latter everything must be the same to the last bit. With the former the outcome must be the same,
-and nobody further than a centimetre from where the kernel has them. A sample of this is in the suite.
+Each run is simulated twice by highway-env's objects: with numpy's functions as they are, and with those of
+``tests.support.c_library``, which round the same on every processor. With the latter everything must be the same to the
+last bit. With the former the outcome must be the same, and nobody further than a centimetre from where the kernel has
+them. A sample of this is in the suite.
 """
 
 from __future__ import annotations

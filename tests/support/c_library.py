@@ -1,7 +1,9 @@
-"""numpy's functions of single numbers, rounded as the C library rounds them.
+"""numpy's functions of single numbers and of points, rounded as the C library and IEEE 754 round them.
 
-On some processors numpy rounds tan, arctan, arcsin and power otherwise than the C library does, and highway-env's
-results differ between machines. To compare equations to the last bit on all of them, highway-env gets the C library's.
+On some processors numpy rounds tan, arctan, arcsin and power otherwise than the C library does, and its linear algebra
+multiplies and adds in one operation in a dot product. So highway-env's results differ between machines. To compare
+equations to the last bit on all of them, highway-env gets the C library's functions, and a dot product that rounds
+each product.
 """
 
 from __future__ import annotations
@@ -33,13 +35,24 @@ def of_the_c_library(name: str) -> Callable[..., Any]:
     return function
 
 
+def dot_of_products() -> Callable[[Any, Any], Any]:
+    """``numpy.dot`` which rounds both products of two points, then their sum."""
+    numpys = np.dot
+
+    def dot(a: Any, b: Any) -> Any:
+        return a[0] * b[0] + a[1] * b[1] if np.shape(a) == np.shape(b) == (2,) else numpys(a, b)
+
+    return dot
+
+
 @contextmanager
 def c_library() -> Iterator[None]:
-    """Everybody who calls numpy by these names gets the C library's, for a while."""
-    before = {name: getattr(np, name) for name in FUNCTIONS}
+    """Everybody who calls numpy by these names gets these functions, for a while."""
+    functions = {"dot": dot_of_products(), **{name: of_the_c_library(name) for name in FUNCTIONS}}
+    before = {name: getattr(np, name) for name in functions}
     try:
-        for name in FUNCTIONS:
-            setattr(np, name, of_the_c_library(name))
+        for name, function in functions.items():
+            setattr(np, name, function)
         yield
     finally:
         for name, function in before.items():
