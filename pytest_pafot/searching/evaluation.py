@@ -67,7 +67,7 @@ class Evaluation:
 
     scenario: Scenario
     executed: Scenario
-    fitness: float
+    fitness: float = field(compare=False)
     failing: bool
     outcome: Outcome
     duration: float
@@ -84,11 +84,12 @@ class Evaluation:
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
     note: Any = field(default=None, compare=False, repr=False)
+    _measured: float | None = field(init=False, repr=False)  # compared for fitness: NaN equals nothing, not even itself
 
     def __post_init__(self) -> None:
-        # One NaN object for all: equal evaluations then compare equal, since tuples compare by identity first.
         fitness = float(self.fitness)
-        object.__setattr__(self, "fitness", math.nan if math.isnan(fitness) else fitness)
+        object.__setattr__(self, "fitness", fitness)
+        object.__setattr__(self, "_measured", None if math.isnan(fitness) else fitness)
 
     @classmethod
     def of(

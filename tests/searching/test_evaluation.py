@@ -1,6 +1,7 @@
 """The order of evaluations, and what is read from a trace."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -40,6 +41,14 @@ def test_the_order_is_total_whatever_the_fitness(make_evaluation, fields):
 def test_evaluations_without_a_fitness_compare_equal_and_numpy_numbers_become_floats(make_evaluation):
     assert make_evaluation(fitness=np.float64("nan")) == make_evaluation(fitness=float("nan"))
     assert type(make_evaluation(fitness=np.float64(1.5)).fitness) is float
+
+
+@pytest.mark.parametrize("fitness", [float("nan"), -math.inf, 1.5])
+def test_an_evaluation_that_comes_back_from_another_process_equals_itself(make_evaluation, fitness):
+    here = make_evaluation(fitness=fitness)
+    there = pickle.loads(pickle.dumps(here))
+    assert (here, hash(here)) == (there, hash(there))
+    assert here != make_evaluation(fitness=0.0)
 
 
 def test_the_depth_is_the_number_of_genes_of_each_npc_that_the_run_came_to(make_evaluation):
