@@ -174,6 +174,16 @@ class Bench:
             run = self.simulate(scenario, world)
             return run, self.judge(run)
 
+    @staticmethod
+    def plain(world: Any) -> dict[str, Any] | None:
+        """A world as data, or None where it is made of more than a file can hold."""
+        data: dict[str, Any] = world.to_dict()
+        try:
+            check_plain("world", data)
+        except ValueError:
+            return None
+        return data
+
     @property
     def errand(self) -> Errand:
         """What other processes do for this item."""
@@ -182,7 +192,7 @@ class Bench:
             ads=self.ads,
             folder=flight_folder(self.item, self.request),
             owner=owner_of(self.item),
-            plain_world=_plain(self.world),
+            plain_world=self.plain(self.world),
         )
 
     @contextmanager
@@ -190,7 +200,7 @@ class Bench:
         """The record of what runs now; gone at the end, however that comes, unless the process dies."""
         folder = flight_folder(self.item, self.request)
         try:
-            with InFlight(folder, owner or owner_of(self.item), world=_plain(world)) as flight:
+            with InFlight(folder, owner or owner_of(self.item), world=self.plain(world)) as flight:
                 yield flight
         finally:
             if folder == corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
@@ -216,16 +226,6 @@ def installed_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             versions[package] = "unknown"
     return versions
-
-
-def _plain(world: Any) -> dict[str, Any] | None:
-    """A world as data, or None where it is made of more than a file can hold."""
-    data: dict[str, Any] = world.to_dict()
-    try:
-        check_plain("world", data)
-    except ValueError:
-        return None
-    return data
 
 
 def _source_file(item: pytest.Function) -> str:

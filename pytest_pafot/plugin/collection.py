@@ -164,8 +164,7 @@ def _mark(item: pytest.Item, saved: Saved) -> None:
     """Now that the parameters are known, so is the one file that the item replays."""
     item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
     if saved.xfail is not None:
-        # A scenario that kills the process cannot be tried while it is accepted.
-        item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail, run=not saved.is_crash), append=False)
+        item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail), append=False)
 
 
 def _is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:

@@ -251,7 +251,7 @@ class Crew:
             is_gone = True
         if is_gone:
             self._remove(member)
-            self._note(Lost(scenario=scenario, pid=member.pid, how=member.ending()), member)
+            self._note(Lost(scenario=scenario, pid=member.pid, how=ending(member.process.exitcode)), member)
         elif member.silence(self._clock()) > self._patience:
             self._remove(member)
             how = f"did not answer for {self._patience:.1f} s and was killed"
@@ -359,13 +359,13 @@ class _Member:
         self.process.join()
         self.connection.close()
 
-    def ending(self) -> str:
-        """How it ended by itself."""
-        code = self.process.exitcode
-        if code is not None and code < 0:
-            with suppress(ValueError):
-                return f"was ended by {signal.Signals(-code).name}"
-        return f"ended with exit code {code}"
+
+def ending(code: int | None) -> str:
+    """How a process ended by itself, by its exit code."""
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            return f"was ended by {signal.Signals(-code).name}"
+    return f"ended with exit code {code}"
 
 
 def _serve(errand: Errand, connection: Connection, inherited: list[Connection], beats: Any) -> None:

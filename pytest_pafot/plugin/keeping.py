@@ -197,7 +197,7 @@ class Keeper:
                 "delete the file"
             )
         else:
-            text += f"and the one that ran it again {again.how}: {_cause(again, 'delete the file')}"
+            text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"
         headline = "crash: a process died while it ran this scenario" if again is None else _headline(again)
         expect = UNSEEN_CRASH if again is None else again.expect
         kept = self._saved(
@@ -220,7 +220,7 @@ class Keeper:
         found = Found(seed=self.seed, generation=generation, algorithm=algorithm, versions=self.bench.versions)
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
         text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
-        text += _cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
+        text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
         origin = f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
         finding = self._death(lost.scenario, lost.expect, found)
         kept = self._saved(finding, _headline(lost), origin, is_timed=lost.is_hang)
@@ -311,7 +311,7 @@ def _headline(lost: Lost) -> str:
     return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
 
 
-def _cause(lost: Lost, way_out: str) -> str:
+def cause(lost: Lost, way_out: str) -> str:
     """Why a process may not come back, with the way out where the scenario is not to blame."""
     if not lost.is_hang:
         return "by a crash of native code, an exit or a lack of memory"

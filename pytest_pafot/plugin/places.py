@@ -49,6 +49,11 @@ class Saved(NamedTuple):
         """Whether a process died in this scenario."""
         return self.finding is not None and self.finding.expect.failure == CRASH
 
+    @property
+    def is_deadly(self) -> bool:
+        """Whether running it may end the process, or never end."""
+        return self.is_crash or (self.finding is not None and self.finding.expect.outcome == "hang")
+
     def __repr__(self) -> str:
         return f"<saved {self.id}>"
 

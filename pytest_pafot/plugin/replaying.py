@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
@@ -11,17 +12,24 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import Replayed, replay_label
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin.apart import tried_apart
 from pytest_pafot.plugin.bench import Bench, is_same_run
+from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.flights import left_behind
+from pytest_pafot.plugin.keeping import cause
 from pytest_pafot.plugin.oracle import Verdict
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.places import Saved
 from pytest_pafot.plugin.request import Request, RequestError
-from pytest_pafot.plugin.session import EXPLICIT
+from pytest_pafot.trace import Outcome
+
+if TYPE_CHECKING:
+    from pytest_pafot.scenario import Scenario
 
 FLAKY = "flaky"
-MAX_DEATHS = 2
-"""Processes that a saved scenario may kill before it is run only when it is asked for by its file."""
+
+Tried = Callable[["Scenario", Any, str], tuple[Run, Verdict]]
+"""Runs a scenario in a world, with a record of an owner on disk, and judges it."""
 
 
 def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
@@ -30,22 +38,25 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if saved.finding is None:
         pytest.fail(saved.error, pytrace=False)
     bench = Bench.of(item, request)
-    _refuse_deadly(bench, saved)
     finding = saved.finding
     world = world_of(finding, saved)
-    run, verdict = bench.tried(finding.scenario, world, item.nodeid)
-    label, run, verdict = _labelled(bench, finding, world, (run, verdict))
+    lost = None
+    try:
+        label, run, verdict = _labelled(bench, finding, world, _means(bench, saved, item.nodeid))
+    except ProcessLostError as error:
+        lost = error.lost
     for leftover in left_behind(item, request):
-        leftover.discard()  # It has run to its end now.
-    detail = _detail(finding, run, bench.versions) if label in ("drifted", FLAKY) else ""
-    messages.send(item, "replay", {"label": label, "detail": detail})
-    item.user_properties.append(("pafot", label))
+        leftover.discard()  # What came of it is told now.
+    if lost is not None:  # Outside of the handler, so that the same is not shown twice.
+        _conclude_lost(bench, saved, finding, lost)
+    detail = _detail(finding, f"{run.outcome} at {run.event_time:.1f} s", bench.versions)
+    _tell(bench, label, detail if label in ("drifted", FLAKY) else "")
     showing = showing_of(item, request.settings)
     if showing is not None:
         showing.replayed(finding, run, verdict, label=label, path=bench.relative(saved.path))
     if finding.xfail is not None and not verdict.failed:
         item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {bench.relative(saved.path)}")
-    _conclude(bench, run, verdict, label, detail)
+    _conclude(bench, run, verdict, label, detail if label in ("drifted", FLAKY) else "")
 
 
 def world_of(finding: Finding, saved: Saved) -> Any:
@@ -65,46 +76,67 @@ def world_of(finding: Finding, saved: Saved) -> Any:
 def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:
     """What a saved scenario shows now, for a search that must know which failures are known.
 
-    None for a file that cannot be used, whose own item says so, and for one whose scenario kills the process.
+    None for a file that cannot be used, whose own item says so.
     """
     finding = saved.finding
     if finding is None:
         return None
     owner = places.saved_node_id(bench.item, saved.id)
-    if saved.is_crash or len(left_behind(bench.item, bench.request, owner)) >= MAX_DEATHS:
-        return Replayed(id=saved.id, signature=finding.signature, observed=finding.signature, xfailed=True)
-    with contextlib.suppress(RequestError):
-        run, verdict = bench.tried(finding.scenario, world_of(finding, saved), owner)
-        return Replayed.of(finding, run, verdict.failure if verdict.failed else None)
-    return None
+    try:
+        run, verdict = _means(bench, saved, owner)(finding.scenario, world_of(finding, saved), owner)
+    except RequestError:
+        return None
+    except ProcessLostError as error:
+        observed = error.lost.expect.signature
+        return Replayed(id=saved.id, signature=finding.signature, observed=observed, xfailed=finding.xfail is not None)
+    return Replayed.of(finding, run, verdict.failure if verdict.failed else None)
 
 
-def _refuse_deadly(bench: Bench, saved: Saved) -> None:
+def _means(bench: Bench, saved: Saved, owner: str) -> Tried:
+    """How a scenario is run: in another process where one died in it, or hung."""
+    if saved.is_deadly or left_behind(bench.item, bench.request, owner):
+        return partial(tried_apart, bench, saved.path)
+    return bench.tried
+
+
+def _labelled(bench: Bench, finding: Finding, world: Any, tried: Tried) -> tuple[str, Run, Verdict]:
+    """The label of a replay. One that passes is tried twice, since chance must not be called a fix.
+
+    Raises:
+        ProcessLostError: where the process that ran it did not come back.
+    """
     __tracebackhide__ = True
-    deaths = len(left_behind(bench.item, bench.request)) + saved.is_crash
-    explicit = bench.item.config.stash.get(EXPLICIT, None)
-    is_asked_for = explicit is not None and saved.path in explicit.files
-    if deaths >= MAX_DEATHS and not is_asked_for:
-        pytest.fail(
-            f"not run: {deaths} processes have died in this scenario, so that running it would end the session; "
-            f"run it alone with: pytest {bench.relative(saved.path)}",
-            pytrace=False,
-        )
-
-
-def _labelled(bench: Bench, finding: Finding, world: Any, first: tuple[Run, Verdict]) -> tuple[str, Run, Verdict]:
-    """The label of a replay. One that passes is tried twice, since chance must not be called a fix."""
-    run, verdict = first
+    run, verdict = tried(finding.scenario, world, bench.item.nodeid)
     label: str = replay_label(finding, run, verdict.failure if verdict.failed else None, bench.versions)
     if finding.expect.failure == places.CRASH:
         label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
     if verdict.failed or verdict.discarded:
         return label, run, verdict
-    again, second = bench.tried(finding.scenario, world, bench.item.nodeid)
+    again, second = tried(finding.scenario, world, bench.item.nodeid)
     if second.failed:
         return FLAKY, again, second
     is_firm = finding.flaky is None and is_same_run(run, again)
     return (label if is_firm else FLAKY), run, verdict
+
+
+def _conclude_lost(bench: Bench, saved: Saved, finding: Finding, lost: Lost) -> NoReturn:
+    """Fail for a scenario whose process did not come back."""
+    __tracebackhide__ = True
+    was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.failure == places.CRASH
+    label = "still failing" if was_lost else "drifted"
+    detail = "" if was_lost else _detail(finding, f"the process {lost.how}", bench.versions)
+    _tell(bench, label, detail)
+    headline = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
+    showing = showing_of(bench.item, bench.request.settings)
+    if showing is not None:
+        showing.lost(finding, headline, label=label, path=bench.relative(saved.path))
+    bench.item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
+    pytest.fail(f"{headline}: {cause(lost, 'delete the file')}", pytrace=False)
+
+
+def _tell(bench: Bench, label: str, detail: str) -> None:
+    messages.send(bench.item, "replay", {"label": label, "detail": detail})
+    bench.item.user_properties.append(("pafot", label))
 
 
 def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str) -> None:
@@ -122,15 +154,14 @@ def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str)
         pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing of the ADS")
 
 
-def _detail(finding: Finding, run: Run, versions: dict[str, str]) -> str:
-    """What differs from the file."""
+def _detail(finding: Finding, now: str, versions: dict[str, str]) -> str:
+    """What differs from the file; ``now`` is what happens."""
     changed = [
         f"{name} {version} then, {versions.get(name, 'none')} now"
         for name, version in sorted(finding.found.versions.items())
         if versions.get(name) != version
     ]
     then = f"{finding.expect.outcome} at {finding.expect.time:.1f} s"
-    now = f"{run.outcome} at {run.event_time:.1f} s"
     if finding.expect.failure == places.CRASH:
         then = "the process died"
     event = [] if then == now else [f"{then} in the file, {now} now"]

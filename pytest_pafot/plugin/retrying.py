@@ -8,10 +8,10 @@ up from run to run, such as memory. That scenario is then called a finding after
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.plugin.ahead import METHOD, hired
+from pytest_pafot.plugin.apart import answers_of
 from pytest_pafot.plugin.crew import Answer, Lost
 from pytest_pafot.trace import Outcome
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pytest_pafot.findings.inflight import Leftover
     from pytest_pafot.plugin.bench import Bench
     from pytest_pafot.scenario import Scenario
-    from pytest_pafot.trace import Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,25 +36,6 @@ class Settled:
 
 Keep = Callable[["Leftover", "Scenario", Lost | None], None]
 """Saves a scenario in which a process died, and another one when it ran again, as far as that is known."""
-
-
-@dataclass(frozen=True, slots=True)
-class Whole:
-    """A run with its verdict as one thing: a process may also die in the user's function."""
-
-    bench: Bench
-    world: Any
-
-    @property
-    def hang_limit(self) -> float:
-        """Of a decision [s]."""
-        return float(getattr(self.world, "hang_limit", 30.0))
-
-    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        """The run of it that was judged."""
-        run = self.bench.seen(self.bench.rolled_out(scenario, self.world, ads), self.world)
-        self.bench.judge(run)
-        return run.trace
 
 
 def settle(bench: Bench, leftover: Leftover, keep: Keep, rerun: Callable[[Leftover], None]) -> Settled:
@@ -90,20 +70,11 @@ def settle(bench: Bench, leftover: Leftover, keep: Keep, rerun: Callable[[Leftov
 def _answers(bench: Bench, leftover: Leftover, scenarios: tuple[Scenario, ...]) -> dict[Scenario, Answer | Lost] | None:
     """What running each by itself shows; None where that cannot be tried.
 
-    Only forked processes have the fixtures of the test function. A death counts, also where the process that the crew
-    tries it in again lives: it is not the first.
+    A death counts, also where the process that the crew tries it in again lives: it is not the first.
     """
     world = _world(bench, leftover)
-    if METHOD != "fork" or world is None:
-        return None
-    errand = replace(bench.errand, world=Whole(bench, world), plain_world=leftover.world)
-    crew = hired(errand, 1, METHOD, [])
-    if crew is None:
-        return None
-    with crew:
-        crew.expect(scenarios)
-        answers = {scenario: crew.fetch(scenario) for scenario in scenarios}
-    return None if crew.failure else answers | {lost.scenario: lost for lost in crew.recovered}
+    told = None if world is None else answers_of(bench, scenarios, world)
+    return None if told is None else told[0] | {lost.scenario: lost for lost in told[1]}
 
 
 def _world(bench: Bench, leftover: Leftover) -> Any:

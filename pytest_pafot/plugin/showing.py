@@ -109,15 +109,23 @@ class Showing:
 
     def replayed(self, finding: Finding, run: Run, verdict: Verdict, *, label: str, path: str) -> None:
         """Count a replay of a saved scenario, and show it where it fails."""
+        if verdict.failed:
+            self._show_replay(finding, run.trace, what_happened(run, verdict), label, path)
+        else:
+            self._tell(replayed=label)
+
+    def lost(self, finding: Finding, headline: str, *, label: str, path: str) -> None:
+        """The same for one whose process did not come back."""
+        self._show_replay(finding, None, headline, label, path)
+
+    def _show_replay(self, finding: Finding, trace: Trace | None, headline: str, label: str, path: str) -> None:
         self._tell(replayed=label)
-        if not verdict.failed:
-            return
         view = finding_view(
-            run.trace,
+            trace,
             finding,
             node_id=self.item.nodeid,
             yaml=text_of(finding),
-            headline=what_happened(run, verdict),
+            headline=headline,
             shrink=shrink_of(finding),
         )
         accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import pytest_pafot.plugin.ahead
-import pytest_pafot.plugin.retrying
+import pytest_pafot.plugin.apart
 from pytest_pafot.findings.corpus import read
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome
@@ -144,7 +144,7 @@ def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, mo
 
 
 def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.plugin.retrying, "METHOD", "spawn")
+    monkeypatch.setattr(pytest_pafot.plugin.apart, "METHOD", "spawn")
     write(project, "None")
     project.leave_behind(OWNER)
     result = replayed(project)

@@ -1,0 +1,155 @@
+"""A saved scenario in which a process died, or hung, replays in another process: it costs its own item and no more."""
+
+import signal
+import sys
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by signals")
+
+forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+TESTS = """
+@pafot.search(SHORT)
+def test_it(run):
+    pass
+
+def test_ordinary():
+    pass
+"""
+
+DIES = """
+import faulthandler
+import os
+import signal
+
+import pytest
+
+def drive(observation):
+    faulthandler.disable()
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+@pytest.fixture
+def ads():
+    return lambda: drive
+"""
+"""With an ADS that ends every process, that of the session too."""
+
+SPAWNS = """
+import pytest_pafot.plugin.apart
+
+pytest_pafot.plugin.apart.METHOD = "spawn"
+"""
+"""As on a platform where processes cannot be forked."""
+
+
+@pytest.fixture
+def crash(project):
+    """A project with a saved crash, whose ADS still ends every process that it runs in."""
+    project.write(TESTS)
+    project.leave_crash("test_it.py::test_it")
+    project.run(generations=0)
+    assert project.only_id.startswith("crash-")
+    project.pytester.makeconftest(DIES)
+    return project
+
+
+def replayed(project, *args, **options):
+    """A session that replays, in a process of its own, so that the test lives whatever comes."""
+    return project.run("--junitxml=junit.xml", *args, subprocess=True, **{"generations": 0} | options)
+
+
+@pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
+@pytest.mark.parametrize("generations", [0, 1])
+def test_a_crash_that_comes_again_fails_its_own_item_and_the_session_goes_on(crash, more, generations):
+    crash.pytester.makeconftest(DIES + more)
+    asked = "-k", "saved or ordinary"
+    result = replayed(crash, *asked, generations=generations)
+    result.assert_outcomes(failed=1, passed=1, deselected=1)
+    result.stdout.fnmatch_lines(
+        ["the process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
+    )
+    assert 'tests="2"' in (crash.path / "junit.xml").read_text()
+    assert not list(crash.path.rglob("*.inflight"))
+
+
+@forks
+def test_a_search_goes_on_beside_a_crash_that_it_knows(crash):
+    sane_here = DIES.replace("    faulthandler", "    if os.getpid() == SESSION: return 0.0, 0.0\n    faulthandler")
+    crash.pytester.makeconftest(sane_here.replace("import pytest", "import pytest\n\nSESSION = os.getpid()"))
+    result = crash.run()
+    result.assert_outcomes(failed=1, passed=2)
+    result.stdout.fnmatch_lines(["*ended: all generations done*", "*1 saved scenario: 1 still failing*"])
+
+
+@pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
+def test_a_crash_that_comes_no_more_is_fixed(crash, more):
+    crash.mend()
+    path = crash.path / "conftest.py"
+    path.write_text(path.read_text() + more)
+    result = replayed(crash)
+    result.assert_outcomes(passed=2, skipped=1)
+    result.stdout.fnmatch_lines(["*1 saved scenario: 1 fixed*"])
+
+
+def test_an_accepted_crash_is_tried_and_a_mended_one_asks_for_the_removal_of_the_mark(crash):
+    text = crash.only_file.read_text()
+    crash.only_file.write_text(text.replace('# xfail: "reason"', 'xfail: "native code"'))
+    replayed(crash).assert_outcomes(xfailed=1, passed=1, skipped=1)
+    crash.mend()
+    result = replayed(crash)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*XPASS(strict)*native code*", "fixed: remove the line `xfail:` from *"])
+
+
+@forks
+def test_what_was_another_failure_and_kills_the_process_now_has_drifted(project):
+    project.write(TESTS.replace("pass", "assert run.duration < 1", 1))
+    project.run("--pafot-stop-after=1")
+    id_ = project.only_id
+    project.pytester.makeconftest(DIES)
+    asked = f"test_it.py::test_it[saved-{id_}]", "test_it.py::test_ordinary"
+    assert replayed(project, *asked).ret == -signal.SIGSEGV
+    result = replayed(project, *asked)
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines(["*1 saved scenario: 1 drifted*"])
+    assert "in the file, the process was ended by SIGSEGV now" in " ".join(result.stdout.str().split())
+
+
+@forks
+def test_a_process_dies_of_the_test_function_as_well(crash):
+    crash.mend()
+    crash.write(TESTS.replace("pass", "import os; os._exit(9)", 1))
+    result = replayed(crash)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*that ran this scenario ended with exit code 9*"])
+
+
+@forks
+def test_a_page_shows_a_crash_that_comes_again(crash):
+    replayed(crash, "--pafot-report=x.html").assert_outcomes(failed=1, passed=1, skipped=1)
+    assert "was ended by SIGSEGV" in (crash.path / "x.html").read_text()
+
+
+@forks
+def test_what_is_printed_in_the_other_process_is_captured_once(crash):
+    crash.mend()
+    crash.write(TESTS.replace("pass", "print('judged'); assert run.duration < 1", 1))
+    result = replayed(crash)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    assert result.stdout.lines.count("judged") == 1
+    assert "AssertionError" in result.stdout.str()
+
+
+@forks
+def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
+    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    text = crash.only_file.read_text()
+    crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
+    blocked = "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1, signal.SIGUSR2]); __import__('time').sleep(60)"
+    crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", blocked))
+    result = crash.run(generations=0)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*that ran this scenario did not answer for 0.5 s and was killed*"])
