@@ -5,6 +5,7 @@ from __future__ import annotations
 import linecache
 import math
 import re
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
@@ -231,9 +232,14 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     asserted = deepest if isinstance(exception, AssertionError) and deepest.startswith("assert") else ""
     return Failure(
         kind=type(exception).__name__,
-        message=str(exception),
+        message=message_of(exception),
         assertion=asserted or (own[-1] if own else ""),
     )
+
+
+def message_of(exception: BaseException) -> str:
+    """The text of an exception; a placeholder where its ``__str__`` raises."""
+    return str(traceback.TracebackException(type(exception), exception, None, compact=True))
 
 
 def check_plain(name: str, value: object, depth: int = 0) -> None:

@@ -19,7 +19,7 @@ from pytest_pafot.plugin import places
 from pytest_pafot.plugin.crew import Errand
 from pytest_pafot.plugin.flights import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
-from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge
+from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge, no_skip, skips
 from pytest_pafot.plugin.places import corpus_root
 from pytest_pafot.plugin.request import Request, RequestError, build_world
 
@@ -145,6 +145,8 @@ class Bench:
             yield
         except (WorldError, AdsFactoryError, ScenarioError) as error:
             raise RequestError(f"{self.item.name}: {error}") from None
+        except skips() as error:  # of the factory: what the ADS raises is in the trace
+            raise RequestError(f"{self.item.name}: {no_skip('the factory of the ADS', error)}") from None
 
     def seen(self, trace: Trace, world: Any) -> Run:
         """The run that a trace from a world is the record of."""
@@ -159,7 +161,9 @@ class Bench:
 
         if not isinstance(self.world, (Highway, World)):
             return None
-        return Run(replay_in_gym(self.world, scenario, self.ads), decision_limit=self.request.decision_limit)
+        with self._refusals():
+            trace = replay_in_gym(self.world, scenario, self.ads)
+        return Run(trace, decision_limit=self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin.bench import is_same_run
+from pytest_pafot.world.failure import UNFIT, let_through
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
@@ -27,7 +29,8 @@ def difference(run: Run, again: Callable[[Scenario], Run], elsewhere: Callable[[
         return NOT_REPEATED
     try:
         other = elsewhere(run.scenario)
-    except Exception as error:  # noqa: BLE001  (whatever an environment or an ADS raises there is what differs)
-        return f"in highway-env's own environment: {type(error).__name__}: {error}"[:200]
+    except UNFIT as error:  # whatever an environment or an ADS raises there is what differs
+        let_through(error)
+        return f"in highway-env's own environment: {type(error).__name__}: {message_of(error)}"[:200]
     differs = "" if other is None else disagreement(run, other)
     return f"in highway-env's own environment: {differs}" if differs else ""

@@ -27,15 +27,24 @@ def pafot_world() -> Any:
 
 @pytest.fixture(scope="session")
 def pafot_simulate(pafot_world: Any) -> Simulate:
-    """A function (scenario, ads_factory, world=None) -> Run, warm, so that the first call is no slower."""
+    """A function (scenario, ads_factory, world=None) -> Run, warm, so that the first call is no slower.
+
+    It fails the test where the ADS raises, hangs or returns no action.
+    """
+    from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.findings.run import Run  # noqa: PLC0415
     from pytest_pafot.grid import Cell  # noqa: PLC0415
+    from pytest_pafot.plugin.oracle import ads_text  # noqa: PLC0415
     from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     def simulate(scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
         place = pafot_world if world is None else world
-        return Run(place.rollout(scenario, ads_factory), prevent=getattr(place, "preventable_by", None))
+        run = Run(place.rollout(scenario, ads_factory), prevent=getattr(place, "preventable_by", None))
+        failure = ads_failure(run)
+        if failure is not None:  # Such a run is short, and passes nearly any assertion on what did not happen in it.
+            pytest.fail(ads_text(failure), pytrace=False)
+        return run
 
     # The first run imports highway-env, about a second, which would look like a slow test to hypothesis.
     still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.findings.corpus import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
 from pytest_pafot.findings.emit import text_of
-from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.finding import Expect, Finding, Found, message_of
 from pytest_pafot.findings.inflight import Leftover
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
@@ -166,7 +166,7 @@ class Keeper:
             kept.find,
             scenario=repr(kept.finding.scenario),
             origin=kept.origin,
-            explanation="" if explanation.partition("\n")[0] in str(exception) else explanation,
+            explanation="" if explanation.partition("\n")[0] in message_of(exception) else explanation,
             content=kept.content,
             details=details,
         )
@@ -301,7 +301,7 @@ def what_happened(run: Run, verdict: Verdict) -> str:
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
     headline = run.explain().splitlines()[0]
-    first = str(verdict.exception).partition("\n")[0].strip()
+    first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
     is_bare = run.collision is not None and first.startswith("assert ")
     is_told = is_bare or not first or headline.partition(":")[0] in first
     return headline if is_told else f"{type(verdict.exception).__name__}: {first[:120]} ({headline})"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import bdb
 import inspect
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
@@ -22,9 +21,6 @@ Kind = Literal["passed", "failed", "rejected", "skipped", "npc", "invalid"]
 
 Test = Callable[["Run"], None]
 """The user's function with everything but the run filled in."""
-
-TIMEOUT_PLUGINS = ("pytest_timeout",)
-"""Their failure says that the time of the item is over, and nothing of the run that was judged just then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,40 +94,48 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:
     from pytest_pafot.findings.finding import raised_failure  # noqa: PLC0415
+    from pytest_pafot.world.failure import UNFIT, let_through  # noqa: PLC0415
 
     try:
         test(run)
     except Rejected:
         return Verdict(kind="rejected")
-    except (pytest.skip.Exception, pytest.xfail.Exception) as skipped:
+    except skips() as skipped:
         return Verdict(kind="skipped", exception=skipped)
-    except (KeyboardInterrupt, GeneratorExit, pytest.exit.Exception, bdb.BdbQuit, RequestError):
+    except RequestError:
         raise
-    except BaseException as error:
-        if _is_timeout(error):
-            raise
+    except UNFIT as error:
+        let_through(error)
         return Verdict(kind="failed", exception=error, failure=raised_failure(error, test_file))
     return Verdict(kind="passed")
 
 
 def _ads_verdict(failure: Failure, *, is_timed: bool) -> Verdict:
     timing = " (depends on wall-clock time)" if is_timed else ""
+    exception = plain_failure(ads_text(failure, timing))
+    return Verdict(kind="failed", exception=exception, failure=failure, is_timed=is_timed, is_ads=True)
+
+
+def ads_text(failure: Failure, timing: str = "") -> str:
+    """What the ADS did in place of a decision, with the traceback where it raised."""
     text = f"the ADS failed: {failure.kind}: {failure.message}{timing}"
-    if failure.traceback:
-        text = f"{text}\n\n{failure.traceback.rstrip()}"
-    return Verdict(kind="failed", exception=plain_failure(text), failure=failure, is_timed=is_timed, is_ads=True)
+    return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 
-def _is_timeout(error: BaseException) -> bool:
-    return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in _modules(error.__traceback__))
+def skips() -> tuple[type[BaseException], ...]:
+    """What pytest reports as a skip or an expected failure, which only the test function may decide."""
+    unittest = sys.modules.get("unittest")  # pytest looks there as well; who raises its SkipTest has imported it
+    own = (pytest.skip.Exception, pytest.xfail.Exception)
+    return own if unittest is None else (*own, unittest.SkipTest)
 
 
-def _modules(traceback: TracebackType | None) -> list[str]:
-    modules: list[str] = []
-    while traceback is not None:
-        modules.append(str(traceback.tb_frame.f_globals.get("__name__", "")))
-        traceback = traceback.tb_next
-    return modules
+def no_skip(who: str, error: BaseException) -> str:
+    """Why a skip cannot be heeded that comes from somewhere in the middle of a search."""
+    return (
+        f"expected {who} to raise no skip, which would hide that nothing was tested, received "
+        f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "
+        "with @pytest.mark.skipif"
+    )
 
 
 def plain_failure(text: str) -> BaseException:

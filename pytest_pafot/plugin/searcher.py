@@ -20,7 +20,7 @@ from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.keeping import Keeper
 from pytest_pafot.plugin.lock_step import LockStep, noted
-from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.plugin.oracle import Verdict, no_skip, skips
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
 from pytest_pafot.plugin.request import RequestError, build_space
@@ -33,6 +33,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import Algorithm, algorithm_named, check_road, reads_near_misses, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.world.failure import is_interruption
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.request import Request
@@ -200,8 +201,8 @@ class Searching:
                 with watched.ahead as ahead:
                     reason = self._hunted(hunt, keeper, saved, ahead)
                 self._shrunk(hunt, keeper, watched)
-            except Exception:
-                reason = "error"
+            except BaseException as error:
+                reason = "interrupted" if is_interruption(error) else "error"
                 raise
             finally:
                 for each in settled:
@@ -240,6 +241,8 @@ class Searching:
             hunt.follow(followed, lambda: self._tick(hunt, keeper))
         except FitnessError as error:
             raise RequestError(f"{self.bench.item.name}: {error}") from None
+        except skips() as error:
+            raise RequestError(f"{self.bench.item.name}: {no_skip('the fitness', error)}") from None
         return "interrupted" if hunt.finished is None else REASONS[hunt.finished.reason]
 
     def _shrunk(self, hunt: Hunt, keeper: Keeper, watched: Watched) -> None:

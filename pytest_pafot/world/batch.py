@@ -15,8 +15,9 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import AdsFactory, is_vehicle_class, made, wants_env
 from pytest_pafot.world.errors import AdsFactoryError
-from pytest_pafot.world.failure import UNFIT
+from pytest_pafot.world.failure import UNFIT, let_through
 from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.kernel.action import shown
 
 
 class Stepped(Protocol):
@@ -87,11 +88,12 @@ def _in_lock_step(runs: Sequence[Stepped], batch: Callable[[list[Any]], Any], gu
         try:
             try:
                 guard.decision_starts()
-                actions = batch(observations)
+                actions = _listed(batch(observations))
             finally:
                 guard.decision_ends()
-        except UNFIT:
+        except UNFIT as error:
             guard.decision_ends()
+            let_through(error)
             return None  # nothing is lost: whoever is at fault raises again by itself
         seconds = (guard.clock() - started) / len(live)
         for run, action in zip(live, _one_each(actions, len(live)), strict=True):
@@ -100,14 +102,19 @@ def _in_lock_step(runs: Sequence[Stepped], batch: Callable[[list[Any]], Any], gu
     return [run.trace for run in runs if run.trace is not None]
 
 
-def _one_each(actions: Any, count: int) -> list[Any]:
+def _listed(actions: Any) -> Any:
+    """What can be iterated over as a list. It may be a generator, and so the ADS's code; anything else as it is."""
     try:
-        listed = list(actions)
+        iterator = iter(actions)
     except TypeError:
-        listed = []
-    if len(listed) != count:
+        return actions
+    return list(iterator)
+
+
+def _one_each(actions: Any, count: int) -> list[Any]:
+    if not isinstance(actions, list) or len(actions) != count:
         raise AdsFactoryError(
             f"ads.batch: expected {count} actions, one for each of {count} observations in the same order, received "
-            f"{actions!r:.200}; runs that are over are not asked for any more, so that the number changes"
+            f"{shown(actions)}; runs that are over are not asked for any more, so that the number changes"
         )
-    return listed
+    return actions

@@ -21,7 +21,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, follow, is_vehicle_class, made, wants_env
-from pytest_pafot.world.engine import Traffic, decide
+from pytest_pafot.world.engine import Traffic, decide, stepped
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.gym_world import World, vehicle_classes_kept
 from pytest_pafot.world.highway import Highway
@@ -113,21 +113,22 @@ def replay_in_gym(world: Highway | World, scenario: Scenario, ads_factory: AdsFa
     env = _environment(world)
     env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
     driver = _driver(world, env, scenario, ads_factory)
-    loop = _Loop(rules, scenario, env, driver)
-    with HangGuard(rules.hang_limit) as guard:
-        return loop.run(guard)
+    guard = HangGuard(rules.hang_limit)
+    loop = _Loop(rules, scenario, env, driver, guard)
+    with guard:
+        return loop.run()
 
 
 class _Loop:
     """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
 
-    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver, guard: HangGuard) -> None:
         def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
             vehicle = StockVehicle(env.road, [x, y], heading, speed)
             vehicle.check_collisions = False
             return vehicle
 
-        self._env, self._driver = env, driver
+        self._env, self._driver, self._guard = env, driver, guard
         self._traffic = Traffic(rules, scenario, driver, npc)
         env.road.vehicles = self._traffic.vehicles
         self._ticks = self._left = rules.ticks(scenario)
@@ -135,9 +136,9 @@ class _Loop:
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
-    def run(self, guard: HangGuard) -> Trace:
+    def run(self) -> Trace:
         """Decide and step until the run ends."""
-        driver, record = self._driver, self._traffic.record
+        driver, record, guard = self._driver, self._traffic.record, self._guard
         for tick in range(0, self._ticks, driver.every):
             error = decide(driver, tick, record, guard)
             if error is not None:
@@ -158,10 +159,11 @@ class _Loop:
 
     def _step(self, dt: float) -> None:
         """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
-        self._road_step(dt)
+        record = self._traffic.record
+        error = stepped(record.tick, self._guard, lambda: self._road_step(dt))
         if not self._is_over:
             self._left -= 1
-            self._ended = self._traffic.note()
+            self._ended = self._traffic.note() if error is None else record.trace(error=error)
 
     @property
     def _is_over(self) -> bool:

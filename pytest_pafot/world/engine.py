@@ -40,15 +40,16 @@ def run(
         decisions: the first ones of the run, which the driver, an :class:`AskedDriver`, is not asked for.
     """
     traffic = _started(rules, scenario, road, make_ego(_ego_start(rules, scenario)))
+    guard = HangGuard(rules.hang_limit)
     for decision in decisions:
         traffic.record.actions.append(cast("AskedDriver", traffic.driver).apply(decision))
-        ended = _driven(rules, scenario, traffic, None)
+        ended = _driven(rules, scenario, traffic, guard)
         if ended is not None:
             return ended
-    with HangGuard(rules.hang_limit) as guard:
+    with guard:
         while True:
             error = decide(traffic.driver, traffic.record.tick, traffic.record, guard)
-            trace = _driven(rules, scenario, traffic, error)
+            trace = _driven(rules, scenario, traffic, guard, error)
             if trace is not None:
                 return trace
 
@@ -92,7 +93,7 @@ class SteppedRun:
             error = error_of(unfit, record.tick, self._guard)
         else:
             record.slowest = max(record.slowest, seconds)
-        self.trace = _driven(self._rules, self._scenario, self._traffic, error)
+        self.trace = _driven(self._rules, self._scenario, self._traffic, self._guard, error)
 
 
 def _ego_start(rules: Rules, scenario: Scenario) -> tuple[float, float, float]:
@@ -106,7 +107,9 @@ def _started(rules: Rules, scenario: Scenario, road: Road, driver: EgoDriver) ->
     return traffic
 
 
-def _driven(rules: Rules, scenario: Scenario, traffic: Traffic, error: AdsError | None) -> Trace | None:
+def _driven(
+    rules: Rules, scenario: Scenario, traffic: Traffic, guard: HangGuard, error: AdsError | None = None
+) -> Trace | None:
     """Drive up to the next decision; the trace, where the run is over by then or by an error before."""
     if error is not None:
         return traffic.record.trace(error=error)
@@ -114,8 +117,11 @@ def _driven(rules: Rules, scenario: Scenario, traffic: Traffic, error: AdsError 
     for _ in range(min(driver.every, last - traffic.record.tick)):
         driver.actuate()
         traffic.command()
-        for vehicle in traffic.vehicles:
-            vehicle.step(dt)
+        error = stepped(traffic.record.tick, guard, lambda: driver.vehicle.step(dt))
+        if error is not None:
+            return traffic.record.trace(error=error)
+        for npc in traffic.vehicles[1:]:
+            npc.step(dt)
         ended = traffic.note()
         if ended is not None:
             return ended
@@ -136,6 +142,15 @@ def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> Ad
     if action is not None:
         record.actions.append(action)
     record.slowest = max(record.slowest, guard.clock() - started)
+    return None
+
+
+def stepped(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError | None:
+    """Move an ego by its vehicle class, whose methods may be the user's; what it did instead of that, or None."""
+    try:
+        step()
+    except UNFIT as error:
+        return error_of(error, tick, guard)
     return None
 
 

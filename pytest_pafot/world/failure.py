@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import bdb
+import sys
 import traceback
+from types import TracebackType
 from typing import Any
 
 from pytest_pafot.trace import AdsError
@@ -10,18 +13,41 @@ from pytest_pafot.world import guard as guard_module
 from pytest_pafot.world.guard import AdsHang, HangGuard
 from pytest_pafot.world.kernel.action import BadAction, one_line
 
-UNFIT = (AdsHang, Exception, SystemExit)
-"""Whatever the user's code raises is a finding."""
+UNFIT = BaseException
+"""Whatever comes out of the user's code, to be caught where :func:`let_through` sorts out what is not its own doing."""
+
+TIMEOUT_PLUGINS = ("pytest_timeout",)
+"""Their failure says that the time of a test is over, and nothing of the code that ran just then."""
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Whether an exception ends a session, a debugger's or the time of a test, and says nothing of who raised it.
+
+    Everything else that comes out of the user's code is its own doing, whatever it derives from: a panic of a native
+    library, a cancelled task, or ``pytest.skip()``, which nobody would hear of.
+    """
+    if isinstance(error, BaseExceptionGroup):
+        return any(is_interruption(each) for each in error.exceptions)
+    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, *_ends_of_a_session())):
+        return True
+    return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in _modules(error.__traceback__))
+
+
+def let_through(error: BaseException) -> None:
+    """Raise again what is an interruption; called where any exception is caught."""
+    if is_interruption(error):
+        raise error
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
-    """What went wrong in a decision, told.
+    """What went wrong in a decision, told; an interruption is raised again.
 
     Args:
-        error: one of :data:`UNFIT`.
+        error: that the ADS raised, or the guard in it.
         tick: of the decision.
         guard: of the decision, which has ended.
     """
+    let_through(error)
     if isinstance(error, BadAction):
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)
     if isinstance(error, AdsHang):
@@ -35,6 +61,16 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
         traceback="".join(report.format()),
         tick=tick,
     )
+
+
+def _ends_of_a_session() -> tuple[type[BaseException], ...]:
+    """What ``pytest.exit()`` raises: whoever calls it has imported pytest, which this room does not know."""
+    pytest = sys.modules.get("pytest")
+    return () if pytest is None else (pytest.exit.Exception,)
+
+
+def _modules(tb: TracebackType | None) -> list[str]:
+    return [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(tb)]
 
 
 def _where(hang: AdsHang) -> str:

@@ -5,6 +5,8 @@ import textwrap
 
 import pytest
 
+from pytest_pafot.findings.corpus import read
+
 VEHICLES = {
     "mark": """
         from highway_env.vehicle.behavior import IDMVehicle
@@ -76,3 +78,72 @@ class TestAVehicleClassIsItsOwnFactory:
         parallel.stdout.fnmatch_lines(["*--pafot-workers=2: in use after 3 runs of this process*"])
         assert (project.contents, parallel.parseoutcomes()) == (contents, serial.parseoutcomes())
         assert contents
+
+
+RAISING = """
+class Panic(BaseException):
+    pass
+
+def drive(observation):
+    if observation.time > 1:
+        RAISE
+    return 0.0, 0.0
+
+@pafot.search(SHORT, ads=lambda: drive, shrink_rollouts=0)
+def test_drive(run):
+    pass
+"""
+
+BATCHED = """
+class Batched:
+    def __call__(self, observation):
+        return drive(observation)
+
+    def batch(self, observations):
+        return [drive(observation) for observation in observations]
+
+@pafot.search(SHORT, ads=Batched, shrink_rollouts=0)
+def test_drive(run):
+    pass
+"""
+
+RAISED = {
+    "pytest.skip('no GPU')": "Skipped",
+    "pytest.importorskip('no_such_module')": "Skipped",
+    "pytest.xfail('never')": "XFailed",
+    "pytest.fail('never')": "Failed",
+    "raise Panic('native code')": "Panic",
+    "raise GeneratorExit": "GeneratorExit",
+    "raise BaseExceptionGroup('many', [Panic()])": "BaseExceptionGroup",
+    "pafot.reject()": "Rejected",
+}
+
+
+class TestWhatAnAdsRaisesIsAFinding:
+    @pytest.mark.parametrize("statement", RAISED)
+    def test_of_a_search_and_of_the_replay_of_its_file(self, project, statement):
+        project.write(RAISING.replace("RAISE", statement))
+        result = project.run()
+        result.assert_outcomes(failed=2)
+        result.stdout.fnmatch_lines([f"*the ADS failed: {RAISED[statement]}*", "*4 failing*"])
+        assert read(project.only_file).expect.failure == RAISED[statement]
+        project.run(generations=0).assert_outcomes(failed=1, skipped=1)
+
+    def test_of_runs_in_lock_step(self, project):
+        project.write(RAISING.replace("RAISE", "pytest.skip('no GPU')") + BATCHED)
+        project.run().assert_outcomes(failed=2)
+        assert read(project.only_file).expect.failure == "Skipped"
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+    def test_of_the_processes_of_a_search(self, project):
+        slow = RAISING.replace("def drive", "import time\n\ndef drive").replace("RAISE", "pytest.skip('no GPU')")
+        project.write(slow.replace("    return 0.0", "    time.sleep(0.005)\n    return 0.0"))
+        result = project.run("--pafot-workers=2", generations=2)
+        result.assert_outcomes(failed=2)
+        result.stdout.fnmatch_lines(["*8 failing*", "*--pafot-workers=2: in use after 3 runs of this process*"])
+
+    def test_but_for_the_end_of_the_session(self, project):
+        project.write(RAISING.replace("RAISE", "pytest.exit('enough')"))
+        result = project.run()
+        result.stdout.fnmatch_lines(["*ended: interrupted*", "*Exit: enough*"])
+        assert (result.ret, project.files) == (pytest.ExitCode.INTERRUPTED, [])

@@ -3,6 +3,7 @@
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.findings.corpus import read
 from pytest_pafot.plugin.marks import Rejected
 
 
@@ -200,6 +201,18 @@ def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):
     assert project.files == []
 
 
+@pytest.mark.parametrize("call", ["pytest.skip('no GPU')", "pytest.importorskip('no_such_module')", "pytest.xfail('')"])
+@pytest.mark.parametrize("where", ["factory", "fitness"])
+def test_a_skip_in_the_middle_of_a_search_is_an_error_and_not_green(project, where, call):
+    arguments = {"factory": "ads=other", "fitness": "fitness=other"}[where]
+    project.write(
+        f"def other(*args):\n    {call}\n\n@pafot.search(SHORT, {arguments})\ndef test_drive(run):\n    pass\n"
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"])
+
+
 def test_a_raw_mark_says_which_decorator_to_use(project):
     project.write("@pytest.mark.pafot_search\ndef test_raw(run):\n    pass\n")
     result = project.run()
@@ -245,6 +258,37 @@ def test_rejected_scenarios_are_counted_and_found_nothing(project):
 def test_reject_outside_of_a_search_says_where_it_belongs():
     with pytest.raises(Rejected, match=r"discards a scenario of a @pafot.search test"):
         pafot.reject()
+
+
+@pytest.mark.parametrize("raised", ["GeneratorExit", "Panic('lost')", "Mute", "MuteAndExits"])
+def test_whatever_else_the_test_function_raises_is_a_find(project, raised):
+    project.write(
+        f"""
+class Panic(BaseException):
+    pass
+
+class Mute(Exception):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+class MuteAndExits(Exception):
+    def __str__(self):
+        raise SystemExit(3)
+
+@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
+def test_raises(run):
+    if run.duration > 1:
+        raise {raised}
+"""
+    )
+    project.run().assert_outcomes(failed=2)
+    assert read(project.only_file).expect.failure == raised.partition("(")[0]
+
+
+def test_the_skip_of_unittest_is_a_skip_too(project):
+    project.write("import unittest\n\n@pafot.search(SHORT)\ndef test_x(run):\n    raise unittest.SkipTest('no')\n")
+    project.run().assert_outcomes(skipped=1)
+    assert project.files == []
 
 
 def test_pytest_fail_inside_a_scenario_is_a_find(project):

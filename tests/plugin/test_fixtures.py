@@ -19,6 +19,22 @@ def test_takes_another_world(pafot_simulate):
     project.run().assert_outcomes(passed=2)
 
 
+def test_pafot_simulate_fails_a_test_whose_ads_fails_as_its_run_would_pass_nearly_anything(project):
+    project.write(
+        """
+def broken(observation):
+    return observation.ego.sped, 0.0
+
+def test_simulates(pafot_simulate):
+    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
+    assert not pafot_simulate(scenario, lambda: broken).collision
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["the ADS failed: AttributeError: *'sped'*", "*in broken"])
+
+
 def test_pafot_simulate_drives_given_tests_without_health_check_or_deadline_failures(project):
     project.write(
         """

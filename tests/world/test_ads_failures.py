@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
+import bdb
 import math
 import signal
 import subprocess
 import sys
 import threading
 import time
+import unittest
 
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World, guard
+from pytest_pafot.world.confirm import replay_in_gym
 from pytest_pafot.world.guard import HangGuard
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
@@ -70,10 +75,23 @@ def test_an_ads_that_raises_ends_the_run_with_a_traceback_of_its_own_code_alone(
     assert len(trace.actions) == 2
 
 
+class Panic(BaseException):
+    """As the bindings of a native library raise it."""
+
+
+FAULTS = [
+    ValueError(), TypeError("x"), StopIteration(), SystemExit(2), ExceptionGroup("g", [ValueError("y")]), Panic("rust"),
+    GeneratorExit(), asyncio.CancelledError(), BaseExceptionGroup("g", [SystemExit(2)]), unittest.SkipTest("no map"),
+    pytest.skip.Exception("no GPU"), pytest.fail.Exception("no map"), pytest.xfail.Exception("never"),
+]  # fmt: skip
+INTERRUPTIONS = [
+    KeyboardInterrupt(), bdb.BdbQuit(), pytest.exit.Exception("enough"),
+    BaseExceptionGroup("g", [ValueError("y"), BaseExceptionGroup("h", [KeyboardInterrupt()])]),
+]  # fmt: skip
+
+
 @worlds
-@pytest.mark.parametrize(
-    "fault", [ValueError(), TypeError("x"), StopIteration(), SystemExit(2), ExceptionGroup("g", [ValueError("y")])]
-)
+@pytest.mark.parametrize("fault", FAULTS, ids=repr)
 def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault):
     def fail():
         raise fault
@@ -96,13 +114,30 @@ def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():
 
 
 @worlds
-def test_ctrl_c_inside_an_ads_is_the_users_and_no_finding(world, idle):
+@pytest.mark.parametrize("interruption", INTERRUPTIONS, ids=repr)
+def test_the_end_of_a_session_or_a_debugger_inside_an_ads_is_the_users_and_no_finding(world, idle, interruption):
     def fail():
-        raise KeyboardInterrupt
+        raise interruption
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(type(interruption)) as caught:
         world.rollout(SCENARIO, failing_after(1, fail, idle))
+    assert caught.value is interruption
     assert guard._WATCHDOG._guards == []
+
+
+def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick():
+    class Breaks(IDMVehicle):
+        steps = 0
+
+        def step(self, dt):
+            super().step(dt)
+            self.steps += 1
+            if self.steps > 30:
+                raise CustomFault("tyre")
+
+    for trace in (HIGHWAY.rollout(SCENARIO, Breaks), replay_in_gym(HIGHWAY, SCENARIO, Breaks)):
+        assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "CustomFault", "tyre")
+        assert trace.error.tick == trace.ticks == 30
 
 
 PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, received"

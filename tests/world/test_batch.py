@@ -129,15 +129,24 @@ def raises():
     raise LookupError("one NPC")
 
 
+def panics():
+    raise Panic("one NPC")
+
+
+class Panic(BaseException):
+    """As the bindings of a native library raise it."""
+
+
 @pytest.mark.parametrize(
     ("how", "outcome", "kind"),
     [
         (raises, Outcome.ADS_ERROR, "LookupError"),
+        (panics, Outcome.ADS_ERROR, "Panic"),
         (lambda: time.sleep(30), Outcome.HANG, "Hang"),
         (lambda: (np.nan, 0.0), Outcome.ADS_ERROR, "BadAction"),
         (lambda: "left", Outcome.ADS_ERROR, "BadAction"),
     ],
-    ids=["raises", "hangs", "not finite", "no action"],
+    ids=["raises", "panics", "hangs", "not finite", "no action"],
 )
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])
 def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, kind):
@@ -147,6 +156,23 @@ def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, 
     assert [(trace.outcome, trace.error.kind) for trace in traces[:1]] == [(outcome, kind)]
     assert traces[0].error.tick == 18
     assert differences(traces[1:], healthy[1:]) == []
+
+
+def test_an_interrupt_in_a_decision_of_many_runs_is_the_users():
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Highway(duration=4.0).rollout_batch(scenarios(4), lambda: Failing(interrupt))
+
+
+def test_actions_may_come_one_by_one_and_raise_meanwhile_as_a_decision_does():
+    class Lazy(Failing):
+        def batch(self, observations):
+            return (self.decided(observation) for observation in observations)
+
+    traces = Highway(duration=4.0).rollout_batch(scenarios(4), lambda: Lazy(raises))
+    assert [trace.outcome for trace in traces] == [Outcome.ADS_ERROR, *[Outcome.SAFE] * 3]
 
 
 @pytest.mark.parametrize(
