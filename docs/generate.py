@@ -56,11 +56,13 @@ MARKER_DEFAULTS: Mapping[str, str] = {"ads": '`"ads"`', "world": "-", "genes": "
 """Defaults that no dataclass has."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `1`.",
+    "pafot": "Version of the format, `2`. Files of version `1` are read as they were then, and become files of version "
+    "`2` when they are written again.",
     "test": "Node id of the test, parameters included. Which test replays the file depends on its folder, "
     "not on this line.",
     "world": "The world that the scenario fails in; `kind` is `highway` or `gym`, the other keys are the fields of "
-    "`Highway` or `World`. The replay uses this world, not the one that the test names now.",
+    "`Highway` or `World`, all of them. `config` of a `World` has the defaults of its environment, too. The replay "
+    "uses this world, not the one that the test names now, and no default of a later version.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",

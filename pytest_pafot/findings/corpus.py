@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pytest_pafot.findings.document import MAX_BYTES, DocumentError, decoded, parse
-from pytest_pafot.findings.emit import DEFAULT_GENE_SECONDS, VERSION, text_of
+from pytest_pafot.findings.emit import DEFAULT_GENE_SECONDS, text_of
 from pytest_pafot.findings.fields import RESTORE, CorpusError, Field
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
+from pytest_pafot.findings.formats import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
 from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
 from pytest_pafot.findings.responsibility import Fault, Responsibility
@@ -47,7 +48,10 @@ SUFFIX = ".pafot.yaml"
 STALE_SECONDS = 600.0
 """A temporary file this much older than a new one was left behind by a process that was killed."""
 
-_RULE = re.compile(r"(?:(?P<field>[a-z_]+(?:\[\d+\])*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S)
+_RULE = re.compile(
+    r"(?:(?P<field>[\w-]+(?:\[\d+\]|\.\w+)*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S
+)
+MAX_RECEIVED = 300
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
 
@@ -76,13 +80,33 @@ def read(path: Path) -> Finding:
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
     """The finding in the content of a file; see :func:`read`. ``loader`` is for :func:`document.parse`."""
+    return _finding(path, _top(path, content, loader))
+
+
+def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
+    """The document in the content of a file, as one of the version that is written."""
     try:
         document = parse(decoded(content), loader)
     except DocumentError as error:
         raise CorpusError(
             path, line=error.line, field="", expected=error.expected, received=error.received, fix=error.fix
         ) from None
-    return _finding(path, Field(path, document, (), document.value))
+    top = Field(path, document, (), document.value)
+    return replace(top, value=upgraded(top.value)) if _version(top) == 1 else top
+
+
+def located(path: Path, part: str, error: Exception) -> CorpusError:
+    """What is wrong with the world or the scenario of a file that could be read, with its line.
+
+    Args:
+        path: of the file.
+        part: ``world`` or ``scenario``.
+        error: that came of it when it was built or run.
+    """
+    try:
+        return _rule_broken(_top(path, _content(path)).at(part), error)
+    except CorpusError as changed:  # the file is another one by now
+        return changed
 
 
 def write(path: Path, finding: Finding) -> bool:
@@ -200,7 +224,6 @@ def _finding(path: Path, top: Field) -> Finding:
     if not path.name.endswith(SUFFIX) or not is_id(name):
         expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
         raise CorpusError(path, line=None, field="", expected=expected, received=path.name, fix="rename the file")
-    _check_version(top)
     required = ("pafot", "test", "world", "scenario", "expect", "found")
     fields = top.mapping(required, ("original", "shrunk", "flaky", "xfail"))
     scenario = _scenario(fields["scenario"])
@@ -220,25 +243,33 @@ def _finding(path: Path, top: Field) -> Finding:
     )
 
 
-def _check_version(top: Field) -> None:
+def _version(top: Field) -> int:
     """The version comes first: of a newer one, nothing else can be judged."""
     fields = top.any_mapping()
     if "pafot" not in fields:
         raise top.error(f"the key 'pafot' with the version {VERSION}", RESTORE, "a document without it")
     version = fields["pafot"]
-    if isinstance(version.value, bool) or version.value != VERSION or not isinstance(version.value, int):
-        fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
-        raise version.error(f"the format version {VERSION}", fix)
+    if isinstance(version.value, bool) or not isinstance(version.value, int) or version.value not in VERSIONS:
+        known = " or ".join(map(str, VERSIONS))
+        fix = f"install the pytest-pafot that wrote it; this one reads versions {known}"
+        raise version.error(f"the format version {known}", fix)
+    return version.value
 
 
 def _world(field: Field) -> dict[str, Any]:
-    world = {key: inner.value for key, inner in field.any_mapping().items()}
+    fields = field.any_mapping()
+    world = {key: inner.value for key, inner in fields.items()}
     for key, value in world.items():
         try:
             check_plain(field.at(key).name, value)
             check_plain(field.name, {key: None})
         except ValueError as error:
             raise field.at(key).error("plain data", "correct it", str(error)) from None
+    kind = world.get("kind")
+    if isinstance(kind, str) and kind in WORLDS:
+        keys = WORLDS[kind]
+        field.mapping(keys.required, keys.optional)
+        fields["limits"].mapping(LIMITS.required, LIMITS.optional)
     return world
 
 
@@ -268,20 +299,30 @@ def _gene(field: Field) -> Gene:
         raise _rule_broken(field, error) from None
 
 
-def _rule_broken(field: Field, error: ScenarioError) -> CorpusError:
-    """A scenario's own error, at the place in the file that it is about."""
+def _rule_broken(field: Field, error: Exception) -> CorpusError:
+    """The error of a scenario or world itself, at the place in the file that it is about."""
     rule = _RULE.fullmatch(str(error))
     if rule is None:
-        return field.error("a valid scenario", "correct it", str(error))
-    name = rule["field"] or ""
-    key = name.partition("[")[0]
-    inner: tuple[str | int, ...] = _SCENARIO_FIELDS.get(key, (key,) if key else ())
-    inner += tuple(int(index) for index in re.findall(r"\[(\d+)\]", name))
-    if key == "npcs" and len(inner) == 3 and "cell" in field.at(*inner).any_mapping():
-        inner += ("cell",)
+        return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
+    name = (rule["field"] or "").removeprefix(f"{field.name}.")
+    key, *others = re.findall(r"\w+", name) or [""]
+    inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
+    place = field
+    for part in inner:
+        if not _has(place.value, part):
+            break
+        place = place.at(part)
+    if len(inner) == 3 and _has(place.value, "cell"):
+        place = place.at("cell")
     received, _, hint = rule["received"].partition("; ")
     fix = hint if hint and "Scenario.repaired" not in hint else "correct it, or delete the file"
-    return field.at(*inner).error(rule["expected"], fix, received)
+    return place.error(rule["expected"], fix, received[:MAX_RECEIVED])
+
+
+def _has(value: object, part: str | int) -> bool:
+    if isinstance(part, int):
+        return isinstance(value, list) and part < len(value)
+    return isinstance(value, dict) and part in value
 
 
 def _expect(field: Field, npcs: int) -> Expect:
@@ -297,7 +338,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         return get(fields[key]) if key in fields else default
 
     return Expect(
-        failure=fields["failure"].text(),
+        failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=given("assertion", Field.text, ""),
         message=given("message", Field.text, ""),
         outcome=outcome,
@@ -335,13 +376,11 @@ def _shrunk(field: Field, scenario: Scenario) -> Simplified:
 
 def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
     fields = field.mapping(("npc", "gene", "low", "high"))
-    npc = fields["npc"].whole(0, len(scenario.npcs) - 1)
-    return SpeedInterval(
-        npc=npc,
-        gene=fields["gene"].whole(0, len(scenario.npcs[npc]) - 1),
-        low=fields["low"].number(),
-        high=fields["high"].number(),
-    )
+    npc, low = fields["npc"].whole(0, len(scenario.npcs) - 1), fields["low"].number()
+    gene, high = fields["gene"].whole(0, len(scenario.npcs[npc]) - 1), fields["high"].number()
+    if low > high:
+        raise fields["high"].error(f"at least the low end, {low:g}", "restore the two from version control")
+    return SpeedInterval(npc=npc, gene=gene, low=low, high=high)
 
 
 def _through_temporary(path: Path, finding: Finding, finish: Callable[[Path, Path], bool]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from enum import Enum
 from typing import Any
@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.formats import VERSION
 from pytest_pafot.scenario import PositionInstruction, Scenario
 
-VERSION = 1
 WIDTH = 120
 COMMENT_COLUMN = 34
 DEFAULT_GENE_SECONDS = 10.0
@@ -100,17 +100,42 @@ def _fits_literal(text: str) -> bool:
     return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
 
 
-def _flow_lines(key: str, value: Mapping[str, Any]) -> Iterator[str]:
-    """``key: {...}``, filled up to the width and continued below the first entry."""
-    line = f"{key}: "
-    indent = " " * (len(line) + 1)
-    for piece in _group("{", value.items(), "}", WIDTH - len(indent)):
-        is_begun = line.strip() != f"{key}:" and line.strip()
-        if is_begun and len(line) + len(piece.rstrip()) > WIDTH:
-            yield line.rstrip()
-            line = indent
-        line += piece
-    yield line.rstrip()
+def _flow_lines(key: str, value: Mapping[str, Any]) -> list[str]:
+    """``key: {...}``, filled up to the width; what does not fit into a line goes on under its own first entry."""
+    return _hanging(f"{key}: ", value, "", 0)
+
+
+def _hanging(head: str, value: Any, tail: str, column: int) -> list[str]:
+    """Lines of a head, a mapping or list, and a tail.
+
+    Args:
+        head: what stands before the value, such as its key.
+        value: the mapping or list.
+        tail: what stands after it.
+        column: in which the head begins; whoever calls puts the first line there.
+    """
+    if not value:
+        return [head + _flow(value) + tail]
+    is_mapping = isinstance(value, Mapping)
+    entries = list(value.items()) if is_mapping else [(None, each) for each in value]
+    opening, closing = "{}" if is_mapping else "[]"
+    lines, inner, is_broken = [head + opening], column + len(head) + 1, False
+    for index, (key, each) in enumerate(entries):
+        start = "" if key is None else f"{_scalar(key)}: "
+        end = closing + tail if index == len(entries) - 1 else ","
+        whole = start + _flow(each) + end
+        is_whole = inner + len(whole) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
+        first, *others = [whole] if is_whole else _hanging(start, each, end, inner)
+        at = len(lines[-1]) + (column if len(lines) == 1 else 0)
+        if index == 0:
+            lines[-1] += first
+        elif is_whole and not is_broken and at + 1 + len(first) <= WIDTH:
+            lines[-1] += f" {first}"
+        else:
+            lines.append(" " * inner + first)
+        lines += others
+        is_broken = bool(others)
+    return lines
 
 
 def _flow(value: object) -> str:
@@ -120,25 +145,6 @@ def _flow(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_flow, value)) + "]"
     return _scalar(value)
-
-
-def _group(opening: str, entries: Collection[tuple[str | None, Any]], closing: str, room: int) -> Iterator[str]:
-    """A mapping or list (whose keys are None) in pieces between which a line may break.
-
-    An entry that fits into a line stays in one piece.
-    """
-    if not entries:
-        yield opening + closing
-    for index, (key, inner) in enumerate(entries):
-        start = (opening if index == 0 else "") + ("" if key is None else f"{_scalar(key)}: ")
-        end = closing if index == len(entries) - 1 else ", "
-        whole = start + _flow(inner) + end
-        if len(whole) <= room or not isinstance(inner, (Mapping, list, tuple)):
-            yield whole
-        elif isinstance(inner, Mapping):
-            yield from _group(start + "{", inner.items(), "}" + end, room)
-        else:
-            yield from _group(start + "[", [(None, each) for each in inner], "]" + end, room)
 
 
 def _scalar(value: object) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.findings.document import Document, Place
+from pytest_pafot.findings.formats import VERSION
 
 RESTORE = "restore the file from version control, or delete it"
 
@@ -76,7 +77,8 @@ class Field:
         fields = self.any_mapping()
         for key in fields:
             if key not in required and key not in optional:
-                raise fields[key].error(one_of([*required, *optional]), guess(key, [*required, *optional]), repr(key))
+                known = [*required, *optional]
+                raise fields[key].error(f"{one_of(known)} (format {VERSION})", guess(key, known), repr(key))
         for key in required:
             if key not in fields:
                 received = f"only {', '.join(fields)}" if fields else "nothing"

@@ -60,17 +60,25 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 
 
 def world_of(finding: Finding, saved: Saved) -> Any:
-    """The world that a file describes.
+    """The world that a file describes, made, with its scenario checked against it.
 
     Raises:
-        RequestError: naming the file and the field.
+        RequestError: naming the file, the line and the field.
     """
-    from pytest_pafot.world import WorldError, from_dict  # noqa: PLC0415
+    from pytest_pafot.findings.corpus import located  # noqa: PLC0415
+    from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
+    from pytest_pafot.world import World, WorldError, checks, from_dict  # noqa: PLC0415
 
     try:
-        return from_dict(dict(finding.world))
+        world = from_dict(dict(finding.world))
+        if isinstance(world, World):
+            world.check()
+        checks.fits(finding.scenario, world.rules)
+    except ScenarioError as error:
+        raise RequestError(str(located(saved.path, "scenario", error))) from None
     except (WorldError, TypeError, ValueError) as error:
-        raise RequestError(f"{saved.path}: {error}; restore the file from version control, or delete it") from None
+        raise RequestError(str(located(saved.path, "world", error))) from None
+    return world
 
 
 def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:

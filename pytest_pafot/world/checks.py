@@ -65,12 +65,16 @@ def plain(name: str, value: Any) -> Any:
         return [plain(f"{name}[{index}]", item) for index, item in enumerate(value)]
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return plain(name, value.tolist())
-    if value is None or isinstance(value, (bool, int, float, str)):
+    if value is None or (isinstance(value, (bool, int, float, str)) and not _is_nan(value)):
         return value
     raise WorldError(
         f"{name}: expected plain data (numbers, text, lists, mappings), which a corpus file can hold, received "
         f"{value!r}"
     )
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:

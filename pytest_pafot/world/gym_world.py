@@ -6,8 +6,8 @@ import copy
 import difflib
 import math
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -34,6 +34,9 @@ LONGEST_RUN = 60.0
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """What environments call their random traffic, besides ``vehicles_count``."""
+
+_REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
+"""Options that are not as given while scenarios run; how to draw also depends on the machine."""
 
 
 @dataclass(frozen=True)
@@ -240,8 +243,28 @@ class World(References):
         return has_own_road or (not drives_itself and type(self._env).step is not AbstractEnv.step)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
-        return {"kind": "gym", **asdict(self)}
+        """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
+
+        It is complete: the configuration with the environment's own defaults, and the duration that comes of it.
+        Defaults that are no plain data are left out.
+
+        Raises:
+            WorldError: when the environment cannot be used.
+        """
+        is_straight = isinstance(self.road, StraightRoad)
+        duration = self._wanted if is_straight else min(self._wanted, self._longest)
+        return {"kind": "gym", **asdict(self), "config": self._whole_config(), "duration": duration}
+
+    def _whole_config(self) -> dict[str, Any]:
+        """The options of the environment with the values that it has, or would have with its random traffic."""
+        env = self._env
+        values = {**type(env).default_config(), **(self.config or {})}
+        values |= {name: env.config[name] for name in values if name in env.config and name not in _REPLACED}
+        config: dict[str, Any] = {}
+        for name, value in values.items():
+            with suppress(WorldError):
+                config[name] = checks.plain(f"config.{name}", value)
+        return config
 
     @cached_property
     def _env(self) -> Any:
@@ -264,14 +287,13 @@ class World(References):
                 f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
                 f"{self.env_id!r} ({creator.__name__})"
             )
-        config = {**_with_tuples(self.config or {}), "vehicles_count": 0}
         try:
             with vehicle_classes_kept():
-                env = _made(self.env_id, creator, config)
+                env = _made(self.env_id, creator, self.config or {})
         except Exception as error:
             raise WorldError(
-                f"{self.env_id}: expected a configuration that the environment accepts, received {self.config!r}; it "
-                f"raised {type(error).__name__}: {error}"
+                f"config: expected a configuration that the environment {self.env_id} accepts, received "
+                f"{self.config!r:.200}; it raised {type(error).__name__}: {error!s:.200}"
             ) from error
         if not isinstance(env, AbstractEnv):
             raise WorldError(
@@ -316,9 +338,7 @@ class World(References):
         physics_hz = checks.whole("config.simulation_frequency", config["simulation_frequency"], 5, 1000)
         ads_hz = checks.whole("config.policy_frequency", config["policy_frequency"], 1, 1000)
         checks.divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
-        name = "config.duration" if self.duration is None else "duration"
-        wanted = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
-        duration = checks.number(name, wanted, 1 / physics_hz, 3600.0)
+        duration = self._wanted
         road: StraightRoad | NetworkRoad | None = straight_road(self._plain_network)
         if road is None:
             road, duration = self._way(duration)
@@ -333,6 +353,19 @@ class World(References):
             hang_limit=self.hang_limit,
         )
 
+    @property
+    def _wanted(self) -> float:
+        """How long a run on a straight road lasts [s]."""
+        config, name = self._env.config, "config.duration" if self.duration is None else "duration"
+        value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
+        return checks.number(name, value, 1 / config["simulation_frequency"], 3600.0)
+
+    @property
+    def _longest(self) -> float:
+        """How long a run on any other road may last [s]."""
+        own = checks.number("config.duration", self._env.config.get("duration", LONGEST_RUN), 0.0, math.inf)
+        return min(own, LONGEST_RUN if self.duration is None else math.inf)
+
     def _way(self, wanted: float) -> tuple[NetworkRoad, float]:
         """The ego's way, and how long a run on it lasts [s].
 
@@ -341,8 +374,7 @@ class World(References):
         """
         from pytest_pafot.world.survey import survey  # noqa: PLC0415
 
-        own = self._env.config.get("duration", LONGEST_RUN)
-        most = min(wanted, own, LONGEST_RUN if self.duration is None else math.inf)
+        most = min(wanted, self._longest)
         road = survey(self._env, self.env_id, self.limits, ahead=most * checks.TOP_SPEED)
         if road.ego_speed > 0:
             most = min(most, (road.end - road.start) / road.ego_speed)
@@ -359,7 +391,7 @@ def _once(ads: Any) -> AdsFactory:
     return lambda: ads
 
 
-def _made(env_id: str, creator: Any, config: dict[str, Any]) -> Any:
+def _made(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
     """An environment without traffic.
 
     Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
@@ -371,7 +403,8 @@ def _made(env_id: str, creator: Any, config: dict[str, Any]) -> Any:
     from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
 
     known = creator.default_config() if hasattr(creator, "default_config") else {}
-    config.update({name: 0 for name in TRAFFIC if name in known})
+    config = _as_known(_with_tuples(given), known)
+    config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
     parameters = inspect.signature(creator).parameters
     takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     keywords: dict[str, Any] = {"config": config} if takes_config else {}
@@ -427,6 +460,17 @@ def vehicle_classes_kept() -> Iterator[None]:
             for name, value in constants.items():
                 if vars(cls)[name] is not value:
                     setattr(cls, name, value)
+
+
+def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy with the environment's own value wherever plain data, which has no tuples or arrays, means that value."""
+
+    def is_known(name: str, value: Any) -> bool:
+        with suppress(WorldError):
+            return name in known and repr(checks.plain(name, value)) == repr(checks.plain(name, known[name]))
+        return False
+
+    return {name: known[name] if is_known(name, value) else value for name, value in config.items()}
 
 
 def _with_tuples(config: Any) -> Any:

@@ -3,9 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 
 from pytest_pafot.world.errors import WorldError
+
+BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "acceleration": (0.1, 100.0),
+        "braking": (0.1, 100.0),
+        "jerk": (0.1, 1000.0),
+        "lateral_acceleration": (0.1, 100.0),
+        "overspeed": (1.0, 8.0),
+        "heading": (0.01, math.pi / 4),
+    }
+)
+"""Smallest and largest value of each limit; beyond them an NPC is no vehicle, and the arithmetic no longer sound."""
+WHY: Mapping[str, str] = MappingProxyType(
+    {
+        "overspeed": ", so that target speeds up to the limit can be driven",
+        "heading": ", so that no NPC drives sideways",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,17 +49,11 @@ class NpcLimits:
     heading: float = 0.5
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise WorldError(f"limits.{field.name}: expected a number above 0, received {value!r}")
-            object.__setattr__(self, field.name, float(value))
-        if self.heading > math.pi / 4:
-            raise WorldError(
-                f"limits.heading: expected at most pi/4 rad, so that no NPC drives sideways, received {self.heading!r}"
-            )
-        if self.overspeed < 1:
-            raise WorldError(
-                f"limits.overspeed: expected at least 1, so that target speeds up to the limit can be driven, "
-                f"received {self.overspeed!r}"
-            )
+        for name, (low, high) in BOUNDS.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+                why = WHY.get(name, "")
+                raise WorldError(
+                    f"limits.{name}: expected a number from {low:g} to {high:.6g}{why}, received {value!r}"
+                )
+            object.__setattr__(self, name, float(value))

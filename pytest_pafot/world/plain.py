@@ -39,7 +39,7 @@ def from_dict(data: dict[str, Any]) -> Highway | World:
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
-    known = {field.name for field in fields(cls)}
+    known = {field.name for field in fields(cls) if field.compare}  # an engine is no part of what a world is
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         raise WorldError(f"{place}: expected the fields {', '.join(sorted(known))}, received {', '.join(unknown)}")

@@ -5,11 +5,13 @@ from typing import get_args
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found, Simplified
+from pytest_pafot.findings.formats import LIMITS, WORLDS
 from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
+from pytest_pafot.world import Highway
 
 VERSIONS = {"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"}
 
@@ -27,7 +29,7 @@ def plain_finding(**changes):
     fields = {
         "id": "front-2-1f3a9c",
         "test": "tests/test_safety.py::test_never_at_fault_in_a_collision",
-        "world": {"kind": "highway", "lanes": 4, "speed_limit": 26.8},
+        "world": Highway().to_dict(),
         "scenario": Scenario(npcs=(tuple(chain),), seed=7),
         "expect": Expect(
             failure="AssertionError",
@@ -65,6 +67,17 @@ def plain_data():
     )
 
 
+def plain_worlds():
+    """Complete worlds of this package as a file may hold them, whatever their values are."""
+
+    def world(kind, keys):
+        numbers = st.fixed_dictionaries(dict.fromkeys(LIMITS.required, st.floats(allow_nan=False)))
+        values = {key: numbers if key == "limits" else plain_data() for key in keys.required}
+        return st.fixed_dictionaries({**values, "kind": st.just(kind)})
+
+    return st.one_of([world(kind, keys) for kind, keys in WORLDS.items()])
+
+
 @st.composite
 def scenarios(draw):
     steps = st.lists(st.tuples(st.integers(-12, 12), st.integers(0, 268)), min_size=1, max_size=8)
@@ -87,7 +100,7 @@ def expectations(draw, npcs):
     is_collision = outcome is Outcome.COLLISION
     some = st.just if is_collision else lambda value: st.one_of(st.none(), st.just(value))
     return Expect(
-        failure=draw(texts()),
+        failure=draw(texts(min_size=1).filter(str.strip)),
         assertion=draw(texts()),
         message=draw(texts()),
         outcome=outcome,
@@ -107,8 +120,9 @@ def expectations(draw, npcs):
 def simplifications(draw, scenario):
     places = [(npc, gene) for npc, chain in enumerate(scenario.npcs) for gene in range(len(chain))]
     speeds = [
-        SpeedInterval(npc=npc, gene=gene, low=draw(st.floats(0, 1e3)), high=draw(st.floats(0, 1e3)))
+        SpeedInterval(npc=npc, gene=gene, low=low, high=high)
         for npc, gene in draw(st.lists(st.sampled_from(places), max_size=9))
+        for low, high in [sorted((draw(st.floats(0, 1e3)), draw(st.floats(0, 1e3))))]
     ]
     return Simplified(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
 
@@ -120,7 +134,7 @@ def findings(draw):
         id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
         test=draw(texts(min_size=1).filter(str.strip)),
         scenario=scenario,
-        world=draw(st.dictionaries(keys(), plain_data(), max_size=5)),
+        world=draw(st.one_of(st.dictionaries(keys(), plain_data(), max_size=5), plain_worlds())),
         expect=draw(expectations(len(scenario.npcs))),
         found=Found(
             seed=draw(st.integers(0, 10**40)),

@@ -42,6 +42,9 @@ def fault(path, content):
     return caught.value
 
 
+WORLD = TEXT[TEXT.index("world:") : TEXT.index("\nscenario:")]
+
+
 def swapped(old, new):
     assert TEXT.count(old) == 1
     return TEXT.replace(old, new)
@@ -74,9 +77,9 @@ def test_a_name_that_cannot_be_part_of_a_node_id_is_refused(path, name):
 
 def test_an_error_says_where_what_and_the_way_out(path):
     error = fault(path, swapped("{cell: 2, speed: 8.0}", "{cell: 5, speed: 8.0}"))
-    assert (error.line, error.field) == (9, "scenario.npcs[0][1].cell")
+    assert (error.line, error.field) == (12, "scenario.npcs[0][1].cell")
     assert str(error) == (
-        f"{path}:9: scenario.npcs[0][1].cell: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; "
+        f"{path}:12: scenario.npcs[0][1].cell: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; "
         "correct it, or delete the file"
     )
 
@@ -84,60 +87,65 @@ def test_an_error_says_where_what_and_the_way_out(path):
 @pytest.mark.parametrize(
     ("old", "new", "line", "field"),
     [
-        ("pafot: 1 ", "pafot: 2 ", 1, "pafot"),
-        ("pafot: 1 ", "pafot: 1.0 ", 1, "pafot"),
-        ("pafot: 1 ", "pafot: true ", 1, "pafot"),
-        ("pafot: 1 ", "pafot: '1' ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: 2.0 ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: true ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: '2' ", 1, "pafot"),
         ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 2, "test"),
         ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: 1", 2, "test"),
         ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 2, "test"),
-        ("world: {kind: highway, lanes: 4, speed_limit: 26.8}", "world: highway", 3, "world"),
-        ("world: {kind: highway, lanes: 4, speed_limit: 26.8}", "world:", 3, "world"),
+        (WORLD, "world: highway", 3, "world"),
+        (WORLD, "world:", 3, "world"),
         ("lanes: 4", "lanes: .nan", 3, "world.lanes"),
+        ("lanes: 4, ", "", 3, "world"),
+        ("lanes: 4", "lanes: 4, engine: kernel", 3, "world.engine"),
+        ("jerk: 10.0, ", "", 5, "world.limits"),
+        ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
         ("lanes: 4", "'" + "x" * 65 + "': 4", 3, "world." + "x" * 65),
-        ("{cell: 1,", "{cell: 0,", 8, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: 9,", 8, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: 1.0,", 8, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: true,", 8, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: front,", 8, "scenario.npcs[0][0].cell"),
-        ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 9, "scenario.npcs[0][1].cell"),
-        ("speed: 8.0", "speed: .nan", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: .inf", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: -1.0", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 8.05", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: '8'", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: null", 9, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 8.0, speedy: 1", 9, "scenario.npcs[0][1].speedy"),
-        ("cell: 2, speed: 8.0}", "cell: 2}", 9, "scenario.npcs[0][1]"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - []", 9, "scenario.npcs[1]"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 9, "scenario.npcs[1][0].cell"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 9, "scenario.npcs[1]"),
-        ("seed: 7", "seed: -7", 5, "scenario.seed"),
-        ("seed: 7", "seed: 9223372036854775808", 5, "scenario.seed"),
-        ("seed: 7", "seed: seven", 5, "scenario.seed"),
-        ("seed: 7", "gene_seconds: 0\n  seed: 7", 5, "scenario.gene_seconds"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 6, "scenario.ego.lane"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1, speed: -2}", 6, "scenario.ego.speed"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 6, "scenario.ego"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: [1, 22.0]", 6, "scenario.ego"),
-        ("outcome: collision", "outcome: crash", 10, "expect.outcome"),
-        ("outcome: collision", "outcome: invalid", 10, "expect.outcome"),
-        ("failure: AssertionError, ", "", 10, "expect"),
-        ("time: 12.4", "time: soon", 10, "expect.time"),
-        ("time: 12.4", "time: .inf", 10, "expect.time"),
-        ("npc: 0, ", "", 10, "expect"),
-        ("npc: 0, ", "npc: 1, ", 10, "expect.npc"),
-        ("side: front", "side: top", 11, "expect.side"),
-        ("responsibility: ego", "responsibility: all", 11, "expect.responsibility"),
-        ("[careful-human, idm-aeb]", "careful-human", 11, "expect.preventable_by"),
-        ("[careful-human, idm-aeb]", "[careful-human, 2]", 11, "expect.preventable_by[1]"),
-        ("generation: 17", "generation: -1", 12, "found.generation"),
-        ("numpy: 2.4.6", "numpy: 2.4", 13, "found.versions.numpy"),
-        ("algorithm: pafot", "algoritm: pafot", 12, "found.algoritm"),
-        ('# xfail: "reason"', "xfail:", 14, "xfail"),
-        ('# xfail: "reason"', "xfail: true", 14, "xfail"),
-        ('# xfail: "reason"', "xfail: ''", 14, "xfail"),
-        ('# xfail: "reason"', "xfails: 'planner issue 12'", 14, "xfails"),
+        ("{cell: 1,", "{cell: 0,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: 9,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: 1.0,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: true,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: front,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 12, "scenario.npcs[0][1].cell"),
+        ("speed: 8.0", "speed: .nan", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: .inf", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: -1.0", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.05", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: '8'", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: null", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
+        ("cell: 2, speed: 8.0}", "cell: 2}", 12, "scenario.npcs[0][1]"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - []", 12, "scenario.npcs[1]"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 12, "scenario.npcs[1][0].cell"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 12, "scenario.npcs[1]"),
+        ("seed: 7", "seed: -7", 8, "scenario.seed"),
+        ("seed: 7", "seed: 9223372036854775808", 8, "scenario.seed"),
+        ("seed: 7", "seed: seven", 8, "scenario.seed"),
+        ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1, speed: -2}", 9, "scenario.ego.speed"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: [1, 22.0]", 9, "scenario.ego"),
+        ("outcome: collision", "outcome: crash", 13, "expect.outcome"),
+        ("outcome: collision", "outcome: invalid", 13, "expect.outcome"),
+        ("failure: AssertionError, ", "", 13, "expect"),
+        ("failure: AssertionError", "failure: ''", 13, "expect.failure"),
+        ("time: 12.4", "time: soon", 13, "expect.time"),
+        ("time: 12.4", "time: .inf", 13, "expect.time"),
+        ("npc: 0, ", "", 13, "expect"),
+        ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
+        ("side: front", "side: top", 14, "expect.side"),
+        ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
+        ("[careful-human, idm-aeb]", "careful-human", 14, "expect.preventable_by"),
+        ("[careful-human, idm-aeb]", "[careful-human, 2]", 14, "expect.preventable_by[1]"),
+        ("generation: 17", "generation: -1", 15, "found.generation"),
+        ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
+        ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
+        ('# xfail: "reason"', "xfail:", 17, "xfail"),
+        ('# xfail: "reason"', "xfail: true", 17, "xfail"),
+        ('# xfail: "reason"', "xfail: ''", 17, "xfail"),
+        ('# xfail: "reason"', "xfails: 'planner issue 12'", 17, "xfails"),
     ],
 )
 def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, line, field):
@@ -149,14 +157,19 @@ def test_a_misspelt_key_comes_with_the_right_one(path):
     assert "did you mean 'xfail'?" in str(fault(path, swapped('# xfail: "reason"', "xfial: 'issue 12'")))
 
 
+def test_an_unknown_key_comes_with_the_version_that_does_not_have_it(path):
+    error = fault(path, swapped('# xfail: "reason"', "zzz: 1"))
+    assert error.expected.endswith("flaky, xfail (format 2)")
+
+
 def test_a_missing_key_is_named(path):
     error = fault(path, TEXT.replace("found: ", "# ").replace("        versions", "# versions"))
     assert "expected the key 'found', received only pafot, test, world, scenario, expect" in str(error)
 
 
 def test_a_newer_version_is_refused_before_anything_else_is_judged(path):
-    error = fault(path, "pafot: 2\nnew_things: []\n")
-    assert (error.field, error.received) == ("pafot", "2")
+    error = fault(path, "pafot: 3\nnew_things: []\n")
+    assert (error.field, error.received) == ("pafot", "3")
     assert "install the pytest-pafot that wrote it" in error.fix
 
 
@@ -176,7 +189,7 @@ def test_a_newer_version_is_refused_before_anything_else_is_judged(path):
         (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one document"),
         (b"just text", 1, "a mapping (key: value)"),
         (b"- a\n- b\n", 1, "a mapping (key: value)"),
-        (b"test: a\n", 1, "the key 'pafot' with the version 1"),
+        (b"test: a\n", 1, "the key 'pafot' with the version 2"),
         (b"pafot: 1\npafot: 1\n", 2, "each key once"),
         (b"pafot: 1\n1: 2\n", 2, "keys of text"),
         (b"pafot: 1\n? [a, b]\n: 2\n", 2, "keys of text"),
@@ -330,6 +343,7 @@ def test_how_a_finding_was_shrunk_stands_in_its_file(path):
         ("npc: 0, gene: 1, low", "npc: 1, gene: 1, low", "shrunk.speeds[0].npc"),
         ("gene: 1, low", "gene: 2, low", "shrunk.speeds[0].gene"),
         ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
+        ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
         ('flaky: "running it again gave another run"', 'flaky: " "', "flaky"),
     ],
 )

@@ -6,19 +6,21 @@ import re
 import pytest
 
 GARBLED = {
-    "an unknown version": (r"^pafot: 1", "pafot: 99", "pafot"),
+    "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),
     "an unknown key": (r"^scenario:", "colour: red\nscenario:", "colour"),
     "a cell that is no ring neighbour": (
         r"- - \{cell: \d(.*\n)",
         r"- - {cell: 1\g<1>      - {cell: 5, speed: 1.0}\n",
         "cell",
     ),
+    "a world that is not complete": (r", lanes: 4", "", "world"),
+    "a world with an engine": (r"lanes: 4", "lanes: 4, engine: kernel", "world.engine"),
     "cell 0": (r"cell: \d, speed", "cell: 0, speed", "cell"),
     "cell 9": (r"cell: \d, speed", "cell: 9, speed", "cell"),
     "a speed that is no number": (r"speed: [\d.]+\}", "speed: .nan}", "speed"),
     "an empty chain": (r"  npcs:\n(    .*\n)+", "  npcs:\n    - []\n", "npcs"),
     "an alias": (r"^test: .*", "test: &a x\nworld2: *a", ""),
-    "no YAML": (r"^pafot: 1", "pafot: [1", ""),
+    "no YAML": (r"^pafot: 2", "pafot: [1", ""),
     "nothing": (r"(?s).*", "", ""),
     "too much": (r"(?s)\Z", "#" * 300_000, ""),
 }
@@ -264,14 +266,14 @@ def test_a_read_only_checkout_loses_no_find(failing):
     finally:
         failing.path.chmod(0o755)
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["not saved  *", "the file would be:", "  pafot: 1*"])
+    result.stdout.fnmatch_lines(["not saved  *", "the file would be:", "  pafot: 2*"])
 
 
 def test_a_corpus_that_cannot_be_written_loses_no_find(failing):
     (failing.path / "pafot_corpus").write_text("a file where the folder should be")
     result = failing.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  not saved: *expected to write a finding*", "the file would be:", "  pafot: 1*"])
+    result.stdout.fnmatch_lines(["  not saved: *expected to write a finding*", "the file would be:", "  pafot: 2*"])
 
 
 def test_a_name_that_another_finding_has_taken_is_not_overwritten(failing):

@@ -17,6 +17,13 @@ FAILS = KNOWN.replace("LINE", "assert run.outcome == 'x'")
 PASSES = KNOWN.replace("LINE", "assert run.outcome")
 
 
+GYM = """
+@pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0), stop_after=1)
+def test_fails(run):
+    assert run.duration < 1
+"""
+
+
 @pytest.fixture
 def saved(project):
     """A project with one saved scenario, whose search finds nothing but that."""
@@ -115,11 +122,40 @@ def test_a_replay_uses_the_world_of_the_file(saved):
     saved.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
-def test_a_world_that_cannot_be_built_is_one_failing_item(saved):
-    edited(saved, "lanes: 4", "lanes: 40")
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("lanes: 4", "lanes: 40", "3: world.lanes: expected a whole number from 3 to 6, received 40; correct it, or *"),
+        ("braking: 8.0", "braking: 1.0e-300", "5: world.limits.braking: expected a number from 0.1 to 100, received *"),
+        ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
+        ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
+        ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
+        ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
+    ],
+)
+def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_its_line(saved, old, new, told):
+    edited(saved, old, new)
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*{saved.only_file.name}: lanes: expected *received 40*"])
+    result.stdout.fnmatch_lines([f"*{saved.only_file.name}:{told}"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("lanes_count: 3", "lanes_count: many", "4: world.config: expected a configuration that the environment *"),
+        ("lanes_count: 3", "lanes_cound: 3", "4: world.config: expected options of highway-fast-v0, received lanes_c*"),
+        ("policy_frequency: 1", "policy_frequency: 0", "5: world.config.policy_frequency: expected a whole number *"),
+        ("highway-fast-v0", "highway-slow-v0", "3: world.env_id: expected a registered environment, received *"),
+    ],
+)
+def test_an_environment_that_cannot_be_made_is_told_with_its_line(project, old, new, told):
+    project.write(GYM)
+    project.run()
+    edited(project, old, new)
+    result = project.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines([f"*{project.only_file.name}:{told}"])
 
 
 def test_a_rejected_replay_is_skipped_and_not_green(saved):
