@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
@@ -150,6 +150,8 @@ class TestTtc:
 
 class TestEttc:
     @given(movers(), movers())
+    @example(vehicle(0, 1, speed=1e-308), vehicle(0, heading=1.0))  # the time to the crossing point is infinite
+    @example(vehicle(0, 1, heading=0.5, speed=1e-308), vehicle(50))
     def test_is_the_solution_of_the_two_lines(self, ego, npc):
         directions = [
             math.copysign(1, state[SPEED] + 0.0) * np.array([math.cos(state[HEADING]), math.sin(state[HEADING])])
@@ -245,6 +247,7 @@ class TestSafetyShortfall:
 
     def test_is_zero_when_the_distance_is_kept(self):
         assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(36, speed=10)) == 0
+        assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
 
     def test_is_zero_when_none_is_needed(self):
         assert of_one_npc(criticality.safety_shortfall, vehicle(0, speed=20), vehicle(6, speed=25)) == 0

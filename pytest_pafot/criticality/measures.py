@@ -233,7 +233,8 @@ class Encounters:
         npc_way = -way[1:] * pairs.offsets[1] / sine
         standing = speed[:1] == 0
         none = parallel | (ego_way < 0) | (npc_way < 0) | standing
-        return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1])))
+        with np.errstate(over="ignore"):  # by the smallest of speeds, the time is infinite
+            return np.where(none, np.inf, ego_way / np.where(standing, 1.0, np.abs(speed[:1])))
 
     @cached_property
     def ttc(self) -> FloatArray:
@@ -264,7 +265,8 @@ class Encounters:
         """See :func:`safety_shortfall`."""
         keep = self.safety_distance
         demanded = self.same_lane & ~(keep <= 0)
-        ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
+        with np.errstate(over="ignore"):  # by the smallest of distances, nothing is missing
+            ratio = np.divide(self.gap, keep, out=np.ones_like(keep), where=demanded)
         return np.maximum(1.0 - ratio, 0.0)
 
     @cached_property
