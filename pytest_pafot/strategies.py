@@ -158,9 +158,12 @@ def _speeds(low: float, high: float) -> SearchStrategy[float]:
     first, last = round(low * SPEED_STEPS_PER_MPS), round(high * SPEED_STEPS_PER_MPS)
     if not 0 <= first <= last:
         raise ValueError(f"min_speed, max_speed: expected 0 <= min_speed <= max_speed, received {low!r} and {high!r}")
-    steps = st.integers(first, last).map(lambda step: step / SPEED_STEPS_PER_MPS)
-    whole = range(-(-first // SPEED_STEPS_PER_MPS), last // SPEED_STEPS_PER_MPS + 1)
-    return st.sampled_from(whole).map(float) | steps if whole else steps
+
+    def speed(step: int, exact: bool) -> float:
+        whole = -(-step // SPEED_STEPS_PER_MPS) * SPEED_STEPS_PER_MPS
+        return (step if exact or whole > last else whole) / SPEED_STEPS_PER_MPS
+
+    return st.builds(speed, st.integers(first, last), st.booleans())  # of one shape, so that each shrinks to round ones
 
 
 def _cells(cells: Iterable[int]) -> list[Cell]:
