@@ -136,6 +136,10 @@ class _Loop:
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
 
+    def __deepcopy__(self, memo: object) -> _Loop:
+        """Itself: highway-env copies vehicles to look ahead, with their road and all that hangs on it."""
+        return self
+
     def run(self) -> Trace:
         """Decide and step until the run ends."""
         driver, record, guard = self._driver, self._traffic.record, self._guard
