@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -77,17 +75,6 @@ class Run:
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
     prevent: Prevent | None = field(default=None, kw_only=True)
-
-    if not TYPE_CHECKING:  # type checkers know every name
-
-        def __getattr__(self, name: str) -> Any:
-            """Only called for what there is not: name what is near."""
-            if hasattr(type(self), name):
-                return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
-            known = [each for each in dir(self) if not each.startswith("_")]
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
-            raise AttributeError(f"a run has no attribute {name!r}; {hint}")
 
     @property
     def scenario(self) -> Scenario:
@@ -256,19 +243,17 @@ class Run:
         return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
 
     def _measures(self) -> list[str]:
-        lines = []
+        brake = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
         if self.collision is not None:
             hit = self.collision
             speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
-            lines.append(f"  at the impact: {speeds}")
-        elif self.worst_ttc is not None:
+            return [f"  at the impact: {speeds}", f"  {brake}"]
+        lines = []
+        if self.worst_ttc is not None:
             worst = self.worst_ttc
             place = "" if worst.cell is None else f" in cell {int(worst.cell)} ({worst.cell.label})"
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
-        lines.append(
-            f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; "
-            f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
-        )
+        lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
         return lines
 
     def _responsibility_line(self) -> list[str]:

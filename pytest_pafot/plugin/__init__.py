@@ -53,7 +53,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return
     from pytest_pafot.plugin.checks import Checks  # noqa: PLC0415
     from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
+    from pytest_pafot.plugin.failing import Failures  # noqa: PLC0415
 
-    for name, feature in (("checks", Checks()), ("execution", Execution())):
+    for name, feature in (("checks", Checks()), ("execution", Execution()), ("failing", Failures())):
         if not session.config.pluginmanager.has_plugin(f"pafot-{name}"):
             session.config.pluginmanager.register(feature, f"pafot-{name}")

@@ -16,10 +16,13 @@ from pytest_pafot.findings.finding import Expect, Finding, Found, message_of
 from pytest_pafot.findings.inflight import Leftover
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.crew import Lost
+from pytest_pafot.plugin.failing import is_compact, summarise
 from pytest_pafot.plugin.oracle import Verdict, plain_failure
+from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report import terminal
 from pytest_pafot.trace import Outcome
 
@@ -57,15 +60,6 @@ class Kept:
     content: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
-    """A find that is saved and not told yet."""
-
-    kept: Kept
-    exception: BaseException
-    run: Run
-
-
 @dataclass(slots=True)
 class Keeper:
     """Saves and announces the finds of one search.
@@ -79,7 +73,6 @@ class Keeper:
         kept: the finds told so far, by id.
         unsaved: ids of those that the limit of saved scenarios left out.
         first: the exception of the first find, for a debugger.
-        held: finds that may turn out to be a fault of the set-up; None once finds are told at once.
     """
 
     bench: Bench
@@ -90,7 +83,6 @@ class Keeper:
     kept: dict[str, Kept] = field(default_factory=dict)
     unsaved: list[str] = field(default_factory=list)
     first: BaseException | None = None
-    held: list[Held] | None = field(default_factory=list)
 
     @property
     def finds(self) -> list[terminal.Find]:
@@ -100,10 +92,10 @@ class Keeper:
     @property
     def count(self) -> int:
         """Distinct finds, whether they were kept or only counted."""
-        return len(self.kept) + len(self.unsaved) - len(self.held or ())
+        return len(self.kept) + len(self.unsaved)
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Save a new find, run it again to confirm it, and announce it or hold it; returns its id.
+        """Save a new find, run it again to confirm it, and announce it; returns its id.
 
         Args:
             run: that failed.
@@ -132,34 +124,8 @@ class Keeper:
         finally:  # An interrupt in these runs must not keep the find from being told.
             if differs:
                 kept = self.flaky(kept, differs)
-            if self.held is None:
-                self.tell(kept, verdict.exception, terminal.found_line(kept.find), run=run)
-            else:
-                self.kept[kept.find.id] = kept
-                self.held.append(Held(kept=kept, exception=verdict.exception, run=run))
+            self.tell(kept, verdict.exception, run=run, is_new=True)
         return kept.find.id
-
-    def release(self) -> None:
-        """Announce what is held, and from now on each find at once."""
-        held, self.held = self.held or [], None
-        for each in held:
-            self.tell(each.kept, each.exception, terminal.found_line(each.kept.find), run=each.run)
-
-    def withdraw(self) -> None:
-        """Undo what is held: it is no finding. What cannot be removed is told after all."""
-        for each in self.held or ():
-            del self.kept[each.kept.find.id]
-        held, self.held = self.held or [], None
-        self.unsaved.clear()
-        for each in held:
-            try:
-                if each.kept.file is not None:
-                    each.kept.file.unlink(missing_ok=True)
-            except OSError:
-                self.tell(each.kept, each.exception, terminal.found_line(each.kept.find), run=each.run)
-        with suppress(OSError):  # They hold something else.
-            for folder in (self.bench.folder, *self.bench.folder.parents[:2]):
-                folder.rmdir()
 
     def flaky(self, kept: Kept, difference: str) -> Kept:
         """The same as a find that does not repeat, in its file too."""
@@ -179,10 +145,11 @@ class Keeper:
         self,
         kept: Kept,
         exception: BaseException,
-        lines: list[str],
         *,
         run: Run | None = None,
+        is_new: bool = False,
         details: Sequence[str] = (),
+        more: Sequence[str] = (),
         tried: Sequence[str] = (),
     ) -> None:
         """Announce a find, or tell more of it: the last report of a find is the one that counts.
@@ -190,24 +157,29 @@ class Keeper:
         Args:
             kept: the find.
             exception: that the test function raised.
-            lines: for the terminal, now.
             run: of the scenario in the file; None where nobody saw how it ended.
+            is_new: whether the terminal says so now.
             details: further lines for its report.
+            more: further ones for a verbose session.
             tried: reference drivers that were tried in its scenario.
         """
         self.kept[kept.find.id] = kept
         if self.first is None or kept.find.id == next(iter(self.kept)):
             self.first = exception
+        config = self.bench.item.config
+        width = config.stash[SHARED].width
         explanation = "" if run is None else run.explain()
+        more = (f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}", *more)
         section = terminal.find_section(
             kept.find,
-            scenario=repr(kept.finding.scenario),
-            origin=kept.origin,
             explanation="" if explanation.partition("\n")[0] in message_of(exception) else explanation,
             content=kept.content,
             details=details,
+            more=() if is_compact(config) else more,
+            width=width,
         )
         report = report_of(self.bench.item, kept.find, exception, section)
+        lines = terminal.found_lines(kept.find, width) if is_new else []
         messages.send(self.bench.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
         if self.showing is not None:
             self.showing.find(kept.find, kept.finding, None if run is None else run.trace, tried=tried)
@@ -266,7 +238,7 @@ class Keeper:
 
     def _tell_death(self, kept: Kept, text: str) -> None:
         """Announce a find whose run nobody saw."""
-        self.tell(kept, plain_failure(text), terminal.found_line(kept.find))
+        self.tell(kept, plain_failure(text), is_new=True)
 
     def _death(
         self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None = None
@@ -326,9 +298,12 @@ def report_of(item: pytest.Item, find: terminal.Find, exception: BaseException, 
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     path, line, _ = report.location
+    summarise(report, find.summary)
     report.nodeid = find.node_id
     report.location = (path, line, places.saved_name(item, find.id))
     report.sections.append(("pafot", section))
+    if find.path:
+        report.user_properties.append(("pafot_file", find.path))  # for files such as JUnit's, which have no sections
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 
@@ -337,11 +312,23 @@ def what_happened(run: Run, verdict: Verdict) -> str:
     """One line on a find: what happened in the run, and what the function said where that is not the same."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
-    headline = run.explain().splitlines()[0]
+    headline = collision_in_short(run) or run.explain().splitlines()[0]
     first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
     is_bare = run.collision is not None and first.startswith("assert ")
     is_told = is_bare or not first or headline.partition(":")[0] in first
-    return headline if is_told else f"{type(verdict.exception).__name__}: {first[:120]} ({headline})"
+    kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
+    return headline if is_told else f"{kind}{first[:120]} ({headline})"
+
+
+def collision_in_short(run: Run) -> str:
+    """One line on the collision of a run: when, with whom, and whose fault; empty without one."""
+    hit = run.collision
+    if hit is None:
+        return ""
+    place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
+    place = f"on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else place
+    who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
+    return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}, {who} at fault"
 
 
 def _headline(lost: Lost) -> str:

@@ -15,12 +15,14 @@ from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.apart import tried_apart
 from pytest_pafot.plugin.bench import Bench, is_same_run
 from pytest_pafot.plugin.crew import Lost, ProcessLostError
+from pytest_pafot.plugin.failing import SUMMARY
 from pytest_pafot.plugin.flights import left_behind
-from pytest_pafot.plugin.keeping import cause
+from pytest_pafot.plugin.keeping import cause, what_happened
 from pytest_pafot.plugin.oracle import Verdict
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.places import Saved
 from pytest_pafot.plugin.request import Request, RequestError
+from pytest_pafot.report.terminal import ascii_text
 from pytest_pafot.trace import Outcome
 
 if TYPE_CHECKING:
@@ -150,6 +152,7 @@ def _tell(bench: Bench, label: str, detail: str) -> None:
 def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str) -> None:
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
+        bench.item.stash[SUMMARY] = ascii_text(what_happened(run, verdict))
         bench.item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
         raise verdict.exception
     if verdict.kind == "skipped" and verdict.exception is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -14,7 +13,7 @@ from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.collection import ORPHANS, STRAYS
 from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.paging import LINES
-from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line
+from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line, terminal_width
 
 if TYPE_CHECKING:
     from pytest_pafot.report import terminal
@@ -109,7 +108,8 @@ class Reporter:
             interrupted=list(self._running),
             notes=list(self._notes),
         )
-        lines = terminal.session_lines(session, verbose=self._config.get_verbosity() > 0)
+        width = self._config.stash[SHARED].width
+        lines = terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
         if not lines:
             return
         terminalreporter.section("pafot")
@@ -178,10 +178,10 @@ class Reporter:
         writer = self._terminal()
         if writer is None or self._config.get_verbosity() < 0:
             return
+        width = terminal_width()
         if not self._rewrites():
-            self._write_lines([terminal.progress_line(progress)])
+            self._write_lines([terminal.progress_line(progress, width)])
             return
-        width = shutil.get_terminal_size((terminal.WIDTH, 24)).columns
         with self._uncaptured():
             writer.ensure_newline()
             writer.rewrite(terminal.progress_line(progress, width - 1), erase=True)

@@ -16,6 +16,7 @@ from pytest_pafot.plugin import messages, places
 from pytest_pafot.plugin.ahead import ahead_of
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.confirming import difference
+from pytest_pafot.plugin.failing import SUMMARY
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.keeping import Keeper
@@ -27,7 +28,6 @@ from pytest_pafot.plugin.request import RequestError, build_space
 from pytest_pafot.plugin.resuming import Resuming
 from pytest_pafot.plugin.retrying import settle
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.setup_fault import SetupFaultError
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
@@ -194,24 +194,18 @@ class Searching:
                     keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
                     alone=watched.alone,
-                    release=keeper.release,
                     near_misses=near_misses if _asks_for_near_misses(self.bench.request) else _nobody_asks,
                 )
             )
-            reason, fault = "interrupted", None
+            reason = "interrupted"
             try:
                 with watched.ahead as ahead:
                     reason = self._hunted(hunt, keeper, saved, ahead)
-                keeper.release()
                 self._shrunk(hunt, keeper, watched)
-            except SetupFaultError as error:
-                reason, fault = "error", error
-                keeper.withdraw()
             except BaseException as error:
                 reason = "interrupted" if is_interruption(error) else "error"
                 raise
             finally:
-                keeper.release()
                 for each in settled:
                     if each.pending is not None:
                         each.pending.discard()
@@ -221,8 +215,6 @@ class Searching:
                 search = self._summary(hunt, keeper, reason)
                 messages.send(self.bench.item, "search", search.to_plain())
                 self._show(hunt, search)
-        if fault is not None:  # Outside of the handler, so that the same is not shown twice.
-            raise fault.shown()
         self._conclude(hunt, keeper, search)
 
     def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: LockStep) -> str:
@@ -336,6 +328,7 @@ class Searching:
     def _conclude(self, hunt: Hunt, keeper: Keeper, search: terminal.Search) -> None:
         __tracebackhide__ = True
         if keeper.count:
+            self.bench.item.stash[SUMMARY] = terminal.search_summary(search)
             if self.bench.item.config.getoption("usepdb", False) and keeper.first is not None:
                 keeper.first.add_note(terminal.search_failure(search))
                 raise keeper.first  # The debugger then stands where the test function failed.
@@ -345,9 +338,14 @@ class Searching:
         if hunt.skip is not None and hunt.verdicts["skipped"] == hunt.runs:
             raise hunt.skip
         if hunt.health.vacuous:
-            pytest.fail("\n".join(["the search tested nothing:", *search.warnings]), pytrace=False)
+            self._fail("the search tested nothing", search.warnings)
         if search.warnings and self.bench.request.settings.strict_health:
-            pytest.fail("\n".join(["health warnings (--pafot-strict-health):", *search.warnings]), pytrace=False)
+            self._fail("health warnings (--pafot-strict-health)", search.warnings)
+
+    def _fail(self, what: str, why: Sequence[str]) -> None:
+        __tracebackhide__ = True
+        self.bench.item.stash[SUMMARY] = f"{what}: {'; '.join(why)}"
+        pytest.fail("\n".join([f"{what}:", *why]), pytrace=False)
 
 
 def checked_space(bench: Bench) -> SearchSpace:

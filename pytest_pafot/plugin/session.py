@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,17 @@ class Shared:
     Attributes:
         fresh_seed: base seed where no option gives one.
         progress_seconds: between two reports of progress.
+        width: of the terminal, in columns, which a worker cannot ask.
         frozen: node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed
             one collects these and no files that were written since. None before.
     """
 
-    def __init__(self, *, fresh_seed: int, progress_seconds: float, frozen: frozenset[str] | None = None) -> None:
+    def __init__(
+        self, *, fresh_seed: int, progress_seconds: float, width: int, frozen: frozenset[str] | None = None
+    ) -> None:
         self.fresh_seed = fresh_seed
         self.progress_seconds = progress_seconds
+        self.width = width
         self.frozen = frozen
 
 
@@ -66,6 +71,12 @@ SHARED = pytest.StashKey[Shared]()
 EXPLICIT = pytest.StashKey[Explicit]()
 
 
+def terminal_width() -> int:
+    """Columns of the terminal, as pytest counts them."""
+    columns = shutil.get_terminal_size((80, 24)).columns
+    return columns if columns >= 40 else 80
+
+
 def is_worker(config: pytest.Config) -> bool:
     """Whether this process is a worker of pytest-xdist."""
     return hasattr(config, "workerinput")
@@ -89,12 +100,15 @@ def start(config: pytest.Config) -> None:
     """Decide the shared values, or take over the controller's."""
     received = getattr(config, "workerinput", {}).get(WORKER_KEY)
     if received is None:
-        config.stash[SHARED] = Shared(fresh_seed=int.from_bytes(os.urandom(4), "big"), progress_seconds=LOG_SECONDS)
+        config.stash[SHARED] = Shared(
+            fresh_seed=int.from_bytes(os.urandom(4), "big"), progress_seconds=LOG_SECONDS, width=terminal_width()
+        )
         return
     frozen = received["frozen"]
     config.stash[SHARED] = Shared(
         fresh_seed=received["fresh_seed"],
         progress_seconds=received["progress_seconds"],
+        width=received["width"],
         frozen=None if frozen is None else frozenset(frozen),
     )
 
@@ -112,6 +126,7 @@ class Sharing:
         node.workerinput[WORKER_KEY] = {
             "fresh_seed": shared.fresh_seed,
             "progress_seconds": shared.progress_seconds,
+            "width": shared.width,
             "frozen": None if shared.frozen is None else sorted(shared.frozen),
         }
 

@@ -43,7 +43,7 @@ def shrink_of(finding: Finding) -> ShrinkView | None:
 
 def label_of(find: Find) -> str:
     """What a page calls a find."""
-    return f"{NEW}{find.remark}"
+    return f"{NEW} ({find.remark})" if find.remark else NEW
 
 
 @dataclass(slots=True, kw_only=True)

@@ -16,7 +16,6 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, Start, shrink, s
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
-from pytest_pafot.report import terminal
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import LANE, SPEED
 
@@ -147,15 +146,14 @@ class Shrinking:
         )
         if finding == before:
             return
-        size = f"{size_of(shrunk.scenario)} in {shrunk.rollouts} runs" if is_simpler else ""
         kept = self.keeper.rewritten(kept, finding)
-        kept = replace(kept, find=replace(kept.find, headline=what_happened(run, verdict), shrunk=size))
+        kept = replace(kept, find=replace(kept.find, headline=what_happened(run, verdict)))
         self.keeper.tell(
             kept,
             exception,
-            terminal.shrunk_line(kept.find) if is_simpler else [],
             run=run,
             details=_details(finding, before.scenario, self._drivers()),
+            more=_more(finding),
             tried=self._drivers(),
         )
 
@@ -189,17 +187,24 @@ def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
 
 
 def _details(finding: Finding, first: Scenario, tried: Sequence[str]) -> list[str]:
-    """Lines for the report of a find: its size before and after, speeds that still fail, who would prevent it."""
+    """Lines for the report of a find: its size before and after, who would prevent it."""
     lines: list[str] = []
     if finding.shrunk is not None:
-        runs = f"{finding.shrunk.rollouts} run{'' if finding.shrunk.rollouts == 1 else 's'}"
-        spent = f"{runs}{'' if finding.shrunk.is_minimal else ', and could be simpler'}"
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
-        lines.append(f"shrunk     from {size_of(first)} {after}, in {spent}")
-        lines += [f"still      {sentence}" for sentence in speed_sentences(finding)]
+        lines.append(
+            f"shrunk     from {size_of(first)} {after}{'' if finding.shrunk.is_minimal else ', and could be simpler'}"
+        )
     if tried:
         lines.append(f"preventable by {', '.join(finding.expect.preventable_by) or 'none of the reference drivers'}")
     return lines
+
+
+def _more(finding: Finding) -> list[str]:
+    """What a verbose session says besides: how many runs that took, and the speeds that still fail."""
+    if finding.shrunk is None:
+        return []
+    runs = f"{finding.shrunk.rollouts} run{'' if finding.shrunk.rollouts == 1 else 's'}"
+    return [f"shrunk in  {runs}", *(f"still      {sentence}" for sentence in speed_sentences(finding))]
 
 
 def speed_sentences(finding: Finding) -> list[str]:

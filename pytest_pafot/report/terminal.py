@@ -1,11 +1,12 @@
 """Text for the terminal: progress, finds, and the summary of searches and replays.
 
-Pure functions from values to lines of plain ASCII, at most 80 columns wide but for node ids, paths and the
+Pure functions from values to lines of plain ASCII, as wide as the terminal at most but for node ids, paths and the
 user's own words. The values travel between processes as plain data.
 """
 
 from __future__ import annotations
 
+import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,6 +15,12 @@ from typing import Any, Self
 WIDTH = 80
 MAX_FINDS = 20
 """Finds that are listed one by one."""
+
+MARKER = "E   "
+"""Before each line of a failure's message, as pytest writes it."""
+
+MAX_NAMED = 3
+"""Finds that one line names."""
 
 MAX_QUIET_REPLAYS = 10
 
@@ -56,7 +63,6 @@ class Find:
         difference: what differed when it was run again, or empty.
         is_timed: it depends on wall-clock time.
         repeats: further runs that failed in the same way.
-        shrunk: the size that the scenario was brought down to, and in how many runs; or empty.
     """
 
     id: str
@@ -67,7 +73,6 @@ class Find:
     difference: str = ""
     is_timed: bool = False
     repeats: int = 0
-    shrunk: str = ""
 
     @property
     def is_flaky(self) -> bool:
@@ -76,13 +81,17 @@ class Find:
 
     @property
     def remark(self) -> str:
-        """What a reader must know besides, in brackets, or nothing."""
+        """What a reader must know besides, or nothing."""
         remarks = [
             f"flaky: {self.difference}" if self.is_flaky else "",
             "depends on wall-clock time" if self.is_timed else "",
         ]
-        text = "; ".join(remark for remark in remarks if remark)
-        return f" ({text})" if text else ""
+        return "; ".join(remark for remark in remarks if remark)
+
+    @property
+    def summary(self) -> str:
+        """One line on it, with what a reader must know besides."""
+        return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,68 +221,72 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     return f"pafot: {name}{tail}"[:width]
 
 
-def found_line(find: Find) -> list[str]:
-    """Told the moment it is found."""
-    where = f"  saved as {find.path}" if find.path else f"  not saved: {find.problem}"
-    return [
-        ascii_text(f"pafot: found {find.node_id}"),
-        ascii_text(f"  {find.headline}{find.remark}"),
-        ascii_text(where),
-    ]
-
-
-def shrunk_line(find: Find) -> list[str]:
-    """Told when a find has become simpler."""
-    return [ascii_text(f"pafot: shrunk {find.node_id}"), ascii_text(f"  {find.headline}"), f"  to {find.shrunk}"]
+def found_lines(find: Find, width: int = WIDTH) -> list[str]:
+    """Told the moment it is found; its file is there by then."""
+    lines = [ascii_text(f"pafot: found {find.node_id}"), *_wrapped(find.summary, width)]
+    return lines if find.path else [*lines, *_wrapped(f"not saved: {find.problem}", width)]
 
 
 def find_section(
-    find: Find, *, scenario: str, origin: str, explanation: str, content: str, details: Sequence[str] = ()
+    find: Find,
+    *,
+    explanation: str,
+    content: str,
+    details: Sequence[str] = (),
+    more: Sequence[str] = (),
+    width: int = WIDTH,
 ) -> str:
-    """The section of a find's own report.
+    """The section of a find's own report: what its failure's message does not say.
 
     Args:
         find: what it is about.
-        scenario: in one line.
-        origin: of the find, in one line.
         explanation: of the run, or empty where the failure's message has it.
         content: of the file that could not be written, or empty.
         details: further lines, each with a title of up to ten letters.
+        more: further ones, for those who ask for all.
+        width: of the terminal.
     """
-    lines = [explanation.rstrip()] if explanation else []
-    lines += [f"scenario   {scenario}", f"found by   {origin}{find.remark}", *details]
-    if find.path:
-        lines += [f"saved as   {find.path}", f'run again  pytest "{find.node_id}"']
-    else:
-        lines.append(f"not saved  {find.problem}")
+    lines = [*explanation.splitlines(), *details, *more]
+    lines += [f"note       {find.remark}"] if find.remark else []
+    fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.problem}"]), width)
+    fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
     if content:
-        lines += ["the file would be:", textwrap.indent(content.rstrip(), "  ")]
-    return "\n".join(ascii_text(line) for line in "\n".join(lines).splitlines())
+        fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
+    return "\n".join(fitted)
+
+
+def search_summary(search: Search) -> str:
+    """Why a searching item fails, in one line."""
+    ids = [*(find.id for find in search.finds), *search.unsaved]
+    more = f" and {len(ids) - MAX_NAMED} more" if len(ids) > MAX_NAMED else ""
+    return f"{_plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
 
 
 def search_failure(search: Search) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
-    lines = [f"{_plural(count, 'new finding')} in {_plural(search.runs, 'run')}:"]
-    lines += [*_find_lines(search.finds), *_unsaved_lines(search.unsaved), *_wrapped(_origin(search))]
-    return "\n".join(lines)
+    firm = [_counted(find.id, find.repeats) for find in search.finds if not find.is_flaky]
+    lines = [f"{_plural(count, 'new finding')} in {_plural(search.runs, 'run')}, reported below"]
+    lines += [f"  {_listed(firm)}"] if firm else []
+    lines += [
+        f"  {_counted(find.id, find.repeats)} is flaky, so never called fixed: {ascii_text(find.difference)}"
+        for find in search.finds
+        if find.is_flaky
+    ]
+    return "\n".join([*lines, *_unsaved_lines(search.unsaved)])
 
 
-def search_lines(search: Search, *, verbose: bool = False) -> list[str]:
-    """A search in the summary: two lines when it is well, more where there is something to say."""
-    lines = [ascii_text(search.node_id), *_wrapped(_figures(search)), *_wrapped(_origin(search))]
-    if verbose and search.coverage:
-        lines += _wrapped(f"coverage: {search.coverage}")
-    lines += [*_find_lines(search.finds), *_unsaved_lines(search.unsaved)]
-    lines += [f"  known: {_plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
-    for warning in search.warnings:
-        lines += _wrapped(f"warning: {warning}")
-    for note in search.notes:
-        lines += _wrapped(f"note: {note}")
-    return lines
+def search_lines(search: Search, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+    """A search in the summary: three lines when it is well, more where there is something to say."""
+    texts = [_figures(search), *_kept_lines(search), _origin(search)]
+    texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
+    texts += [f"known: {_plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
+    texts += [f"warning: {warning}" for warning in search.warnings]
+    texts += [f"note: {note}" for note in search.notes]
+    return [ascii_text(search.node_id), *(line for text in texts for line in _wrapped(text, width))]
 
 
-def replay_lines(replays: Iterable[Replay]) -> list[str]:
+def replay_lines(replays: Iterable[Replay], width: int = WIDTH) -> list[str]:
     """All replays: a count by label, then those that a reader should look at."""
     replays = list(replays)
     if not replays:
@@ -286,33 +299,34 @@ def replay_lines(replays: Iterable[Replay]) -> list[str]:
     shown = [replay for replay in replays if replay.label != "still failing"]
     for replay in shown[:MAX_QUIET_REPLAYS]:
         lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))
-        lines += [f"  {line}" for line in _wrapped(replay.detail)]
+        lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
     if len(shown) > MAX_QUIET_REPLAYS:
         lines.append(f"  ... and {len(shown) - MAX_QUIET_REPLAYS} more")
     return lines
 
 
-def session_lines(session: Session, *, verbose: bool = False) -> list[str]:
+def session_lines(session: Session, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """The whole summary; empty when there is nothing to tell."""
     lines: list[str] = []
     for search in session.searches:
-        lines += search_lines(search, verbose=verbose)
-    lines += [
-        ascii_text(f"{node_id}\n  ended before its time; what it found is saved") for node_id in session.interrupted
-    ]
-    lines += replay_lines(session.replays)
+        lines += search_lines(search, verbose=verbose, width=width)
+    for node_id in session.interrupted:
+        lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is saved", width)]
+    lines += replay_lines(session.replays, width)
     for folder, count in session.orphans:
         verb = "removed" if session.pruned else "orphaned"
         lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
     if session.orphans and not session.pruned:
-        lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune")
+        lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune", width)
     for file, place in session.strays:
         lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
+    if any(find.path for search in session.searches for find in search.finds):
+        lines.append("a saved scenario runs alone with: pytest FILE")
     lines += [ascii_text(line) for line in session.written]
     for note in session.notes:
-        lines += _wrapped(f"note: {note}")
+        lines += _wrapped(f"note: {note}", width)
     for problem in session.problems:
-        lines += _wrapped(f"problem: {problem}")
+        lines += _wrapped(f"problem: {problem}", width)
     return [part for line in lines for part in line.splitlines()]
 
 
@@ -348,43 +362,70 @@ def _origin(search: Search) -> str:
     )
 
 
-def _find_lines(finds: Sequence[Find]) -> list[str]:
-    """The finds; those that do not repeat come last, apart."""
-    flaky = [find for find in finds if find.is_flaky]
-    lines = _listed([find for find in finds if not find.is_flaky])
-    return [*lines, f"  flaky, so never called fixed: {len(flaky)}", *_listed(flaky)] if flaky else lines
+def _kept_lines(search: Search) -> list[str]:
+    """How many finds there are, and where they lie; their own reports say which."""
+    if not search.finds and not search.unsaved:
+        return []
+    folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
+    problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
+    flaky = sum(find.is_flaky for find in search.finds)
+    count = _plural(len(search.finds) + len(search.unsaved), "new finding")
+    place = f", saved in {' and '.join(folders)}" if folders else ""
+    lines = [f"{count}{f' ({flaky} flaky)' if flaky else ''}{place}"]
+    return [*lines, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search.unsaved)]
 
 
 def _unsaved_lines(unsaved: Mapping[str, int]) -> list[str]:
     if not unsaved:
         return []
-    names = ", ".join(f"{id_} ({_plural(count, 'run')})" for id_, count in list(unsaved.items())[:MAX_FINDS])
-    more = f" and {len(unsaved) - MAX_FINDS} more" if len(unsaved) > MAX_FINDS else ""
-    return _wrapped(f"{_plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}{more}")
+    names = _listed([f"{id_} ({_plural(count, 'run')})" for id_, count in unsaved.items()])
+    return [f"  {_plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}"]
 
 
-def _listed(finds: Sequence[Find]) -> list[str]:
-    lines: list[str] = []
-    for find in finds[:MAX_FINDS]:
-        again = f", {_plural(find.repeats, 'more run')}" if find.repeats else ""
-        lines.append(ascii_text(f"  saved-{find.id}{again}"))
-        lines += [f"  {line}" for line in _wrapped(f"{find.headline}{find.remark}")]
-        lines += [f"    shrunk to {find.shrunk}"] if find.shrunk else []
-        lines += [f"    not saved: {ascii_text(find.problem)}"] if find.problem else []
-    if len(finds) > MAX_FINDS:
-        lines.append(f"  ... and {len(finds) - MAX_FINDS} more")
-    return lines
+def _counted(id_: str, repeats: int) -> str:
+    return f"{id_} ({_plural(1 + repeats, 'run')})"
 
 
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(
-        ascii_text(text),
-        width=WIDTH - 2,
-        initial_indent="  ",
-        subsequent_indent="    ",
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MAX_FINDS} more" if len(names) > MAX_FINDS else ""
+    return f"{', '.join(names[:MAX_FINDS])}{more}"
+
+
+def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
+    """Lines of a width at most. Where ``run.explain()`` breaks its longest sentence, it is put together first."""
+    whole: list[str] = []
+    is_open = False
+    for line in lines:
+        margin = len(whole[-1]) - len(_unmarked(whole[-1])) + 2 if is_open else 0
+        if is_open and len(line) - len(_unmarked(line)) == margin:
+            whole[-1] += f" {_unmarked(line)}"
+        else:
+            whole.append(line)
+            is_open = _unmarked(line).startswith("responsible: ")
+    return [part for line in whole for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
+
+
+def _unmarked(line: str) -> str:
+    return line.removeprefix(MARKER).lstrip(" ")
+
+
+def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
+    """A line in lines of a width, broken between words; each has the prefix and the indentation of the first."""
+    text = line.removeprefix(prefix)
+    indent = prefix + text[: len(text) - len(text.lstrip())]
+    wrapped = textwrap.wrap(
+        text.strip(),
+        width=width,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
         break_long_words=False,
         break_on_hyphens=False,
     )
+    return wrapped if len(line) > width else [line]
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    return wrapped_to(f"  {ascii_text(text).strip()}", width)
 
 
 def _plural(count: int, what: str) -> str:

@@ -102,7 +102,7 @@ def test_a(run):
 
 
 def test_a_run_is_short_in_the_header_of_a_traceback(failing):
-    (header,) = re.findall(r"^run = .*$", failing.run().stdout.str(), re.MULTILINE)
+    (header,) = re.findall(r"^run = .*$", failing.run("-v").stdout.str(), re.MULTILINE)
     assert len(header) < 80
 
 

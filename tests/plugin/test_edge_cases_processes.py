@@ -150,12 +150,12 @@ def test_a_kill_at_any_moment_loses_nothing_announced_and_leaves_no_broken_file(
     with subprocess.Popen(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
         announced = []
         for line in process.stdout:
-            if line.startswith("  saved as "):
-                announced.append(line.removeprefix("  saved as ").strip())
+            if line.startswith("pafot: found "):
+                announced.append(line.rpartition("[saved-")[2].strip().removesuffix("]"))
             if len(announced) == 2:
                 break
         process.kill()
-    assert set(announced) <= set(project.files)
+    assert set(announced) <= {name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files}
     assert [read(project.path / name).test for name in project.files]
     result = project.run(generations=0)
     assert result.parseoutcomes()["failed"] >= 2

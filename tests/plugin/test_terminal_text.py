@@ -54,7 +54,7 @@ def test_the_summary_has_every_figure_and_fits_in_80_columns():
         "48 runs in 12.3 s, 3 not run again, 18 failing, 9 npc at fault, 2 invalid, 1 rejected, 1 skipped",
         "5 without interaction, 63% of genes reached",
         "pafot, seed 4154884243 from --pafot-seed=3 (profile local), 10 of 10 generations, ended: all generations done",
-        "saved-front-2-1f3a9c, 17 more runs collision after 12.4 s",
+        "1 new finding, saved in tests/pafot_corpus/test_safety/test_it",
         "known: 4 runs covered by saved-rear-6-abcdef",
         "warning: NPCs reached",
         "note: cut by --pafot-max-time",
@@ -88,8 +88,8 @@ def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines(
     ("flags", "remark"),
     [
         ({}, ""),
-        ({"difference": "running it again gave another run"}, " (flaky: running it again gave another run)"),
-        ({"is_timed": True}, " (depends on wall-clock time)"),
+        ({"difference": "running it again gave another run"}, "flaky: running it again gave another run"),
+        ({"is_timed": True}, "depends on wall-clock time"),
     ],
 )
 def test_a_find_says_what_a_reader_must_know_besides(flags, remark):
@@ -98,7 +98,7 @@ def test_a_find_says_what_a_reader_must_know_besides(flags, remark):
 
 def test_a_find_that_could_not_be_saved_shows_its_file():
     find = Find(id="a", node_id="t[saved-a]", headline="c", problem="read-only")
-    text = terminal.find_section(find, scenario="s", origin="o", explanation="", content="pafot: 1\ntest: t\n")
+    text = terminal.find_section(find, explanation="", content="pafot: 1\ntest: t\n")
     assert text.splitlines()[-4:] == ["not saved  read-only", "the file would be:", "  pafot: 1", "  test: t"]
 
 
@@ -125,31 +125,68 @@ def test_orphans_say_what_to_do_and_pruned_ones_that_they_are_gone():
 
 
 def test_what_is_no_ascii_is_escaped():
-    assert terminal.found_line(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
+    assert terminal.found_lines(Find(id="a", node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
+
+
+def test_a_find_says_at_once_why_there_is_no_file_of_it():
+    saved = Find(id="a", node_id="t", headline="h", path="p")
+    lost = replace(saved, path="", problem="p")
+    assert terminal.found_lines(saved) == ["pafot: found t", "  h"]
+    assert terminal.found_lines(lost) == ["pafot: found t", "  h", "  not saved: p"]
 
 
 def test_finds_that_do_not_repeat_are_listed_apart():
     flaky = replace(FIND, id="rear-6-222222", difference="running it again gave another run")
-    lines = terminal.search_lines(replace(SEARCH, finds=(flaky, FIND)))
-    apart = lines.index("  flaky, so never called fixed: 1")
-    assert (
-        lines.index("  saved-front-2-1f3a9c, 17 more runs") < apart < lines.index("  saved-rear-6-222222, 17 more runs")
-    )
+    search = replace(SEARCH, finds=(flaky, FIND))
+    assert terminal.search_failure(search).splitlines()[1:] == [
+        "  front-2-1f3a9c (18 runs)",
+        "  rear-6-222222 (18 runs) is flaky, so never called fixed: running it again gave another run",
+    ]
+    assert "  2 new findings (1 flaky), saved in" in "\n".join(terminal.search_lines(search))
 
 
 def test_finds_beyond_the_limit_are_counted_and_named():
     search = replace(SEARCH, unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
     text = " ".join(" ".join(terminal.search_lines(search)).split())
     assert "2 further findings not saved (--pafot-max-saved): front-2-aaaaaa (3 runs), rear-6-bbbbbb (1 run)" in text
-    assert terminal.search_failure(search).startswith("3 new findings in 48 runs:")
+    assert terminal.search_failure(search).startswith("3 new findings in 48 runs, ")
 
 
-def test_a_find_that_was_shrunk_says_to_what_and_the_search_how_many_runs_that_took():
-    shrunk = replace(FIND, shrunk="1 NPC, 2 instructions, 20 s in 49 runs")
-    lines = terminal.search_lines(replace(SEARCH, finds=(shrunk,), shrink_runs=49))
-    assert "    shrunk to 1 NPC, 2 instructions, 20 s in 49 runs" in lines
-    assert "48 runs in 12.3 s, 49 more to shrink" in lines[1]
-    assert terminal.shrunk_line(shrunk)[2] == "  to 1 NPC, 2 instructions, 20 s in 49 runs"
+def test_the_summary_line_of_a_search_names_some_of_its_finds():
+    finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
+    assert terminal.search_summary(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
+    assert terminal.search_summary(replace(SEARCH, finds=finds)) == (
+        "5 new findings: front-2-0, front-2-1, front-2-2 and 2 more"
+    )
+
+
+def test_the_runs_that_shrinking_took_are_counted_apart():
+    assert "48 runs in 12.3 s, 49 more to shrink" in terminal.search_lines(replace(SEARCH, shrink_runs=49))[1]
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_lines_are_broken_between_words_to_the_width_of_the_terminal(width):
+    lines = terminal.session_lines(Session(searches=[SEARCH]), verbose=True, width=width)
+    assert max(map(len, lines)) <= width
+    assert " ".join(" ".join(lines).split()) == " ".join(
+        " ".join(terminal.session_lines(Session(searches=[SEARCH]), verbose=True, width=999)).split()
+    )
+
+
+def test_a_broken_line_keeps_its_mark_and_its_indentation():
+    assert terminal.wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
+
+
+def test_the_sentence_that_an_explanation_breaks_is_put_together_and_broken_to_the_width():
+    lines = [
+        "E     responsible: ego, because it",
+        "E       did not brake",
+        "E     from [s]  NPC 0",
+        "E          0.0  2",
+    ]
+    assert terminal.fitted_lines(lines, 99) == [
+        "E     responsible: ego, because it did not brake", "E     from [s]  NPC 0", "E          0.0  2",
+    ]  # fmt: skip
 
 
 def test_progress_names_what_goes_on_after_the_generations():

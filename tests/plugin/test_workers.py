@@ -190,7 +190,7 @@ def test_further_deaths_are_counted_and_later_known(dear):
     result, contents = session(project, 2, generations=6)
     (crash,) = [name.rpartition("/")[2] for name in contents if "crash-" in name]
     id_ = crash.removesuffix(".pafot.yaml")
-    result.stdout.re_match_lines([rf"  saved-{id_}, \d+ more runs?"])
+    result.stdout.re_match_lines([rf".*{id_} \((?!1 )\d+ runs\)"])
     again = project.run("--pafot-workers=2", "-p", "no:cacheprovider", generations=6)
     again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{id_}"])
     assert project.contents.keys() == contents.keys()
@@ -244,15 +244,16 @@ def noting(observation):
         text=True,
         start_new_session=True,
     ) as process:
-        saved = next(line.strip() for line in process.stdout if "saved as" in line).rpartition(" ")[2]
+        found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[-1]
         while len(list(project.path.glob("pid-*"))) < 3:
             time.sleep(0.01)
         os.killpg(process.pid, signal.SIGINT)
         rest = process.stdout.read()
     assert process.returncode == pytest.ExitCode.INTERRUPTED
     assert "Traceback" not in rest
-    assert saved in project.files
-    assert f"FAILED test_it.py::test_many[saved-{saved.rpartition('/')[2].removesuffix('.pafot.yaml')}]" in rest
+    id_ = found.partition("saved-")[2].removesuffix("]")
+    assert f"pafot_corpus/test_it/test_many/{id_}.pafot.yaml" in project.files
+    assert f"FAILED {found}" in rest
     with pytest.raises(ProcessLookupError):  # No process of its group is left.
         os.killpg(process.pid, 0)
     assert not list(project.path.rglob("*.inflight"))

@@ -1,0 +1,79 @@
+"""How a failing item is shown: the frames in short, lines that fit the terminal, and one line for the summary.
+
+A search may find dozens of failures, and pytest shows each three times: in its section, in the short summary, where
+CI gets the message as a whole, and in files for other tools. Frames in full come back with ``-v`` or ``--tb=long``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator, Iterable
+from itertools import takewhile
+from typing import Any
+
+import pytest
+
+from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.report.terminal import MARKER, fitted_lines
+
+SUMMARY = pytest.StashKey[str]()
+"""What the summary line of a failing item says."""
+
+SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+")
+"""Closes what ``run.explain()`` says; its file and its report have it."""
+
+REPEATED = (
+    SCENARIO,
+    re.compile(r"E +assert not <Collision [^<>]*>"),
+    re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
+)
+"""Lines that say again what an explanation and the line of the assertion say."""
+
+
+class Failures:
+    """The hook that makes the reports of failing items."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+        """Shorten the report of a search or a replay that fails."""
+        if call.excinfo is None or item.get_closest_marker(SEARCH_MARK) is None:
+            return (yield)
+        option, is_brief = item.config.option, is_compact(item.config)
+        style = getattr(option, "tbstyle", None)  # an option of the terminal's plugin, which may be off
+        if is_brief and call.when == "call" and style == "auto":
+            option.tbstyle = "short"
+        try:
+            report = yield
+        finally:
+            if style is not None:
+                option.tbstyle = style
+        _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
+        summarise(report, item.stash.get(SUMMARY, ""))
+        return report
+
+
+def is_compact(config: pytest.Config) -> bool:
+    """Whether what a file and a report have too is left out."""
+    return config.get_verbosity() <= 0
+
+
+def summarise(report: Any, text: str) -> None:
+    """Let the summary line say a text, or the first line of the message where there is none."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    if crash is not None:
+        crash.message = text or crash.message.removeprefix("Failed: ").partition("\n")[0]
+
+
+def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
+    """Fit the lines of a failure's message into the width; lines of code stay as they are."""
+    tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
+    for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
+        lines = list(_told_once(entry.lines) if is_brief else entry.lines)
+        code = [] if entry.style == "value" else list(takewhile(lambda line: not line.startswith(MARKER), lines))
+        entry.lines = [*code, *fitted_lines(lines[len(code) :], width)]
+
+
+def _told_once(lines: list[str]) -> Iterable[str]:
+    is_explained = any(SCENARIO.fullmatch(line) for line in lines)
+    return (line for line in lines if not (is_explained and any(each.fullmatch(line) for each in REPEATED)))

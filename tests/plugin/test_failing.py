@@ -1,0 +1,135 @@
+"""How failures are shown: one compact block each, lines that fit, and a summary that says what failed."""
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+EXPLAINED = """
+@pafot.search(SHORT, blame="ego", stop_after=1)
+def test_collides(run):
+    \"\"\"A property.\"\"\"
+    assert not run.collision, run.explain()
+"""
+
+
+@pytest.fixture
+def explained(project):
+    """A project whose test says of each failing run what happened."""
+    project.write(EXPLAINED)
+    return project
+
+
+def block(result, name):
+    """The lines of a failure's section, with its title."""
+    lines = result.stdout.str().splitlines()
+    start = next(number for number, line in enumerate(lines) if re.fullmatch(rf"_+ {re.escape(name)} _+", line))
+    titles = (number for number, line in enumerate(lines) if number > start and re.fullmatch(r"[_=]+ .* [_=]+", line))
+    return lines[start : next(titles)]
+
+
+def search(project, *args, **kwargs):
+    return project.run(*args, **{"generations": 10, **kwargs})
+
+
+def summary(result):
+    return [line.partition(" - ")[2] for line in result.stdout.str().splitlines() if line.startswith("FAILED")]
+
+
+@pytest.mark.parametrize("is_ci", [True, False])
+def test_the_summary_says_in_one_line_each_what_was_found(explained, monkeypatch, is_ci):
+    if is_ci:
+        monkeypatch.setenv("CI", "1")
+    first, second = summary(search(explained))
+    assert first == f"1 new finding: {explained.only_id}"
+    assert re.fullmatch(r"collision after \d+\.\d s: NPC \d ahead, ego at fault", second)
+
+
+def test_under_ci_the_summary_has_no_line_without_a_test(explained, monkeypatch):
+    monkeypatch.setenv("CI", "1")
+    lines = search(explained).stdout.str().splitlines()
+    listed = lines[next(n for n, line in enumerate(lines) if "short test summary info" in line) + 1 : -1]
+    assert [line.split()[0] for line in listed] == ["FAILED", "FAILED"]
+
+
+def test_a_replay_says_in_the_summary_what_its_find_said(explained):
+    (_, found) = summary(search(explained))
+    assert summary(explained.run(generations=0)) == [found]
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("assert run.duration < 1", r"assert \d+\.\d < 1 \(no collision in .* s\)"),
+        ("raise ValueError('no plan')", r"ValueError: no plan \(no collision in .* s\)"),
+    ],
+)
+def test_the_words_of_the_test_come_first_in_the_summary(project, source, told):
+    project.write(f"@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    {source}\n")
+    assert re.fullmatch(told, summary(project.run())[1])
+
+
+def test_a_search_that_tested_nothing_says_why_in_the_summary(project):
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pafot.reject()\n")
+    (line,) = summary(project.run())
+    assert re.fullmatch(r"the search tested nothing: \S.*", line)
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_a_find_is_a_block_of_20_lines_at_most_that_fits_the_terminal(explained, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = block(search(explained), f"test_collides[saved-{explained.only_id}]")
+    assert len(lines) <= 20
+    assert [line for line in lines if len(line) > columns] == [
+        line for line in lines if line.startswith("saved as") and len(line) > columns
+    ]
+
+
+def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
+    wide = " ".join(search(explained).stdout.str().replace("E   ", " ").split())
+    explained.only_file.unlink()
+    monkeypatch.setenv("COLUMNS", "60")
+    narrow = " ".join(search(explained).stdout.str().replace("E   ", " ").split())
+    (sentence,) = re.findall(r"responsible: ego, because .*? m/s\^2", wide)
+    assert sentence in narrow
+
+
+def test_an_id_is_not_repeated_without_need(explained):
+    text = search(explained).stdout.str()
+    told = [line for line in text.splitlines() if explained.only_id in line]
+    assert len(told) == 6  # announced; search: block, summary; find: title, file, summary
+
+
+@pytest.mark.parametrize("flag", ["-v", "--tb=long"])
+def test_a_verbose_session_and_one_that_asks_for_it_show_frames_in_full(explained, flag):
+    lines = block(search(explained, flag), f"test_collides[saved-{explained.only_id}]")
+    assert any(line.startswith("run = <Run collision") for line in lines)
+    assert '"""A property."""' in [line.strip() for line in lines]
+
+
+def test_frames_of_other_tests_stay_as_pytest_shows_them(explained):
+    explained.write("def test_other():\n    '''Other.'''\n    assert 1 == 2\n", name="test_other")
+    assert "'''Other.'''" in [line.strip() for line in block(search(explained), "test_other")]
+
+
+def test_junit_has_the_summary_as_message_and_names_the_file(explained):
+    search(explained, "--junitxml=junit.xml")
+    cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
+    searched, saved = (case for case in cases)
+    assert searched.find("failure").get("message") == f"1 new finding: {explained.only_id}"
+    assert re.fullmatch(r"collision after .* at fault", saved.find("failure").get("message"))
+    assert "responsible: ego" in saved.find("failure").text
+    (named,) = saved.iter("property")
+    assert named.attrib == {"name": "pafot_file", "value": explained.files[0]}
+
+
+def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monkeypatch):
+    pytest.importorskip("xdist")
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("CI", "1")
+    result = search(explained, "-n1")
+    lines = result.stdout.str().splitlines()
+    told = [line for line in lines if line.startswith("E  ")]
+    assert told
+    assert max(map(len, told)) <= 60
+    assert summary(result)[0] == f"1 new finding: {explained.only_id}"
