@@ -164,7 +164,7 @@ def hired(errand: Errand, size: int, method: str, notes: list[str]) -> Crew | No
             )
             return None
     limit = float(getattr(errand.world, "hang_limit", 30.0))
-    return Crew(errand, size, method=method, patience=limit + GRACE)
+    return Crew(errand, size, method=method, patience=limit + GRACE, grace=GRACE)
 
 
 def _recovery(lost: Lost) -> str:

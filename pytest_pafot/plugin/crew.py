@@ -28,9 +28,10 @@ from pytest_pafot.plugin.echo import Echo, listening
 from pytest_pafot.plugin.places import CRASH
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.world.guard import LastResort, last_resort
 
 GRACE = 5.0
-"""How much longer than the limit of one decision a process may be silent [s]."""
+"""How much longer than its limit one decision may take, or a process be silent, before it is ended [s]."""
 
 FAREWELL = 2.0
 """How long a process may take to end by itself [s]; what its libraries started ends with it then."""
@@ -122,11 +123,19 @@ class Crew:
         method: by which processes are started, see :mod:`multiprocessing`.
         patience: how long a process may run without answering a signal, which Python does between two
             instructions [s].
+        grace: how much longer than its limit one decision may take that ignores its interruption [s].
         clock: seconds, monotonic.
     """
 
     def __init__(
-        self, errand: Errand, size: int, *, method: str, patience: float, clock: Callable[[], float] = time.monotonic
+        self,
+        errand: Errand,
+        size: int,
+        *,
+        method: str,
+        patience: float,
+        grace: float = GRACE,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.recovered: list[Lost] = []
         """Processes that died in scenarios that ran to their end when they were tried alone."""
@@ -136,6 +145,7 @@ class Crew:
         self._size = size
         self._context: Any = multiprocessing.get_context(method)
         self._patience = patience
+        self._grace = grace
         self._clock = clock
         self._members: list[_Member] = []
         self._pending: deque[Scenario] = deque()
@@ -219,7 +229,7 @@ class Crew:
 
     def _started(self) -> _Member:
         others = [member.connection for member in self._members]
-        member = _Member(self._context, self._errand, others)
+        member = _Member(self._context, self._errand, others, self._grace)
         self._members.append(member)
         return member
 
@@ -249,7 +259,11 @@ class Crew:
                     self._answers[scenario] = answer
                 return
             is_gone = True
-        if is_gone:
+        if member.is_stuck:
+            self._remove(member)
+            how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
+            self._note(Lost(scenario=scenario, pid=member.pid, how=how, is_hang=True), member)
+        elif is_gone:
             self._remove(member)
             self._note(Lost(scenario=scenario, pid=member.pid, how=ending(member.process.exitcode)), member)
         elif member.silence(self._clock()) > self._patience:
@@ -291,14 +305,16 @@ class _Member:
         scenario: that it runs now.
     """
 
-    def __init__(self, context: Any, errand: Errand, others: list[Connection]) -> None:
+    def __init__(self, context: Any, errand: Errand, others: list[Connection], grace: float) -> None:
         self.scenario: Scenario | None = None
         self.connection, end = context.Pipe()
         self._beats = context.RawValue("Q", 0)
+        self._stuck = context.RawValue("b", 0)
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        self.process = context.Process(target=_serve, args=(errand, end, inherited, self._beats), name="pafot-worker")
+        job = _Job(connection=end, inherited=inherited, beats=self._beats, stuck=self._stuck, grace=grace)
+        self.process = context.Process(target=_serve, args=(errand, job), name="pafot-worker")
         with warnings.catch_warnings():
             # Python warns of any thread; those of numerical libraries are documented, and this module has none.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
@@ -310,6 +326,11 @@ class _Member:
     def has_begun(self) -> bool:
         """Whether it came so far as to wait for scenarios."""
         return bool(self._beats.value)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether it ended since a decision would not."""
+        return bool(self._stuck.value)
 
     def take(self, scenario: Scenario, now: float) -> bool:
         """Run a scenario; False where the process has ended."""
@@ -368,15 +389,41 @@ def ending(code: int | None) -> str:
     return f"ended with exit code {code}"
 
 
-def _serve(errand: Errand, connection: Connection, inherited: list[Connection], beats: Any) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Job:
+    """What a process needs besides its errand.
+
+    Attributes:
+        connection: to the session.
+        inherited: those of others, by a fork.
+        beats: counts the signals that it answers.
+        stuck: set before it ends since a decision would not.
+        grace: how long a decision may ignore interruptions [s].
+    """
+
+    connection: Connection
+    inherited: list[Connection]
+    beats: Any
+    stuck: Any
+    grace: float
+
+    def end(self) -> None:
+        """End at once; whatever the session was to be told is told by that."""
+        self.stuck.value = 1
+        os._exit(1)
+
+
+def _serve(errand: Errand, job: _Job) -> None:
     """A process: run scenarios until there are no more, or nobody waits for them."""
-    for other in inherited:
+    connection = job.connection
+    for other in job.inherited:
         other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
     signal.signal(signal.SIGINT, _ignore)  # The session ends its processes itself. What they start is interrupted.
     if hasattr(signal, "SIGUSR2"):
-        signal.signal(signal.SIGUSR2, lambda number, frame: _beat(beats))
-    _beat(beats)
-    with errand.in_flight() as flight, suppress(EOFError, OSError):
+        signal.signal(signal.SIGUSR2, lambda number, frame: _beat(job.beats))
+    _beat(job.beats)
+    resort = LastResort(end=job.end, grace=job.grace)
+    with last_resort(resort), errand.in_flight() as flight, suppress(EOFError, OSError):
         while True:
             scenario = connection.recv()
             if scenario is None:

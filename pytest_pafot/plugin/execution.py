@@ -47,14 +47,16 @@ def item_seed(base_seed: int, base_id: str) -> int:
 def _run(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     from pytest_pafot.plugin.bench import Bench  # noqa: PLC0415
+    from pytest_pafot.plugin.stuck import seen_to  # noqa: PLC0415
 
     saved = saved_of(item)
-    if saved is not None:
+    with seen_to(item):
+        if saved is None:
+            _search(Bench.of(item, request), request)
+            return
         from pytest_pafot.plugin.replaying import replay  # noqa: PLC0415
 
         replay(item, request, saved)
-        return
-    _search(Bench.of(item, request), request)
 
 
 def _search(bench: Bench, request: Request) -> None:

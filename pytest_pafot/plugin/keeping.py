@@ -340,6 +340,6 @@ def cause(lost: Lost, way_out: str) -> str:
     if not lost.is_hang:
         return "by a crash of native code, an exit or a lack of memory"
     return (
-        "the ADS hangs in code that does not return to the interpreter, or uses a library that does not work in a "
-        f"forked process (then {way_out})"
+        "the ADS hangs in code that does not return to the interpreter, or swallows its interruption, or uses a "
+        f"library that does not work in a forked process (then {way_out})"
     )

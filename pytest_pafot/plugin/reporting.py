@@ -182,7 +182,7 @@ class Reporter:
         if not self._rewrites():
             self._write_lines([terminal.progress_line(progress, width)])
             return
-        with self._uncaptured():
+        with uncaptured(self._config):
             writer.ensure_newline()
             writer.rewrite(terminal.progress_line(progress, width - 1), erase=True)
             writer.flush()
@@ -191,7 +191,7 @@ class Reporter:
     def _erase_line(self) -> None:
         writer = self._terminal()
         if self._has_line and writer is not None:
-            with self._uncaptured():
+            with uncaptured(self._config):
                 writer.rewrite("", erase=True)
                 writer.rewrite("")
                 writer.flush()
@@ -201,18 +201,10 @@ class Reporter:
         writer = self._terminal()
         if writer is None:
             return
-        with self._uncaptured():
+        with uncaptured(self._config):
             for line in lines:
                 writer.write_line(line)
             writer.flush()
-
-    def _uncaptured(self) -> AbstractContextManager[None]:
-        """Messages of this process come from inside a running test, whose output pytest captures."""
-        manager = self._config.pluginmanager.get_plugin("capturemanager")
-        silent: AbstractContextManager[None] = (
-            nullcontext() if manager is None else manager.global_and_fixture_disabled()
-        )
-        return silent
 
     def _rewrites(self) -> bool:
         """Whether one line can be written again and again: a terminal, and one item at a time."""
@@ -263,6 +255,13 @@ class WorkerReporter:
         output: dict[str, Any] = self._config.workeroutput  # type: ignore[attr-defined]
         output[WORKER_ORPHANS] = [str(folder) for folder in found]
         output[WORKER_STRAYS] = self._config.stash.get(STRAYS, {})
+
+
+def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
+    """For messages of this process that come from inside a running test, whose output pytest captures."""
+    manager = config.pluginmanager.get_plugin("capturemanager")
+    silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
+    return silent
 
 
 def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import faulthandler
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
@@ -15,6 +19,36 @@ LONGEST_PAUSE = 1.0
 """Between two looks at the decisions under way [s]."""
 IDLE_LOOKS = 5
 """After so many looks with no run under way the watching thread ends."""
+
+
+LONGEST_TIMER = 1e6
+"""A timer for more than this is as good as none, and systems refuse what is much longer [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastResort:
+    """What is done about a decision that cannot be interrupted.
+
+    Attributes:
+        end: ends the process; called by the watching thread.
+        grace: how much longer than its limit a decision may take before that, as interruptions do not end it [s].
+        file: descriptor for a traceback, where the process shall also end if no thread of Python's comes to run for so
+            long, as when native code holds the interpreter's lock; None where somebody else sees to that.
+    """
+
+    end: Callable[[], None]
+    grace: float
+    file: int | None = None
+
+
+@contextmanager
+def last_resort(resort: LastResort) -> Iterator[None]:
+    """See to the decisions of this process inside."""
+    before = _WATCHDOG.set_resort(resort)
+    try:
+        yield
+    finally:
+        _WATCHDOG.set_resort(before)
 
 
 class AdsHang(BaseException):
@@ -26,8 +60,8 @@ class HangGuard:
 
     On platforms with ``signal.pthread_kill`` and in the main thread, also blocking system calls are interrupted;
     elsewhere the exception is raised at the thread's next Python instruction. An ADS that swallows it is interrupted
-    again. Code that never returns to the interpreter cannot be interrupted; the record of the scenario in flight then
-    names it in the next session.
+    again. Code that never returns to the interpreter cannot be interrupted, and an ADS may swallow each interruption:
+    then the :class:`LastResort` remains, and the record of the scenario in flight names it in the next session.
 
     A decision is under guard while ``started`` is set. Whoever ends one cheaply clears ``started`` first and reads the
     clock then: if by that clock the decision was within the limit, nobody has found it overdue, since the watching
@@ -46,6 +80,7 @@ class HangGuard:
         self.clock = clock
         self.started: float | None = None
         self._sent = False
+        self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
         self._target = threading.get_ident()
         self._by_signal = hasattr(signal, "pthread_kill") and threading.current_thread() is threading.main_thread()
@@ -89,11 +124,20 @@ class HangGuard:
         if sent:
             _let_it_arrive()
 
-    def look(self) -> None:
-        """Interrupt the decision under way if it takes too long; called by the watching thread."""
+    def look(self) -> float:
+        """Interrupt the decision under way if it takes too long; called by the watching thread.
+
+        Returns:
+            For how long that decision has ignored interruptions [s].
+        """
         with self._lock:
-            if self._overdue():
-                self._interrupt()
+            now, started = self.clock(), self.started  # in this order, see above
+            if started is None or now - started <= self.limit:
+                return 0.0
+            if self._ignored is None or self._ignored[0] != started:
+                self._ignored = started, now
+            self._interrupt()
+            return now - self._ignored[1]
 
     def _overdue(self) -> bool:
         now = self.clock()  # before the look at what is under way, see above
@@ -121,10 +165,15 @@ class _Watchdog:
         self._guards: list[HangGuard] = []
         self._thread: threading.Thread | None = None
         self._pause = LONGEST_PAUSE
+        self._resort: LastResort | None = None
+        self._timed: float | None = None
+        """The limit that the timer runs for [s]; None where it does not run."""
 
     def watch(self, guard: HangGuard) -> None:
         with self._lock:
             self._guards.append(guard)
+            if self._timed is None or guard.limit > self._timed:
+                self._start_timer()
             if self._thread is None:
                 self._pause = guard.pause
                 self._thread = threading.Thread(target=self._run, name="pafot-hang-guard", daemon=True)
@@ -136,6 +185,17 @@ class _Watchdog:
         with self._lock:
             if guard in self._guards:  # not in a process that was forked inside of a run
                 self._guards.remove(guard)
+
+    def set_resort(self, resort: LastResort | None) -> LastResort | None:
+        with self._lock:
+            before, self._resort = self._resort, resort
+            self._stop_timer()
+            return before
+
+    def before_fork(self) -> None:
+        """The forked process has no thread that runs the timer, and would wait for its end."""
+        with self._lock:
+            self._stop_timer()
 
     def _run(self) -> None:
         idle = 0
@@ -150,9 +210,36 @@ class _Watchdog:
             self._wake.wait(self._pause)
             self._wake.clear()
             with self._lock:
-                guards = self._guards.copy()
-            for guard in guards:
-                guard.look()
+                guards, resort = self._guards.copy(), self._resort
+                self._start_timer()
+            ignored = max([guard.look() for guard in guards], default=0.0)
+            if resort is not None and ignored > resort.grace:
+                resort.end()
+
+    def _start_timer(self) -> None:
+        """Put the end of the process off until the next look; once no run is under way, nothing ends it.
+
+        Not from run to run, of which there may be a thousand in a second: a timer is a thread.
+        """
+        resort = self._resort
+        if not self._guards:
+            self._stop_timer()
+        elif resort is not None and resort.file is not None and not _is_debugged():
+            self._timed = max([guard.limit for guard in self._guards])
+            seconds = min(self._timed + resort.grace + LONGEST_PAUSE, LONGEST_TIMER)
+            faulthandler.dump_traceback_later(seconds, exit=True, file=resort.file)
+
+    def _stop_timer(self) -> None:
+        if self._timed is not None:
+            faulthandler.cancel_dump_traceback_later()
+            self._timed = None
+
+
+def _is_debugged() -> bool:
+    """Whether a debugger may have stopped all threads."""
+    monitoring = getattr(sys, "monitoring", None)  # of Python 3.12
+    is_monitored = monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
+    return is_monitored or sys.gettrace() is not None
 
 
 def _let_it_arrive() -> None:
@@ -170,4 +257,4 @@ def _let_it_arrive() -> None:
 
 _WATCHDOG = _Watchdog()
 if hasattr(os, "register_at_fork"):  # a forked process has no other thread, and a lock that one held stays locked
-    os.register_at_fork(after_in_child=_WATCHDOG.__init__)  # type: ignore[misc]
+    os.register_at_fork(before=_WATCHDOG.before_fork, after_in_child=_WATCHDOG.__init__)  # type: ignore[misc]

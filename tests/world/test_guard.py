@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -91,5 +92,78 @@ child = os.fork()
 if not child:
     os._exit(world.rollout(scenario, lambda: spin).outcome != "hang")
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)
+
+
+def swallow(seconds, limit):
+    """A decision that goes on for so long, whatever interrupts it."""
+    deadline = time.monotonic() + seconds
+    with HangGuard(limit) as watched:
+        watched.decision_starts()
+        while time.monotonic() < deadline:
+            with contextlib.suppress(AdsHang):
+                time.sleep(0.001)
+        with contextlib.suppress(AdsHang):
+            watched.decision_ends()
+        watched.decision_ends()
+
+
+@pytest.mark.parametrize(("seconds", "is_ended"), [(0.3, True), (0.1, False)])
+def test_the_last_resort_is_for_decisions_that_ignore_their_interruption(watchdog, seconds, is_ended):
+    ends = []
+    with guard.last_resort(guard.LastResort(end=lambda: ends.append(1), grace=0.15)):
+        swallow(seconds, limit=0.02)
+        assert hang(0.02)
+    assert bool(ends) == is_ended
+    swallow(0.3, limit=0.02)
+    assert bool(ends) == is_ended, "outside there is none"
+
+
+class Timer:
+    """In the place of faulthandler's."""
+
+    def __init__(self):
+        self.seconds = []
+
+    def dump_traceback_later(self, seconds, **options):
+        assert options == {"exit": True, "file": 2}
+        self.seconds.append(seconds)
+
+    def cancel_dump_traceback_later(self):
+        self.seconds.append(None)
+
+
+def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(watchdog, monkeypatch):
+    monkeypatch.setattr(guard, "faulthandler", timer := Timer())
+    monkeypatch.setattr(guard, "_is_debugged", lambda: False)
+    with guard.last_resort(guard.LastResort(end=lambda: None, grace=5.0, file=2)):
+        with HangGuard(10.0):
+            assert timer.seconds == [15.01]
+            with HangGuard(30.0):
+                assert timer.seconds[-1] == 35.01
+                count = len(timer.seconds)
+                time.sleep(0.1)
+                assert len(timer.seconds) > count, "put off by each look"
+        deadline = time.monotonic() + 30
+        while timer.seconds[-1] is not None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert timer.seconds[-1] is None
+        with HangGuard(10.0):
+            assert timer.seconds[-1] == 15.01
+    assert timer.seconds[-1] is None
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
+    code = """
+import faulthandler, os, sys
+from pytest_pafot.world.guard import HangGuard, LastResort, last_resort
+with last_resort(LastResort(end=lambda: None, grace=5.0, file=2)), HangGuard(30.0):
+    child = os.fork()
+    if not child:
+        faulthandler.cancel_dump_traceback_later()
+        os._exit(0)
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)

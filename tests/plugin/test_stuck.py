@@ -1,0 +1,153 @@
+"""An ADS that takes no interruption: the session ends with what was found, and the next one names the scenario."""
+
+import os
+import sys
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+from pytest_pafot.findings.corpus import read
+from pytest_pafot.plugin import stuck
+from pytest_pafot.trace import Outcome
+from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")
+
+forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+STUCK = """
+import time
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+import pytest_pafot.plugin.stuck
+from pytest_pafot import Highway
+
+pytest_pafot.plugin.ahead.GRACE = pytest_pafot.plugin.stuck.GRACE = 0.3
+
+@pytest.fixture
+def pafot_world():
+    return Highway(hang_limit=0.2)
+
+def swallow():
+    while True:
+        try:
+            pause()
+        except BaseException:
+            pass
+
+def pause():
+    try:
+        time.sleep(60)
+    finally:
+        pause()
+
+def hold():
+    sum(range(10**12))  # hours of native code without a look at signals
+
+def drive(observation):
+    if observation.time == 1 and observation.others[0].lane == observation.ego.lane:
+        HANG()
+    return 0.0, 0.0
+
+@pytest.fixture
+def ads():
+    return lambda: drive
+"""
+
+TESTS = """
+@pafot.search(SHORT, shrink_rollouts=0, npcs=2)
+def test_it(run):
+    assert run.min_distance > 3, "what was found"
+
+def test_ordinary():
+    pass
+"""
+
+
+@pytest.fixture
+def hanging(project):
+    """A project whose ADS hangs after some finds, by a function of the conftest."""
+
+    def write(hang):
+        project.pytester.makeconftest(STUCK.replace("HANG", hang))
+        project.write(TESTS)
+        return project
+
+    return write
+
+
+def one_line(result):
+    return " ".join(result.stdout.str().split())
+
+
+def named_by_the_next(project):
+    """The find that the next session makes of the record, and lives."""
+    assert project.run(generations=0, subprocess=True).ret == pytest.ExitCode.TESTS_FAILED
+    (path,) = [project.path / name for name in project.files if "hang-" in name]
+    return read(path)
+
+
+def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(hanging):
+    project = hanging("swallow")
+    result = project.run("--junitxml=junit.xml", generations=9, subprocess=True)
+    assert result.ret == stuck.STATUS
+    found = project.files
+    assert found
+    result.stdout.fnmatch_lines(
+        [
+            "*test_it.py::test_it?search?: a decision of the ADS exceeds the hang limit*",
+            "*in pause*",
+            "*AssertionError: what was found*",
+            "*ended before its time; what it found is saved*",
+            "FAILED test_it.py::test_it[[]search[]]*",
+            "*the ADS hangs in test_it.py::test_it?search?*",
+        ]
+    )
+    text = (project.path / "junit.xml").read_text()
+    assert text.count("<failure") == 1 + len(found)
+    if sys.platform == "linux":
+        assert named_by_the_next(project).expect.outcome is Outcome.HANG
+
+
+def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_traceback(hanging):
+    project = hanging("hold")
+    result = project.run(generations=9, subprocess=True)
+    assert result.ret == 1
+    result.stderr.fnmatch_lines(["Timeout (*", "*in hold"])
+    assert project.files
+    if sys.platform == "linux":
+        finding = named_by_the_next(project)
+        assert finding.expect.message.endswith("did not answer for 0.5 s and was killed")
+
+
+def test_under_xdist_only_the_worker_ends(hanging):
+    pytest.importorskip("xdist")
+    project = hanging("swallow")
+    result = project.run("-n1", generations=9, subprocess=True)
+    assert result.parseoutcomes()["passed"] == 1
+    result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
+    assert "a process (pid" in one_line(result)
+    assert project.files
+
+
+@forks
+def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_goes_on(dear, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.3)
+    swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
+    project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
+    result, contents = session(project, 2, generations=4)
+    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    assert finding.expect.outcome is Outcome.HANG
+    assert "ignored the interruption of a decision for 0.3 s" in finding.expect.message
+    result.stdout.fnmatch_lines(["*ended: all generations done*"])
+
+
+@pytest.mark.parametrize(("value", "is_ours"), [("0", True), ("30", False)])
+def test_the_one_timer_of_faulthandler_is_left_to_pytest_where_that_uses_it(pytester, value, is_ours):
+    config = pytester.parseconfigure("-o", f"faulthandler_timeout={value}")
+    file = stuck._real_stderr(config)
+    assert (file is not None) == is_ours
+    if file is not None:
+        os.close(file)
