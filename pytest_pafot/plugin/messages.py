@@ -41,13 +41,15 @@ def received(report: Any) -> dict[str, Any] | None:
 def faults_told(tell: Callable[[str], None], work: str) -> Iterator[None]:
     """Tell of a fault in work at the end of a session, where pytest would lose the texts of all failures by it.
 
+    An interrupt ends the work and not the session, which ends by itself.
+
     Args:
         tell: takes one line for the summary.
         work: that is done inside, in a few words.
     """
     try:
         yield
-    except Exception as error:  # noqa: BLE001  (whatever it is, the summary says so)
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (whatever it is, the summary says so)
         tell(f"{work}: {type(error).__name__}: {error}")
 
 

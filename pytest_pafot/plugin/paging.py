@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,9 +140,8 @@ class Pages:
         is_interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
         for path, page in self._pages.items():
             with messages.faults_told(self._tell_problem, f"--pafot-report={page.target}: not written"):
-                lines += _written(
-                    page.target, path, page.report(self._config, self._completed, is_interrupted=is_interrupted)
-                )
+                report = page.report(self._config, self._completed, is_interrupted=is_interrupted)
+                lines += _written(page.target, path, report, has_pictures=not is_interrupted)
         asked = self._config.getoption(BY_NAME["report"].key)
         if asked and not self._pages and not self._config.getoption("collectonly", False):
             lines.append((f"--pafot-report={asked}: nothing was written, since no search and no replay ran", True))
@@ -196,14 +196,14 @@ def _place(finding: FindingView) -> tuple[bool, int, int, str]:
     return not finding.label.startswith(NEW), who, -finding.runs, finding.node_id
 
 
-def _written(target: str, path: Path, report: Report) -> list[Line]:
-    """Write a report to a file or a folder; what to tell of it."""
+def _written(target: str, path: Path, report: Report, *, has_pictures: bool) -> list[Line]:
+    """Write a report to a file or a folder; what to tell of it. Pictures take seconds each, a page does not."""
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
 
     lines: list[Line] = []
     shown, pictures = target, 0
     try:
-        for name, content in _contents(target, path, report):
+        for name, content in islice(_contents(target, path, report), None if has_pictures else 1):
             write(name, content)
             pictures += name.suffix == ".png"
             shown = target if name == path else os.path.join(target, "index.html")  # noqa: PTH118
@@ -212,6 +212,8 @@ def _written(target: str, path: Path, report: Report) -> list[Line]:
         return [(f"--pafot-report={target}: not written: {reason}: {error.filename or path}; name another place", True)]
     except AnimationError as error:
         lines.append((f"--pafot-report={target}: the page is there, pictures are not: {error}", True))
+    if not has_pictures and not is_page_file(target):
+        lines.append((f"--pafot-report={target}: the page is there, pictures are not, after an interrupt", True))
     more = f", {_plural(pictures, 'moving picture')}" if pictures else ""
     return [(f"report: {shown} ({_plural(len(report.findings), 'finding')}{more})", False), *lines]
 

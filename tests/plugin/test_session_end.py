@@ -115,3 +115,34 @@ def leak():
     assert "problem: --pafot-report=x.html: not written: " in text
     assert "received: Too many open files;" in text
     assert "close the files that the ADS and the tests open" in text
+
+
+def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project, monkeypatch):
+    def interrupted(*arguments, **named):
+        raise KeyboardInterrupt
+
+    project.write(FAILS)
+    monkeypatch.setattr(pytest_pafot.plugin.paging, "_written", interrupted)
+    result = project.run("--pafot-report=x/")
+    assert is_whole(result)
+    result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])
+
+
+def test_an_interrupted_session_does_not_wait_for_pictures(project):
+    project.write(
+        """
+seen = []
+
+@pafot.search(SHORT)
+def test_fails(run):
+    seen.append(run)
+    if len(seen) > 1:
+        raise KeyboardInterrupt
+    assert not run
+"""
+    )
+    result = project.run("--pafot-report=x/", no_reraise_ctrlc=True)
+    assert [path.name for path in (project.path / "x").iterdir()] == ["index.html"]
+    text = " ".join(result.stdout.str().split())
+    assert "the page is there, pictures are not, after an interrupt" in text
+    assert "FAILED test_it.py::test_fails[saved-" in text
