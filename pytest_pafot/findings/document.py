@@ -22,6 +22,9 @@ Place = tuple[str | int, ...]
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
+_NUMBER_LIKE = re.compile(r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)")
+_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:e[-+][0-9]+)?)?|-?\.inf|\.nan")
+_WORD = re.compile(r"true|false|null|")
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -140,6 +143,8 @@ class _Builder:
             kind = tag.removeprefix(_PREFIX)
             received = f"{event.value!r:.60}, which YAML takes for a {kind}"
             raise DocumentError(_line(event), "a number, text, true, false or null", received, "put it in quotes")
+        if event.implicit[0]:
+            _check_plain_scalar(tag, event)
         try:
             return self.loader.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
         except (ValueError, OverflowError):
@@ -167,6 +172,18 @@ class _Builder:
     def _until(self, end: type[yaml.Event]) -> Iterator[Any]:
         while not isinstance(event := self.loader.get_event(), end):
             yield event
+
+
+def _check_plain_scalar(tag: str, event: Any) -> None:
+    """Refuse what the versions of YAML, or people, read as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~."""
+    text, kind = event.value, tag.removeprefix(_PREFIX)
+    if kind in ("int", "float") or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
+        is_clear, expected = kind != "str" and _NUMBER.fullmatch(text) is not None, "a number in decimal digits"
+    else:
+        is_clear, expected = kind == "str" or _WORD.fullmatch(text) is not None, "true, false or null"
+    if not is_clear:
+        fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes" if "number" in expected else "put text in quotes"
+        raise DocumentError(_line(event), expected, f"{text!r:.60}", fix)
 
 
 def _line(event: Any) -> int:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -75,6 +77,17 @@ class Run:
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
     prevent: Prevent | None = field(default=None, kw_only=True)
+
+    if not TYPE_CHECKING:  # type checkers know every name
+
+        def __getattr__(self, name: str) -> Any:
+            """Only called for what there is not: name what is near."""
+            if hasattr(type(self), name):
+                return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
+            known = [each for each in dir(self) if not each.startswith("_")]
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
+            raise AttributeError(f"a run has no attribute {name!r}; {hint}")
 
     @property
     def scenario(self) -> Scenario:

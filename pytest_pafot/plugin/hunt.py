@@ -14,6 +14,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin.crew import Lost, ProcessLostError
+from pytest_pafot.plugin.setup_fault import FirstGeneration
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -47,6 +48,7 @@ class Stage:
         keep_lost: takes the first scenario whose process did not come back, likewise.
         lethal: scenarios in which a process died; they are not run.
         alone: the run again by itself where it took place together with others, else None.
+        release: is told that what was kept so far is no fault of the set-up, and to be announced.
         near_misses: what the ego nearly had to answer for in a trace, where the algorithm reads that.
     """
 
@@ -57,6 +59,7 @@ class Stage:
     keep_lost: Callable[[Lost, int, int], str]
     lethal: frozenset[Scenario] = frozenset()
     alone: Callable[[Run], Run | None] = lambda run: None
+    release: Callable[[], None] = lambda: None
     near_misses: Callable[[Trace], tuple[NearMiss, ...]] = lambda trace: ()
 
 
@@ -75,6 +78,7 @@ class Hunt:
         finished: the last event, once the campaign is over.
         skip: the last exception by which the function declined to judge.
         died: scenarios whose process did not come back to this search.
+        first: what the runs of the first generation have in common.
     """
 
     stage: Stage
@@ -88,6 +92,7 @@ class Hunt:
     finished: CampaignFinished | None = None
     skip: BaseException | None = None
     died: set[Scenario] = field(default_factory=set)
+    first: FirstGeneration = field(default_factory=FirstGeneration)
 
     @property
     def lethal(self) -> frozenset[Scenario]:
@@ -104,7 +109,11 @@ class Hunt:
         return [self._evaluated(scenario) for scenario in scenarios]
 
     def follow(self, events: Iterable[Event], tick: Callable[[], None]) -> None:
-        """Run a campaign to its end; ``tick`` is called after each event."""
+        """Run a campaign to its end; ``tick`` is called after each event.
+
+        Raises:
+            SetupFaultError: where the same exception ends all runs of the first generation.
+        """
         for event in events:
             self.health = _counted(self.health, event)
             self._note(event)
@@ -113,6 +122,7 @@ class Hunt:
     def _note(self, event: Event) -> None:
         if isinstance(event, GenerationFinished) and event.local_generation == 0:
             self.generation = event.generation + 1
+            self.first.end()
         elif isinstance(event, LocalSearchStarted):
             self.generation = event.generation
         elif isinstance(event, LocalSearchFinished):
@@ -122,15 +132,21 @@ class Hunt:
 
     def _evaluated(self, scenario: Scenario) -> Evaluation:
         if scenario in self.stage.lethal:
+            self._settle()
             return _not_run(scenario)
         run = self._run(scenario)
         if isinstance(run, Lost):
+            self._settle()
             return self._lost(run)
         verdict = self.stage.judge(run)
         again = self.stage.alone(run) if verdict.failed else None
         if again is not None:  # A find is what its replay will be, also where an ADS does not keep its rows apart.
             run, verdict = again, self.stage.judge(again)
         self.verdicts[verdict.kind] += 1
+        if self.first.is_alike:
+            self.first.see(run, verdict)
+            if not self.first.is_alike:
+                self.stage.release()
         kind = self._failed(run, verdict) if verdict.failed else None
         if verdict.kind == "skipped":
             self.skip = verdict.exception
@@ -143,6 +159,12 @@ class Hunt:
             fault=None if kind is None else kind.fault,
             near_misses=self.stage.near_misses(run.trace),
         )
+
+    def _settle(self) -> None:
+        """Not every run of the first generation ends in the same exception."""
+        if self.first.is_alike:
+            self.first.is_alike = False
+            self.stage.release()
 
     def _run(self, scenario: Scenario) -> Run | Lost:
         try:

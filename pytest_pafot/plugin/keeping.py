@@ -60,6 +60,15 @@ class Kept:
     content: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """A find that is saved and not told yet."""
+
+    kept: Kept
+    exception: BaseException
+    run: Run
+
+
 @dataclass(slots=True)
 class Keeper:
     """Saves and announces the finds of one search.
@@ -73,6 +82,7 @@ class Keeper:
         kept: the finds told so far, by id.
         unsaved: ids of those that the limit of saved scenarios left out.
         first: the exception of the first find, for a debugger.
+        held: finds that may turn out to be a fault of the set-up; None once finds are told at once.
     """
 
     bench: Bench
@@ -83,6 +93,7 @@ class Keeper:
     kept: dict[str, Kept] = field(default_factory=dict)
     unsaved: list[str] = field(default_factory=list)
     first: BaseException | None = None
+    held: list[Held] | None = field(default_factory=list)
 
     @property
     def finds(self) -> list[terminal.Find]:
@@ -92,10 +103,10 @@ class Keeper:
     @property
     def count(self) -> int:
         """Distinct finds, whether they were kept or only counted."""
-        return len(self.kept) + len(self.unsaved)
+        return len(self.kept) + len(self.unsaved) - len(self.held or ())
 
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Save a new find, run it again to confirm it, and announce it; returns its id.
+        """Save a new find, run it again to confirm it, and announce it or hold it; returns its id.
 
         Args:
             run: that failed.
@@ -124,8 +135,34 @@ class Keeper:
         finally:  # An interrupt in these runs must not keep the find from being told.
             if differs:
                 kept = self.flaky(kept, differs)
-            self.tell(kept, verdict.exception, run=run, is_new=True)
+            if self.held is None:
+                self.tell(kept, verdict.exception, run=run, is_new=True)
+            else:
+                self.kept[kept.find.id] = kept
+                self.held.append(Held(kept=kept, exception=verdict.exception, run=run))
         return kept.find.id
+
+    def release(self) -> None:
+        """Announce what is held, and from now on each find at once."""
+        held, self.held = self.held or [], None
+        for each in held:
+            self.tell(each.kept, each.exception, run=each.run, is_new=True)
+
+    def withdraw(self) -> None:
+        """Undo what is held: it is no finding. What cannot be removed is told after all."""
+        for each in self.held or ():
+            del self.kept[each.kept.find.id]
+        held, self.held = self.held or [], None
+        self.unsaved.clear()
+        for each in held:
+            try:
+                if each.kept.file is not None:
+                    each.kept.file.unlink(missing_ok=True)
+            except OSError:
+                self.tell(each.kept, each.exception, run=each.run, is_new=True)
+        with suppress(OSError):  # They hold something else.
+            for folder in (self.bench.folder, *self.bench.folder.parents[:2]):
+                folder.rmdir()
 
     def flaky(self, kept: Kept, difference: str) -> Kept:
         """The same as a find that does not repeat, in its file too."""

@@ -28,6 +28,7 @@ from pytest_pafot.plugin.request import RequestError, build_space
 from pytest_pafot.plugin.resuming import Resuming
 from pytest_pafot.plugin.retrying import settle
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.setup_fault import SetupFaultError
 from pytest_pafot.plugin.shrinking import Shrinking
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
@@ -194,18 +195,24 @@ class Searching:
                     keep_lost=keeper.keep_lost,
                     lethal=_lethal(saved),
                     alone=watched.alone,
+                    release=keeper.release,
                     near_misses=near_misses if _asks_for_near_misses(self.bench.request) else _nobody_asks,
                 )
             )
-            reason = "interrupted"
+            reason, fault = "interrupted", None
             try:
                 with watched.ahead as ahead:
                     reason = self._hunted(hunt, keeper, saved, ahead)
+                keeper.release()
                 self._shrunk(hunt, keeper, watched)
+            except SetupFaultError as error:
+                reason, fault = "error", error
+                keeper.withdraw()
             except BaseException as error:
                 reason = "interrupted" if is_interruption(error) else "error"
                 raise
             finally:
+                keeper.release()
                 for each in settled:
                     if each.pending is not None:
                         each.pending.discard()
@@ -215,6 +222,8 @@ class Searching:
                 search = self._summary(hunt, keeper, reason)
                 messages.send(self.bench.item, "search", search.to_plain())
                 self._show(hunt, search)
+        if fault is not None:  # Outside of the handler, so that the same is not shown twice.
+            raise fault.shown()
         self._conclude(hunt, keeper, search)
 
     def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: LockStep) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario, ScenarioError
@@ -16,6 +18,29 @@ if TYPE_CHECKING:
 
 TOP_SPEED = 40.0
 """highway-env vehicles do not get faster [m/s]."""
+
+MOST_TICKS = 400_000
+"""Of a run; its record takes about 0.5 KB for each tick with all NPCs."""
+
+LARGEST: Mapping[str, float] = MappingProxyType(
+    {
+        "lanes_count": 20,
+        "roundabout_lanes": 20,
+        "no_lanes": 10,
+        "length": 2000,
+        "roundabout_radius": 1000,
+        **{f"{part}_merge_length": 5000 for part in ("before", "converge", "parallel", "after")},
+        "vehicles_count": 1000,
+        "cells": 10_000,
+        "horizon": 1000,
+        "stack_size": 100,
+        "observation_shape": 2000,
+        "actions_per_axis": 100,
+    }
+)
+"""Options of highway-env's environments whose size is the size of the work, with the largest that takes seconds."""
+MOST_CELLS = 250_000
+"""Of an occupancy grid."""
 
 
 def number(name: str, value: object, low: float, high: float) -> float:
@@ -71,6 +96,51 @@ def plain(name: str, value: Any) -> Any:
         f"{name}: expected plain data (numbers, text, lists, mappings), which a corpus file can hold, received "
         f"{value!r}"
     )
+
+
+def sizes(place: str, config: Any) -> None:
+    """Check that an environment of this configuration can be made in seconds.
+
+    Raises:
+        WorldError: naming the option, and the largest value of it.
+    """
+    if isinstance(config, (list, tuple)):
+        for index, inner in enumerate(config):
+            sizes(f"{place}[{index}]", inner)
+    if not isinstance(config, Mapping):
+        return
+    for name, value in config.items():
+        most = LARGEST.get(name, math.inf)
+        numbers = [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, (int, float))]
+        if any(abs(each) > most for each in numbers):
+            expected = f"at most {most:g}, so that an environment is made in seconds"
+            raise WorldError(f"{place}.{name}: expected {expected}, received {value!r}")
+        sizes(f"{place}.{name}", value)
+    _check_grid(place, config.get("grid_size", ((-27.5, 27.5), (-27.5, 27.5))), config.get("grid_step"))
+
+
+def _check_grid(place: str, size: Any, step: Any) -> None:
+    try:
+        cells = math.prod(abs(high - low) / abs(width) for (low, high), width in zip(size, step, strict=True))
+    except (TypeError, ValueError, ZeroDivisionError):
+        return  # no grid, or one that the environment refuses
+    if cells > MOST_CELLS:
+        raise WorldError(
+            f"{place}.grid_step: expected a grid of at most {MOST_CELLS} cells, received one of {cells:.0f}"
+        )
+
+
+def ticks(duration: float, physics_hz: int) -> None:
+    """Check that the record of a run fits into memory.
+
+    Raises:
+        WorldError: with the longest run.
+    """
+    if duration * physics_hz > MOST_TICKS:
+        raise WorldError(
+            f"duration: expected at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second, received "
+            f"{duration:g}"
+        )
 
 
 def _is_nan(value: object) -> bool:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario
@@ -34,6 +35,8 @@ LONGEST_RUN = 60.0
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """What environments call their random traffic, besides ``vehicles_count``."""
+
+LEAST_HZ = MappingProxyType({"simulation_frequency": 5, "policy_frequency": 1})
 
 _REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
 """Options that are not as given while scenarios run; how to draw also depends on the machine."""
@@ -287,6 +290,7 @@ class World(References):
                 f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
                 f"{self.env_id!r} ({creator.__name__})"
             )
+        self._check_sizes(creator)
         try:
             with vehicle_classes_kept():
                 env = _made(self.env_id, creator, self.config or {})
@@ -302,6 +306,16 @@ class World(References):
             )
         self._check_config(type(env).default_config(), env.config)
         return env
+
+    def _check_sizes(self, creator: Any) -> None:
+        """Refuse what would take the environment minutes to make; what options of your own mean is not known."""
+        given = {name: value for name, value in (self.config or {}).items() if name not in _REPLACED}
+        for name in ("simulation_frequency", "policy_frequency"):
+            if name in given:
+                checks.whole(f"config.{name}", given[name], LEAST_HZ[name], 1000)
+        if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
+            given = {name: given[name] for name in ("observation", "action") if name in given}
+        checks.sizes("config", given)
 
     def _check_config(self, known: dict[str, Any], config: dict[str, Any]) -> None:
         unknown = sorted(set(self.config or {}) - set(known))
@@ -335,10 +349,12 @@ class World(References):
         from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
 
         config = self._env.config
-        physics_hz = checks.whole("config.simulation_frequency", config["simulation_frequency"], 5, 1000)
-        ads_hz = checks.whole("config.policy_frequency", config["policy_frequency"], 1, 1000)
+        physics_hz, ads_hz = (
+            checks.whole(f"config.{name}", config[name], least, 1000) for name, least in LEAST_HZ.items()
+        )
         checks.divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
         duration = self._wanted
+        checks.ticks(duration, physics_hz)
         road: StraightRoad | NetworkRoad | None = straight_road(self._plain_network)
         if road is None:
             road, duration = self._way(duration)

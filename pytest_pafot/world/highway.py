@@ -77,6 +77,7 @@ class Highway(References):
             raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
         checks.one_of("engine", self.engine, ENGINES)
         checks.divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
+        checks.ticks(self.duration, self.physics_hz)
         checks.top_speed(self.limits, self.road)
 
     @cached_property

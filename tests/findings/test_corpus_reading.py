@@ -20,6 +20,13 @@ TEXT = text_of(plain_finding())
 LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
+SHRUNK = plain_finding(
+    original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
+    shrunk=Simplified(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    flaky="running it again gave another run",
+)
+
+
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / NAME
@@ -151,6 +158,20 @@ def test_an_error_says_where_what_and_the_way_out(path):
 def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, line, field):
     error = fault(path, swapped(old, new))
     assert (error.line, error.field) == (line, field)
+
+
+@pytest.mark.parametrize(
+    "number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"]
+)
+def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
+    error = fault(path, swapped("seed: 7", f"seed: {number}"))
+    assert error.line == 8
+
+
+@pytest.mark.parametrize("word", ["yes", "On", "TRUE", "True", "y", "~", "Null"])
+def test_a_word_that_can_be_read_in_two_ways_is_no_truth_value(path, word):
+    text = text_of(SHRUNK).replace("is_minimal: false", f"is_minimal: {word}")
+    assert fault(path, text).line == text[: text.index("is_minimal")].count("\n") + 1
 
 
 def test_a_misspelt_key_comes_with_the_right_one(path):
@@ -315,13 +336,6 @@ def test_a_file_in_place_of_the_folder_is_an_error(tmp_path):
     (tmp_path / "corpus").write_text("")
     with pytest.raises(CorpusError, match="expected a folder"):
         corpus.list_files(tmp_path / "corpus")
-
-
-SHRUNK = plain_finding(
-    original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
-    shrunk=Simplified(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
-    flaky="running it again gave another run",
-)
 
 
 def test_how_a_finding_was_shrunk_stands_in_its_file(path):

@@ -98,6 +98,42 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
         Highway(limits=NpcLimits(overspeed=2))
 
 
+@pytest.mark.parametrize(
+    ("env_id", "config", "message"),
+    [
+        ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
+        ("highway-v0", {"lanes_count": math.inf}, "config.lanes_count: expected at most 20, so that "),
+        ("exit-v0", {"lanes_count": 100}, "config.lanes_count: expected at most 20, so that "),
+        ("roundabout-generic-v0", {"roundabout_radius": 10**5}, "config.roundabout_radius: expected at most 1000, "),
+        ("merge-generic-v0", {"after_merge_length": 10**6}, "config.after_merge_length: expected at most 5000, so "),
+        ("racetrack-oval-v0", {"length": 10**4}, "config.length: expected at most 2000, so that "),
+        ("intersection-v0", {"simulation_frequency": 10**9}, "config.simulation_frequency: expected a whole number "),
+        ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 10**9}},
+         "config.observation.vehicles_count: expected at most 1000, so that "),
+        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": [1e-3, 1e-3]}},
+         "config.observation.grid_step: expected a grid of at most 250000 cells, received one of 3025000000"),
+        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [10**6, 10**6],
+                                        "stack_size": 4, "weights": [0.2, 0.6, 0.2]}},
+         "config.observation.observation_shape: expected at most 2000, so that "),
+    ],
+    ids=lambda value: str(value)[:40],
+)  # fmt: skip
+def test_an_environment_that_would_take_minutes_to_make_is_refused_at_once(env_id, config, message):
+    with raises(message):
+        World(env_id, config=config).check()
+
+
+def test_how_much_random_traffic_a_configuration_asks_for_does_not_matter():
+    World("highway-v0", config={"vehicles_count": 3_000_000}).check()
+
+
+def test_a_run_whose_record_would_not_fit_into_memory_is_refused():
+    with raises("duration: expected at most 400 s at 1000 ticks a second, received 3600"):
+        Highway(duration=3600, physics_hz=1000)
+    with raises("duration: expected at most 400 s at 1000 ticks a second, received 3600"):
+        World("highway-v0", duration=3600, config={"simulation_frequency": 1000, "policy_frequency": 1}).check()
+
+
 @pytest.mark.parametrize("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
 def test_an_id_with_a_module_in_it_or_none_at_all_is_refused_before_anything_is_imported(env_id):
     with raises(f"received {env_id!r}; import the module that registers it first"):

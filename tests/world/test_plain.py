@@ -37,7 +37,7 @@ highways = st.tuples(st.integers(1, 20), st.integers(5, 50)).flatmap(
         speed_limit=st.floats(5, 28),
         physics_hz=st.just(hz[0] * hz[1]),
         ads_hz=st.just(hz[0]),
-        duration=st.one_of(st.integers(1, 3600), st.floats(1, 3600)),
+        duration=st.one_of(st.integers(1, 400), st.floats(1, 400)),
         **shared,
     )
 )

@@ -1,0 +1,102 @@
+"""A fault of the set-up: every run of the first generation ends in the same exception, whatever happens in it.
+
+A misspelt name in the test function, or an ADS that fails before it has seen anything, says nothing of any scenario.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.plugin.oracle import plain_failure
+
+if TYPE_CHECKING:
+    from pytest_pafot.findings.run import Run
+    from pytest_pafot.plugin.oracle import Verdict
+
+NOT_ASKED = ("npc", "invalid")
+"""Verdicts on runs that the test function was not asked about."""
+
+Cause = tuple[str, str]
+"""Of an exception: its class, and where it was raised."""
+
+
+class SetupFaultError(Exception):
+    """What all runs of the first generation ended in."""
+
+    def __init__(self, verdict: Verdict, runs: int) -> None:
+        super().__init__(f"all {runs} runs of the first generation ended in {verdict.exception!r}")
+        self.verdict = verdict
+        self.runs = runs
+
+    def shown(self) -> BaseException:
+        """The exception for the item: what was raised and where, why it is no finding, and what to do."""
+        verdict = self.verdict
+        if verdict.is_ads or verdict.exception is None:
+            return plain_failure(
+                f"{verdict.exception}\n\n"
+                f"So it was in all {self.runs} runs of the first generation, before anything had happened in them: an "
+                "error of the set-up and no finding, so that nothing was saved. Correct the ADS, its factory, or the "
+                "world= that it drives in, and search again."
+            )
+        verdict.exception.add_note(
+            f"So it was in all {self.runs} runs of the first generation, whatever happened in them: an error of the "
+            "test function\nand no finding, so that nothing was saved. Correct the line, and search again; what shall "
+            "be a finding is asserted."
+        )
+        return verdict.exception
+
+
+@dataclass(slots=True)
+class FirstGeneration:
+    """What the runs so far have in common.
+
+    Attributes:
+        is_alike: whether all of them ended in the same exception; once they did not, that is settled.
+        last: the verdict on the last of them; None before the first.
+        runs: their number.
+    """
+
+    is_alike: bool = True
+    last: Verdict | None = None
+    runs: int = 0
+    _cause: Cause | None = None
+
+    def see(self, run: Run, verdict: Verdict) -> None:
+        """Learn how a run ended."""
+        if verdict.kind in NOT_ASKED:
+            return
+        cause = cause_of(run, verdict)
+        self.is_alike &= cause is not None and self._cause in (None, cause)
+        self._cause, self.last, self.runs = cause, verdict, self.runs + 1
+
+    def end(self) -> None:
+        """The generation is over.
+
+        Raises:
+            SetupFaultError: where all of its runs were alike.
+        """
+        if self.is_alike and self.last is not None:
+            raise SetupFaultError(self.last, self.runs)
+        self.is_alike = False
+
+
+def cause_of(run: Run, verdict: Verdict) -> Cause | None:
+    """What a failure comes from, where it can be a fault of the set-up; None else.
+
+    It never is where something was asserted, nor where an ADS failed after its first decision or hung in it: that can
+    be the doing of a scenario, or of the machine.
+    """
+    failure, exception = verdict.failure, verdict.exception
+    if failure is None or failure.kind == AssertionError.__name__:
+        return None
+    if verdict.is_ads:
+        error = run.ads_error
+        if error is None or error.tick > 0 or error.interrupted:
+            return None
+        return failure.kind, next((line for line in reversed(failure.traceback.splitlines()) if "File " in line), "")
+    if isinstance(exception, (AssertionError, pytest.fail.Exception)):
+        return None
+    return failure.kind, failure.assertion
