@@ -82,6 +82,7 @@ class Run:
 
         def __getattr__(self, name: str) -> Any:
             """Only called for what there is not: name what is near."""
+            __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
             if hasattr(type(self), name):
                 return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
             known = [each for each in dir(self) if not each.startswith("_")]

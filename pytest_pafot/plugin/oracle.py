@@ -76,7 +76,15 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
 
 
 def bound_test(item: pytest.Function, arg: str) -> Test:
-    """The test function with its fixtures, called as pytest calls it, with a run in the place of its argument."""
+    """The test function with its fixtures, called as pytest calls it, with a run in the place of its argument.
+
+    Raises:
+        RequestError: for a fixture that keeps failures from leaving the function; when it is called, for a function
+            that returns something, or that has collected failures with pytest-check.
+    """
+    for name, value in item.funcargs.items():
+        if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
+            raise RequestError(f"{item.name}: {_no_collecting(f'the fixture {name!r}')}")
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
 
@@ -88,8 +96,19 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
                 f"{item.name}: expected the test function to assert and to return None, received the return value "
                 f"{result!r:.60}; write `assert ...` in place of `return ...`"
             )
+        check = sys.modules.get("pytest_check")
+        if check is not None and check.any_failures():
+            raise RequestError(f"{item.name}: {_no_collecting('pytest-check')}")
 
     return test
+
+
+def _no_collecting(what: str) -> str:
+    return (
+        f"expected a test function that raises at its first failure, which is the finding, received one with {what}, "
+        "which collects failures, so that the function ends as if it had passed; write `assert ...`, and a test of its "
+        "own for each property"
+    )
 
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:

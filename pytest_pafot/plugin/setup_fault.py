@@ -43,7 +43,7 @@ class SetupFaultError(Exception):
             )
         verdict.exception.add_note(
             f"So it was in all {self.runs} runs of the first generation, whatever happened in them: an error of the "
-            "test function\nand no finding, so that nothing was saved. Correct the line, and search again; what shall "
+            "test function and no finding, so that nothing was saved. Correct the line, and search again; what shall "
             "be a finding is asserted."
         )
         return verdict.exception

@@ -22,6 +22,47 @@ def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project
     assert project.files == []
 
 
+@pytest.mark.parametrize("through", ["subtests", "indirectly"])
+def test_the_fixture_subtests_is_refused_since_its_failures_do_not_leave_the_function(project, through):
+    project.write(
+        f"""
+@pytest.fixture
+def indirectly(subtests):
+    return subtests
+
+@pafot.search(SHORT)
+def test_parts(run, {through}):
+    with {through}.test("part"):
+        assert not run.duration
+
+def test_other({through}):
+    with {through}.test("part"):
+        pass
+"""
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines(["*received one with the fixture '*', which collects failures*write `assert ...`*"])
+    assert project.files == []
+
+
+def test_failures_that_pytest_check_has_collected_are_refused_and_not_passed_over(project):
+    project.pytester.makepyfile(
+        pytest_check="failures = []\n\ndef is_true(x):\n    x or failures.append(x)\n\n"
+        "def any_failures():\n    return bool(failures)\n"
+    )
+    test = (
+        "import pytest_check\n\n@pafot.search(SHORT)\ndef test_x(run):\n"
+        "    pytest_check.is_true(run.duration > LEAST)\n"
+    )
+    project.write(test.replace("LEAST", "0"))
+    project.run().assert_outcomes(passed=1)
+    project.write(test.replace("LEAST", "99"))
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*received one with pytest-check, which collects failures*"])
+
+
 def test_a_method_of_unittest_testcase_is_refused(project):
     project.write(
         """

@@ -34,10 +34,9 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         result.assert_outcomes(failed=1)
         result.stdout.fnmatch_lines(
             [
-                "*  assert not run.collided",
+                "*assert not run.collided",
                 "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                "E*So it was in all * runs of the first generation*an error of the test function*",
-                "E*nothing was saved. Correct the line, and search again; what shall be a finding is asserted.",
+                "E*So it was in all * runs of the first generation*an error of the test function*finding is asserted.",
             ]
         )
         result.stdout.no_fnmatch_line("*pafot: found*")
