@@ -39,7 +39,9 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
                 *("clearance", "headway", "limits", "hang_limit"),
             )
         ),
-        "gym": Keys(("kind", "env_id", "config", "duration", "clearance", "headway", "limits", "hang_limit")),
+        "gym": Keys(
+            ("kind", "env_id", "config", "duration", "clearance", "headway", "limits", "hang_limit"), ("wrappers",)
+        ),
     }
 )
 """Of the worlds of this package, by kind; worlds of the user's own have keys of their own."""

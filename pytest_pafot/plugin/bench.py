@@ -114,13 +114,16 @@ class Bench:
     def can_lock_step(self) -> bool:
         """Whether an ADS with a method ``batch`` would decide for many runs at once.
 
-        Not in a world of the user's own that cannot do that, not for an ADS that needs the environment of its run, and
-        not where decisions have a limit of time, which decisions for many runs do not tell.
+        Not in a world that cannot do that, not for an ADS that needs the environment of its run, and not where
+        decisions have a limit of time, which decisions for many runs do not tell.
         """
         from pytest_pafot.world.ads import is_vehicle_class, wants_env  # noqa: PLC0415
 
         is_asked = not is_vehicle_class(self.ads) and not wants_env(self.ads)
-        return is_asked and self.request.decision_limit is None and hasattr(self.world, "rollout_batch")
+        if not is_asked or self.request.decision_limit is not None:
+            return False
+        with self._refusals():  # whether a pafot.World has it shows when its environment is made
+            return hasattr(self.world, "rollout_batch") and getattr(self.world, "has_lock_step", True)
 
     @property
     def can_resume(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -145,6 +145,20 @@ def ticks(duration: float, physics_hz: int) -> None:
 
 def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
+
+
+def callables(name: str, value: Any) -> tuple[Callable[..., Any], ...]:
+    """A list of callables.
+
+    Raises:
+        WorldError: naming what is none.
+    """
+    if not isinstance(value, (list, tuple)):
+        raise WorldError(f"{name}: expected a list of callables, received {value!r:.200}")
+    for index, each in enumerate(value):
+        if not callable(each):
+            raise WorldError(f"{name}[{index}]: expected a callable, received {each!r:.200}")
+    return tuple(value)
 
 
 def divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:

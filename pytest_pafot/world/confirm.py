@@ -22,10 +22,12 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.ads import AdsFactory, Planner, SelfDriving, follow, is_vehicle_class, made, wants_env
 from pytest_pafot.world.engine import Traffic, decide, stepped
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.failure import UNFIT, let_through
 from pytest_pafot.world.guard import HangGuard
 from pytest_pafot.world.gym_world import World, vehicle_classes_kept
 from pytest_pafot.world.highway import Highway
-from pytest_pafot.world.policy import View, checked_action
+from pytest_pafot.world.policy import View, check_action_space, checked_action
 from pytest_pafot.world.rules import Rules
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
@@ -73,25 +75,65 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 
 
 class StockPolicy:
-    """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action."""
+    """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action.
 
-    def __init__(self, ads: Callable[[Any], Any], env: Any, every: int, view: View | None) -> None:
-        self.vehicle = env.vehicle
+    Wrappers stand between the two. What one of them raises is raised in the decision that would have seen its result.
+
+    Args:
+        ads: the callable.
+        outer: the environment in its wrappers, if it has any.
+        every: physics ticks per decision.
+        view: of kind (d), shown to the planner before each decision.
+    """
+
+    def __init__(self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None) -> None:
+        check_action_space(outer.action_space)
+        self.vehicle = outer.unwrapped.vehicle
         self.every = every
-        self.seen: Any = None
-        self.action: Any = None
+        self.failure: BaseException | None = None
+        self._seen: Any = None
+        self._action: Any = None
         self._ads = ads
-        self._env = env
+        self._outer = outer
         self._view = view
+
+    def begin(self, seed: int) -> None:
+        """See what a reset returns, which leaves everybody in the places of the scenario."""
+        plain = self._outer.unwrapped
+
+        def scene(**_: Any) -> tuple[Any, dict[str, Any]]:
+            seen = plain.observation_type.observe()
+            return seen, plain._info(seen, plain.action_space.sample())
+
+        if self._outer is plain:
+            self._seen = plain.observation_type.observe()
+            return
+        plain.action_space.seed(seed)
+        plain.reset = scene
+        self._through_wrappers(lambda: self._outer.reset(seed=seed))
 
     def decide(self, tick: int) -> Any:
         """Ask and check; the environment applies the action."""
-        if tick == 0:  # As a reset returns it, with the NPCs in their places.
-            self.seen = self._env.observation_type.observe()
+        if self.failure is not None:
+            raise self.failure
         if self._view is not None:
             self._view.show(tick)
-        self.action = checked_action(self._ads(self.seen), self._env.action_space)
-        return self.action
+        self._action = checked_action(self._ads(self._seen), self._outer.action_space)
+        return self._action
+
+    def step(self) -> None:
+        """The environment's, with what was decided."""
+        if self._outer is self._outer.unwrapped:
+            self._seen, *_ = self._outer.step(self._action)
+        else:
+            self._through_wrappers(lambda: self._outer.step(self._action))
+
+    def _through_wrappers(self, call: Callable[[], tuple[Any, ...]]) -> None:
+        try:
+            self._seen, *_ = call()
+        except UNFIT as error:
+            let_through(error)
+            self.failure = error
 
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""
@@ -110,9 +152,10 @@ def replay_in_gym(world: Highway | World, scenario: Scenario, ads_factory: AdsFa
         ads_factory: called once, gives the ADS.
     """
     rules = world.rules
-    env = _environment(world)
+    outer = _environment(world)
+    env = outer.unwrapped
     env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
-    driver = _driver(world, env, scenario, ads_factory)
+    driver = _driver(world, outer, scenario, ads_factory)
     guard = HangGuard(rules.hang_limit)
     loop = _Loop(rules, scenario, env, driver, guard)
     with guard:
@@ -143,16 +186,24 @@ class _Loop:
     def run(self) -> Trace:
         """Decide and step until the run ends."""
         driver, record, guard = self._driver, self._traffic.record, self._guard
-        for tick in range(0, self._ticks, driver.every):
+        if isinstance(driver, StockPolicy):
+            driver.begin(record.scenario.seed)
+        while self._left > 0:
+            tick = record.tick
             error = decide(driver, tick, record, guard)
             if error is not None:
                 return record.trace(error=error)
             if isinstance(driver, StockPolicy):
-                driver.seen, *_ = self._env.step(driver.action)
+                driver.step()
             else:
                 AbstractEnv.step(self._env, None)  # The driver has set the ego's controls; the environment leaves them.
             if self._ended is not None:
                 return self._ended
+            if record.tick == tick and getattr(driver, "failure", None) is None:
+                raise WorldError(
+                    f"wrappers: expected that a step through them steps the environment, received one that did not, "
+                    f"at {tick / record.rules.physics_hz:.1f} s; leave out what ends or resets episodes"
+                )
         return record.trace()
 
     def _act(self) -> None:
@@ -175,9 +226,9 @@ class _Loop:
 
 
 def _environment(world: Highway | World) -> Any:
-    """The environment after its reset, without traffic, on the world's road."""
+    """The environment in its wrappers, itself after its reset, without traffic, on the world's road."""
     if isinstance(world, World):
-        env = world._make_env()
+        outer = world.make()
     else:
         config = {
             "lanes_count": world.lanes,
@@ -186,7 +237,8 @@ def _environment(world: Highway | World) -> Any:
             "policy_frequency": world.ads_hz,
             "action": {"type": "ContinuousAction"},
         }
-        env = gymnasium.make("highway-v0", config=config, disable_env_checker=True).unwrapped
+        outer = gymnasium.make("highway-v0", config=config, disable_env_checker=True)
+    env = outer.unwrapped
     with vehicle_classes_kept():
         env.reset(seed=0)
     for name in TRAFFIC_HOOKS:
@@ -197,12 +249,12 @@ def _environment(world: Highway | World) -> Any:
         env.road.network = RoadNetwork.straight_road_network(
             world.lanes, length=lane.length, speed_limit=lane.speed_limit
         )
-    return env
+    return outer
 
 
-def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
+def _driver(world: Highway | World, outer: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
     """The ego at its start, in one of highway-env's vehicle classes, and who drives it."""
-    rules = world.rules
+    rules, env = world.rules, outer.unwrapped
     start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
     every = rules.physics_hz // rules.ads_hz
     route = world.route if isinstance(world, World) else None
@@ -210,10 +262,19 @@ def _driver(world: Highway | World, env: Any, scenario: Scenario, ads_factory: A
     vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
     _put_ego(env, vehicle_class(env.road, [x, y], heading, scenario.ego_speed))
     follow(env.vehicle, route)
-    view = View(world._make_env(), env) if is_policy and isinstance(world, World) and wants_env(ads_factory) else None
+    view = None
+    if isinstance(world, World) and is_policy and wants_env(ads_factory):
+        if world.wrappers is not None:
+            raise WorldError(
+                f"wrappers: expected none for a factory with a parameter `env`, received "
+                f"{', '.join(world.wrapper_names) or 'an empty list'}; a planner that simulates inside of the "
+                f"environment knows it as it is, and decides in its own actions"
+            )
+        view = View(world._make_env(), env)
     ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
     if is_policy and not is_vehicle_class(ads):
-        return StockPolicy(ads, env, every, view)
+        is_wrapped = isinstance(world, World) and world.wrappers is not None
+        return StockPolicy(ads, outer if is_wrapped else env, every, view)
     driver: Driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
     if is_vehicle_class(ads):
         env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.

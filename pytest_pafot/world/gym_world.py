@@ -6,9 +6,9 @@ import copy
 import difflib
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -55,6 +55,9 @@ class World(References):
         config: the environment's configuration, as for ``gymnasium.make(env_id, config=config)``.
         duration: of a run, at most [s]; by default the environment's own ``duration``.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
+        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers, put around
+            what ``gymnasium.make`` gives, the first one innermost; runs then go through ``env.step`` of the whole. By
+            default none, and an environment that is registered with wrappers is refused.
 
     Raises:
         WorldError: when the environment cannot be used; the message says why. The environment itself is made at
@@ -68,6 +71,7 @@ class World(References):
     headway: float = 2.0
     limits: NpcLimits = field(default_factory=NpcLimits)
     hang_limit: float = 30.0
+    wrappers: Sequence[Callable[[Any], Any]] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
@@ -84,6 +88,8 @@ class World(References):
             object.__setattr__(self, "duration", checks.number("duration", self.duration, 0.1, 3600.0))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+        if self.wrappers is not None:
+            object.__setattr__(self, "wrappers", checks.callables("wrappers", self.wrappers))
 
     def check(self) -> None:
         """Make the environment now, to see whether it can be used.
@@ -153,7 +159,7 @@ class World(References):
         checks.fits(scenario, self.rules)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads_factory = _once(made(ads_factory))
-        if self._steps_itself(is_vehicle_class(ads_factory)):
+        if self.wrappers is not None or self._steps_itself(is_vehicle_class(ads_factory)):
             from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
 
             return replay_in_gym(self, scenario, ads_factory)
@@ -174,7 +180,7 @@ class World(References):
         return run(self.rules, scenario, env.road, make_ego)
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step, where the road is straight and the ADS has ``batch``; else one by one.
+        """Simulate scenarios in lock step, where this world has that and the ADS has ``batch``; else one by one.
 
         Args:
             scenarios: to run; checked against this world.
@@ -192,9 +198,14 @@ class World(References):
         self.check()
         for scenario in scenarios:
             checks.fits(scenario, self.rules)
-        if not isinstance(self.road, StraightRoad):
+        if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
         return rollouts(scenarios, ads_factory, self._stepped, self.rollout, self.hang_limit)
+
+    @property
+    def has_lock_step(self) -> bool:
+        """Whether runs can take place in lock step: not by the steps of a whole environment, nor on bends."""
+        return isinstance(self.road, StraightRoad) and self.wrappers is None and not self._steps_itself(False)
 
     def _stepped(self, scenario: Scenario, guard: HangGuard) -> Stepped:
         """Begin a run that is given its actions."""
@@ -240,10 +251,10 @@ class World(References):
         from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415
         from highway_env.road.road import Road  # noqa: PLC0415
 
-        if isinstance(self.road, StraightRoad):
-            return False
+        env = type(self._env)
         has_own_road = type(self._env.road).step is not Road.step or type(self._env.road).act is not Road.act
-        return has_own_road or (not drives_itself and type(self._env).step is not AbstractEnv.step)
+        has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
+        return has_own_road or (has_own_step and not drives_itself)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
@@ -256,12 +267,22 @@ class World(References):
         """
         is_straight = isinstance(self.road, StraightRoad)
         duration = self._wanted if is_straight else min(self._wanted, self._longest)
-        return {"kind": "gym", **asdict(self), "config": self._whole_config(), "duration": duration}
+        data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
+        data |= {"config": self._whole_config(), "duration": duration}
+        del data["wrappers"]
+        return data if self.wrappers is None else {**data, "wrappers": self.wrapper_names}
+
+    @property
+    def wrapper_names(self) -> list[str]:
+        """The classes of the wrappers, from the inside out, those of the registration included."""
+        from pytest_pafot.world import wrapping  # noqa: PLC0415
+
+        return wrapping.names(self._outer)
 
     def _whole_config(self) -> dict[str, Any]:
         """The options of the environment with the values that it has, or would have with its random traffic."""
         env = self._env
-        values = {**type(env).default_config(), **(self.config or {})}
+        values = {**type(env).default_config(), **self._given_config()}
         values |= {name: env.config[name] for name in values if name in env.config and name not in _REPLACED}
         config: dict[str, Any] = {}
         for name, value in values.items():
@@ -269,14 +290,35 @@ class World(References):
                 config[name] = checks.plain(f"config.{name}", value)
         return config
 
+    def _given_config(self) -> dict[str, Any]:
+        """Instead of the environment's defaults; that of the registration where there is no other, as in gymnasium."""
+        import gymnasium  # noqa: PLC0415
+
+        registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
+        return registered if self.config is None else self.config
+
     @cached_property
     def _env(self) -> Any:
-        return self._make_env()
+        return self._outer.unwrapped
+
+    @cached_property
+    def _outer(self) -> Any:
+        return self.make()
 
     def _make_env(self) -> Any:
+        return self.make().unwrapped
+
+    def make(self) -> Any:
+        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
+
+        Raises:
+            WorldError: when the environment cannot be used.
+        """
         import gymnasium  # noqa: PLC0415
         import highway_env  # noqa: F401, PLC0415  (registers its environments)
         from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415
+
+        from pytest_pafot.world import wrapping  # noqa: PLC0415
 
         if self.env_id not in gymnasium.registry:
             known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
@@ -293,19 +335,22 @@ class World(References):
         self._check_sizes(creator)
         try:
             with vehicle_classes_kept():
-                env = _made(self.env_id, creator, self.config or {})
+                env = _made(self.env_id, creator, self._given_config())
         except Exception as error:
             raise WorldError(
                 f"config: expected a configuration that the environment {self.env_id} accepts, received "
                 f"{self.config!r:.200}; it raised {type(error).__name__}: {error!s:.200}"
             ) from error
-        if not isinstance(env, AbstractEnv):
+        plain = env.unwrapped
+        if not isinstance(plain, AbstractEnv):
             raise WorldError(
                 f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
-                f"{self.env_id!r} ({type(env).__name__})"
+                f"{self.env_id!r} ({type(plain).__name__})"
             )
-        self._check_config(type(env).default_config(), env.config)
-        return env
+        self._check_config(type(plain).default_config(), plain.config)
+        if self.wrappers is None:
+            wrapping.check_bare(env, self.env_id)
+        return wrapping.put_on(env, self.wrappers or ())
 
     def _check_sizes(self, creator: Any) -> None:
         """Refuse what would take the environment minutes to make; what options of your own mean is not known."""
@@ -408,7 +453,7 @@ def _once(ads: Any) -> AdsFactory:
 
 
 def _made(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
-    """An environment without traffic.
+    """An environment without traffic, in the wrappers that it is registered with.
 
     Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
     """
@@ -426,11 +471,12 @@ def _made(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
     keywords: dict[str, Any] = {"config": config} if takes_config else {}
     with warnings.catch_warnings():  # whoever names merge-v0 has chosen it, and needs not be told in every run
         warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
-        env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords).unwrapped
-    if not takes_config and hasattr(env, "configure"):
-        env.configure(config)
-    if getattr(env, "road", None) is not None and straight_road(env.road.network) is None:
-        env.reset(seed=0)
+        env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords)
+    plain: Any = env.unwrapped
+    if not takes_config and hasattr(plain, "configure"):
+        plain.configure(config)
+    if getattr(plain, "road", None) is not None and straight_road(plain.road.network) is None:
+        plain.reset(seed=0)
     return env
 
 

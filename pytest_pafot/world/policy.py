@@ -28,11 +28,7 @@ class Policy:
     """
 
     def __init__(self, ads: Any, env: Any, every: int, view: View | None = None) -> None:
-        if not isinstance(env.action_space, (spaces.Discrete, spaces.Box)):
-            raise WorldError(
-                f"config.action: expected a discrete or continuous action for one vehicle, received the space "
-                f"{env.action_space}; multi-agent actions have no single ego"
-            )
+        check_action_space(env.action_space)
         self.vehicle = env.vehicle
         self.every = every
         self._ads = ads
@@ -62,6 +58,19 @@ class Policy:
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""
         self.vehicle.act()
+
+
+def check_action_space(space: Any) -> None:
+    """Refuse actions that are not for one vehicle.
+
+    Raises:
+        WorldError: with the space.
+    """
+    if not isinstance(space, (spaces.Discrete, spaces.Box)):
+        raise WorldError(
+            f"config.action: expected a discrete or continuous action for one vehicle, received the space "
+            f"{space}; multi-agent actions have no single ego"
+        )
 
 
 def checked_action(action: Any, space: Any) -> Any:

@@ -1,0 +1,305 @@
+"""A wrapped environment runs as ``gymnasium.make``, the wrappers and ``env.step`` do; none is dropped unseen.
+
+The plain loop here knows nothing of this package: an environment whose own reset places vehicles, and NPCs that are
+given the controls which the trace has recorded.
+"""
+
+from functools import partial
+from hashlib import sha256
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import WrapperSpec
+from gymnasium.wrappers import (
+    Autoreset,
+    ClipAction,
+    FlattenObservation,
+    FrameStackObservation,
+    MaxAndSkipObservation,
+    NormalizeObservation,
+    RescaleAction,
+    StickyAction,
+    TimeLimit,
+    TransformAction,
+    TransformObservation,
+)
+from highway_env.envs.highway_env import HighwayEnv
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING
+from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.confirm import replay_in_gym
+from tests.support.gym_loop import Replayed, StateLog
+
+SCENARIO = Scenario(
+    npcs=[[PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)], [PositionInstruction(5, 20.0)]],
+    seed=11,
+    gene_seconds=4.0,
+)
+CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
+
+
+class Staged(HighwayEnv):
+    """highway-v0 with the first moment of a trace as its reset."""
+
+    trace = None
+
+    def _create_vehicles(self):
+        states = self.trace.states
+        first = [(row[:2], float(row[HEADING]), float(row[SPEED])) for row in states[0]]
+        ego = self.action_type.vehicle_class(self.road, *first[0])
+        npcs = [Replayed(self.road, *place) for place in first[1:]]
+        for index, npc in enumerate(npcs, start=1):
+            controls = states[1:, index, (ACCELERATION, STEERING)]
+            npc.tick, npc.controls = 0, np.concatenate([controls, np.zeros((60, 2))])  # the last decision goes on
+        self.road.vehicles = [ego, *npcs]
+        self.controlled_vehicles = [ego]
+        for vehicle in self.road.vehicles:
+            vehicle.check_collisions = False
+
+
+class Listener:
+    """A policy whose actions depend on every bit that it sees, and which keeps both."""
+
+    def __init__(self, space):
+        self.space, self.seen, self.actions = space, [], []
+
+    def __call__(self, observation):
+        array = np.asarray(observation)
+        rng = np.random.default_rng(list(sha256(array.tobytes()).digest()))
+        if isinstance(self.space, gymnasium.spaces.Discrete):
+            action = int(rng.integers(self.space.n))
+        else:
+            low, high = np.maximum(self.space.low, -1.5), np.minimum(self.space.high, 1.5)  # clipped ones have no end
+            action = (low + high) / 2 + rng.uniform(-0.02, 0.02, self.space.shape) * (high - low)
+        self.seen.append(array.copy())
+        self.actions.append(action)
+        return action
+
+
+def halved(env):
+    return TransformObservation(env, lambda seen: (seen - 0.1) / 0.5, env.observation_space)
+
+
+def mirrored(env):
+    return TransformAction(env, lambda action: 4 - action, env.action_space)
+
+
+CASES = {
+    "none": ({}, []),
+    "flattened": ({}, [FlattenObservation]),
+    "with fixed statistics": ({}, [halved, FlattenObservation]),
+    "in another order": ({}, [FlattenObservation, halved]),
+    "with running statistics": ({}, [NormalizeObservation]),
+    "four frames at once": ({}, [partial(FrameStackObservation, stack_size=4)]),
+    "other actions": ({}, [mirrored]),
+    "rescaled actions": (CONTINUOUS, [partial(RescaleAction, min_action=0.0, max_action=1.0)]),
+    "clipped actions": (CONTINUOUS, [ClipAction, FlattenObservation]),
+    "actions that stick by chance": ({}, [partial(StickyAction, repeat_action_probability=0.5)]),
+    "each action three times": ({"policy_frequency": 5}, [partial(MaxAndSkipObservation, skip=3)]),
+    "episodes that end before the run": ({}, [partial(TimeLimit, max_episode_steps=3)]),
+    "another kind of observation": (
+        {"observation": {"type": "OccupancyGrid"}},
+        [FlattenObservation, partial(FrameStackObservation, stack_size=2)],
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
+@pytest.mark.parametrize("case", CASES)
+def test_a_policy_sees_and_does_what_it_would_in_the_plain_loop(case, monkeypatch):
+    config, wrappers = CASES[case]
+    world = World("highway-v0", config=config, duration=7.0, wrappers=wrappers)
+    listener = Listener(world.make().action_space)
+    trace = world.rollout(SCENARIO, lambda: listener)
+
+    monkeypatch.setattr(Staged, "trace", trace)
+    monkeypatch.setitem(gymnasium.registry, "staged-v0", gymnasium.envs.registration.EnvSpec("staged-v0", Staged))
+    env = gymnasium.make("staged-v0", config={**config, "duration": 1000}, disable_env_checker=True)
+    for wrapper in wrappers:
+        env = wrapper(env)
+    expected = Listener(env.action_space)
+    seen, _ = env.reset(seed=SCENARIO.seed)
+    log = env.unwrapped.road.step = StateLog(env.unwrapped.road)
+    while len(log.rows) < trace.ticks:
+        seen, *_ = env.step(expected(seen))
+
+    assert len(listener.seen) == len(expected.seen) > 3
+    assert all(np.array_equal(a, b) for a, b in zip(listener.seen, expected.seen, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(listener.actions, expected.actions, strict=True))
+    assert np.array_equal(np.array(log.rows[: trace.ticks]), trace.states[1:, :, : SPEED + 1])
+    assert len(trace.actions) == len(listener.actions)
+
+
+def test_each_run_has_fresh_wrappers_and_its_confirmation_is_the_same_run():
+    world = World(
+        "highway-v0",
+        duration=5.0,
+        wrappers=[NormalizeObservation, partial(StickyAction, repeat_action_probability=0.5)],
+    )
+    traces = [
+        world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
+        world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
+        replay_in_gym(world, SCENARIO, lambda: Listener(world.make().action_space)),
+        *world.rollout_batch([SCENARIO], lambda: Listener(world.make().action_space)),
+    ]
+    assert len({trace.states.tobytes() for trace in traces}) == 1
+
+
+# --- what a registration adds
+
+
+def flattened(config=None, render_mode=None):
+    """An entry point that returns a wrapped environment."""
+    return FlattenObservation(HighwayEnv(config, render_mode))
+
+
+@pytest.fixture
+def register(monkeypatch):
+    """Register an environment for one test."""
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    return gymnasium.register
+
+
+REGISTERED = {
+    "by its entry point": {"entry_point": flattened},
+    "beside its entry point": {
+        "entry_point": HighwayEnv,
+        "additional_wrappers": (WrapperSpec("Flatten", "gymnasium.wrappers:FlattenObservation", {}),),
+    },
+}
+
+
+@pytest.mark.parametrize("how", REGISTERED)
+def test_an_environment_that_is_registered_with_a_wrapper_is_refused_with_its_name_and_the_way_out(how, register):
+    register("mine-v0", **REGISTERED[how])
+    message = r"received 'mine-v0', which is registered with FlattenObservation .*World\('mine-v0', wrappers=\[\]\)"
+    with pytest.raises(WorldError, match=message):
+        World("mine-v0").check()
+
+
+@pytest.mark.parametrize("how", REGISTERED)
+def test_with_a_list_of_wrappers_those_of_the_registration_take_part_as_well(how, register):
+    register("mine-v0", **REGISTERED[how])
+    for wrappers, shape in [([], (25,)), ([partial(FrameStackObservation, stack_size=2)], (2, 25))]:
+        world = World("mine-v0", wrappers=wrappers, duration=2.0)
+        listener = Listener(world.make().action_space)
+        world.rollout(SCENARIO, lambda listener=listener: listener)
+        assert {seen.shape for seen in listener.seen} == {shape}
+    assert world.to_dict()["wrappers"] == ["FlattenObservation", "FrameStackObservation"]
+
+
+def test_what_gymnasium_puts_around_every_environment_is_no_reason_to_refuse(register):
+    register("mine-v0", entry_point=HighwayEnv, max_episode_steps=3)
+    assert gymnasium.make("mine-v0").spec.max_episode_steps == 3
+    assert World("mine-v0", duration=5.0).rollout(SCENARIO, lambda: lambda seen: 1).duration == 5.0
+    assert "wrappers" not in World("mine-v0").to_dict()
+
+
+def test_the_configuration_that_an_environment_is_registered_with_holds_unless_another_is_given(register):
+    register("mine-v0", entry_point=HighwayEnv, kwargs={"config": {"lanes_count": 6, "policy_frequency": 5}})
+    for config in (None, {"lanes_count": 3}):
+        plain = gymnasium.make("mine-v0", **({} if config is None else {"config": config})).unwrapped
+        world = World("mine-v0", config=config)
+        assert (world.lanes, world.ads_hz) == (plain.config["lanes_count"], plain.config["policy_frequency"])
+
+
+class Doubled(HighwayEnv):
+    """A straight road, and a step of its own."""
+
+    def step(self, action):
+        seen, *others = super().step(action)
+        return (2 * seen, *others)
+
+
+class Wet(HighwayEnv):
+    """A straight road, and a simulation of its own."""
+
+    def _simulate(self, action=None):
+        self.vehicle.speed *= 0.9
+        super()._simulate(action)
+
+
+def test_a_step_of_its_own_is_taken_on_a_straight_road_too(register):
+    register("mine-v0", entry_point=Doubled)
+    own, stock = Listener(gymnasium.spaces.Discrete(5)), Listener(gymnasium.spaces.Discrete(1))
+    World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
+    World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
+    assert np.array_equal(own.seen[1][:, 0], 2 * stock.seen[1][:, 0])
+    assert not World("mine-v0").has_lock_step
+
+
+def test_a_simulation_of_its_own_is_too(register):
+    register("mine-v0", entry_point=Wet)
+    trace = World("mine-v0", duration=3.0).rollout(SCENARIO, lambda: lambda seen: 1)
+    assert trace.ego[15, SPEED] < 0.95 * SCENARIO.ego_speed
+
+
+# --- who drives, and what cannot be
+
+
+def test_runs_in_wrappers_do_not_take_place_in_lock_step():
+    class Batching(Listener):
+        def batch(self, observations):
+            raise AssertionError
+
+    world = World("highway-v0", duration=2.0, wrappers=[FlattenObservation])
+    traces = world.rollout_batch([SCENARIO, SCENARIO], lambda: Batching(gymnasium.spaces.Discrete(5)))
+    assert len(traces) == 2
+    assert not world.has_lock_step
+    assert World("highway-v0").has_lock_step
+
+
+@pytest.mark.parametrize("factory", [IDMVehicle, lambda: IDMVehicle])
+def test_a_vehicle_class_sees_no_observation_and_drives_without_them(factory):
+    wrapped = World("highway-v0", duration=6.0, wrappers=[FlattenObservation]).rollout(SCENARIO, factory)
+    bare = World("highway-v0", duration=6.0).rollout(SCENARIO, factory)
+    assert np.abs(wrapped.states - bare.states).max() < 0.01
+
+
+def test_a_planner_inside_of_the_environment_is_refused():
+    world = World("highway-v0", wrappers=[FlattenObservation])
+    with pytest.raises(WorldError, match="wrappers: expected none for a factory with a parameter `env`, received Fl"):
+        world.rollout(SCENARIO, lambda env: lambda seen: 1)
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "message"),
+    [
+        (FlattenObservation, "wrappers: expected a list of callables, received <class .*FlattenObservation"),
+        (["FlattenObservation"], r"wrappers\[0\]: expected a callable, received 'FlattenObservation'"),
+        ([FlattenObservation, FrameStackObservation], r"wrappers\[1\]: expected .* raised TypeError: .*stack_size"),
+        ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
+        ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
+        ([partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))], "config.action: expected"),
+    ],
+)
+def test_what_is_no_wrapper_is_told(wrappers, message):
+    with pytest.raises(WorldError, match=message):
+        World("highway-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
+
+
+@pytest.mark.parametrize("seen_before", [0, 3])
+def test_what_a_wrapper_raises_is_a_failure_of_the_ads_at_the_decision_that_it_was_for(seen_before):
+    left = []
+
+    def broken(seen):
+        if len(left) == seen_before:
+            raise ZeroDivisionError("no spread in these statistics")
+        left.append(seen)
+        return seen
+
+    world = World("highway-v0", wrappers=[lambda env: TransformObservation(env, broken, None)])
+    trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
+    assert (trace.outcome, trace.error.kind) == ("ads_error", "ZeroDivisionError")
+    assert trace.ticks == trace.error.tick == seen_before * 15
+    assert "in broken" in trace.error.traceback
+
+
+def test_a_wrapper_that_does_not_step_the_environment_is_told_and_not_waited_for():
+    world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
+    with pytest.raises(WorldError, match=r"received one that did not, at 2.0 s; leave out what .* resets episodes"):
+        world.rollout(SCENARIO, lambda: lambda seen: 1)
