@@ -269,7 +269,8 @@ def _world(field: Field) -> dict[str, Any]:
     if isinstance(kind, str) and kind in WORLDS:
         keys = WORLDS[kind]
         field.mapping(keys.required, keys.optional)
-        fields["limits"].mapping(LIMITS.required, LIMITS.optional)
+        if "limits" in fields:
+            fields["limits"].mapping(LIMITS.required, LIMITS.optional)
     return world
 
 

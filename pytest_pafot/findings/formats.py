@@ -42,9 +42,10 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
         "gym": Keys(
             ("kind", "env_id", "config", "duration", "clearance", "headway", "limits", "hang_limit"), ("wrappers",)
         ),
+        "own": Keys(("kind",), ("class", "data")),
     }
 )
-"""Of the worlds of this package, by kind; worlds of the user's own have keys of their own."""
+"""Of worlds, by kind; what ``data`` is, the user's own world says by its ``to_dict``."""
 
 _LIMITS_1 = MappingProxyType(
     {
@@ -83,8 +84,10 @@ def upgraded(document: Any) -> Any:
 
 def _world_of_1(world: Any) -> Any:
     kind = world.get("kind") if isinstance(world, dict) else None
-    if not isinstance(kind, str) or kind not in _WORLDS_1:
+    if not isinstance(world, dict) or kind == "own":
         return world
+    if not isinstance(kind, str) or kind not in _WORLDS_1:  # of the user's own, and any data at all
+        return {"kind": "own"} if kind == "unknown" else {"kind": "own", "data": world}
     values = {**_WORLDS_1[kind], **world}
     complete = {key: values[key] for key in dict.fromkeys([*WORLDS[kind].required, *values]) if key in values}
     if isinstance(complete["limits"], dict):

@@ -21,6 +21,7 @@ from pytest_pafot.plugin.crew import Answer, Lost, ProcessLostError, ending
 from pytest_pafot.plugin.echo import listening
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.request import RequestError
+from pytest_pafot.plugin.worlds import described
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,7 +72,7 @@ def answers_of(
     if METHOD != "fork":
         return None
     errand = bench.errand
-    errand = replace(errand, world=Whole(bench, world), owner=owner or errand.owner, plain_world=bench.plain(world))
+    errand = replace(errand, world=Whole(bench, world), owner=owner or errand.owner, plain_world=described(world))
     crew = hired(errand, 1, METHOD, [])
     if crew is None:
         return None

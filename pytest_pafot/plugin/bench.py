@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.findings.inflight import InFlight
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import places
@@ -22,6 +21,7 @@ from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge, no_skip, skips
 from pytest_pafot.plugin.places import corpus_root
 from pytest_pafot.plugin.request import Request, RequestError, build_world
+from pytest_pafot.plugin.worlds import described
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 """Whose versions a finding depends on."""
+
+WORLD_ATTRIBUTES = ("rollout", "to_dict", "speed_limit", "longest_run")
+"""What a search needs of any world."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,11 +64,7 @@ class Bench:
             RequestError: when a fixture gives something that cannot be used.
         """
         world = build_world(request, item.funcargs[WORLD_FIXTURE])
-        if not callable(getattr(world, "rollout", None)) or not hasattr(world, "to_dict"):
-            raise RequestError(
-                f"{item.name}: expected the fixture {WORLD_FIXTURE} to give pafot.Highway(...) or pafot.World(...), "
-                f"received {world!r:.100}"
-            )
+        _check_world(item, request, world)
         return cls(
             item=item,
             request=request,
@@ -162,7 +161,7 @@ class Bench:
         from pytest_pafot.world import Highway, World  # noqa: PLC0415
         from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
 
-        if not isinstance(self.world, (Highway, World)):
+        if type(self.world) not in (Highway, World):  # one that derives from these may do anything
             return None
         with self._refusals():
             trace = replay_in_gym(self.world, scenario, self.ads)
@@ -181,16 +180,6 @@ class Bench:
             run = self.simulate(scenario, world)
             return run, self.judge(run)
 
-    @staticmethod
-    def plain(world: Any) -> dict[str, Any] | None:
-        """A world as data, or None where it is made of more than a file can hold."""
-        data: dict[str, Any] = world.to_dict()
-        try:
-            check_plain("world", data)
-        except ValueError:
-            return None
-        return data
-
     @property
     def errand(self) -> Errand:
         """What other processes do for this item."""
@@ -199,15 +188,17 @@ class Bench:
             ads=self.ads,
             folder=flight_folder(self.item, self.request),
             owner=owner_of(self.item),
-            plain_world=self.plain(self.world),
+            plain_world=described(self.world),
         )
 
     @contextmanager
     def in_flight(self, world: Any, owner: str = "") -> Iterator[InFlight]:
         """The record of what runs now; gone at the end, however that comes, unless the process dies."""
         folder = flight_folder(self.item, self.request)
+        with self._refusals():  # whether a pafot.World can be used shows when its environment is made
+            data = described(world)
         try:
-            with InFlight(folder, owner or owner_of(self.item), world=self.plain(world)) as flight:
+            with InFlight(folder, owner or owner_of(self.item), world=data) as flight:
                 yield flight
         finally:
             if folder == corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
@@ -233,6 +224,20 @@ def installed_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             versions[package] = "unknown"
     return versions
+
+
+def _check_world(item: pytest.Function, request: Request, world: Any) -> None:
+    from pytest_pafot.world import Highway, World  # noqa: PLC0415
+
+    if isinstance(world, (Highway, World)):  # whose attributes show when an environment is made
+        return
+    missing = [name for name in WORLD_ATTRIBUTES if not hasattr(world, name)]
+    if missing:
+        origin = f"the fixture {WORLD_FIXTURE} to give" if request.world is None else "world= to be"
+        raise RequestError(
+            f"{item.name}: expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
+            f"{', '.join(WORLD_ATTRIBUTES)}, received {world!r:.100}, which has no {', '.join(missing)}"
+        )
 
 
 def _source_file(item: pytest.Function) -> str:

@@ -17,7 +17,7 @@ from pytest_pafot.findings.inflight import Leftover
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
-from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin import messages, places, worlds
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.crew import Lost
 from pytest_pafot.plugin.failing import is_compact, summarise
@@ -284,7 +284,7 @@ class Keeper:
             id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
             test=places.base_id(self.bench.item),
             scenario=scenario,
-            world=world or self.bench.world.to_dict(),
+            world=world or worlds.described(self.bench.world),
             expect=expect,
             found=found,
         )
@@ -298,12 +298,7 @@ class Keeper:
 
     def _finding(self, run: Run, failure: Failure, found: Found) -> Finding:
         test = places.base_id(self.bench.item)
-        try:
-            return Finding.of(run, failure, test=test, world=self.bench.world.to_dict(), found=found)
-        except ValueError as error:
-            # A world that is no plain data cannot be replayed from a file; the scenario is worth keeping all the same.
-            world = {"kind": "unknown", "reason": str(error)}
-            return Finding.of(run, failure, test=test, world=world, found=found)
+        return Finding.of(run, failure, test=test, world=worlds.described(self.bench.world), found=found)
 
     def _saved(self, finding: Finding, headline: str, origin: str, *, is_timed: bool = False) -> Kept:
         path, finding = free_path(self.bench.folder, finding, self.replayed)

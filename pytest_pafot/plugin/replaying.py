@@ -11,7 +11,7 @@ import pytest
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import Replayed, replay_label
 from pytest_pafot.findings.run import Run
-from pytest_pafot.plugin import messages, places
+from pytest_pafot.plugin import messages, places, worlds
 from pytest_pafot.plugin.apart import tried_apart
 from pytest_pafot.plugin.bench import Bench, is_same_run
 from pytest_pafot.plugin.crew import Lost, ProcessLostError
@@ -41,7 +41,7 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         pytest.fail(saved.error, pytrace=False)
     bench = Bench.of(item, request)
     finding = saved.finding
-    world = world_of(finding, saved)
+    world = world_of(bench, finding, saved)
     lost = None
     try:
         label, run, verdict = _labelled(bench, finding, world, _means(bench, saved, item.nodeid))
@@ -51,7 +51,7 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:  # Outside of the handler, so that the same is not shown twice.
         _conclude_lost(bench, saved, finding, lost)
-    detail = _detail(finding, f"{run.outcome} at {run.event_time:.1f} s", bench.versions)
+    detail = _detail(bench, finding, f"{run.outcome} at {run.event_time:.1f} s")
     _tell(bench, label, detail if label in ("drifted", FLAKY) else "")
     showing = showing_of(item, request.settings)
     if showing is not None:
@@ -61,8 +61,8 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     _conclude(bench, run, verdict, label, detail if label in ("drifted", FLAKY) else "")
 
 
-def world_of(finding: Finding, saved: Saved) -> Any:
-    """The world that a file describes, made, with its scenario checked against it.
+def world_of(bench: Bench, finding: Finding, saved: Saved) -> Any:
+    """The world that a file describes, made, with its scenario checked against it; or the test's, where it is code.
 
     Raises:
         RequestError: naming the file, the line and the field.
@@ -72,6 +72,8 @@ def world_of(finding: Finding, saved: Saved) -> Any:
     from pytest_pafot.world import World, WorldError, checks, from_dict  # noqa: PLC0415
 
     try:
+        if worlds.is_code(finding.world):
+            return worlds.named(finding.world, bench.world)
         world = from_dict(dict(finding.world))
         if isinstance(world, World):
             world.check()
@@ -93,7 +95,7 @@ def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:
         return None
     owner = places.saved_node_id(bench.item, saved.id)
     try:
-        run, verdict = _means(bench, saved, owner)(finding.scenario, world_of(finding, saved), owner)
+        run, verdict = _means(bench, saved, owner)(finding.scenario, world_of(bench, finding, saved), owner)
     except RequestError:
         return None
     except ProcessLostError as error:
@@ -120,6 +122,8 @@ def _labelled(bench: Bench, finding: Finding, world: Any, tried: Tried) -> tuple
     label: str = replay_label(finding, run, verdict.failure if verdict.failed else None, bench.versions)
     if finding.expect.failure == places.CRASH:
         label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
+    if label == "fixed" and worlds.changes(finding.world, bench.world):
+        label = "drifted"  # It passes elsewhere than where it failed.
     if verdict.failed or verdict.discarded:
         return label, run, verdict
     again, second = tried(finding.scenario, world, bench.item.nodeid)
@@ -134,7 +138,7 @@ def _conclude_lost(bench: Bench, saved: Saved, finding: Finding, lost: Lost) -> 
     __tracebackhide__ = True
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.failure == places.CRASH
     label = "still failing" if was_lost else "drifted"
-    detail = "" if was_lost else _detail(finding, f"the process {lost.how}", bench.versions)
+    detail = "" if was_lost else _detail(bench, finding, f"the process {lost.how}")
     _tell(bench, label, detail)
     headline = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     showing = showing_of(bench.item, bench.request.settings)
@@ -165,13 +169,15 @@ def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str)
         pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing of the ADS")
 
 
-def _detail(finding: Finding, now: str, versions: dict[str, str]) -> str:
+def _detail(bench: Bench, finding: Finding, now: str) -> str:
     """What differs from the file; ``now`` is what happens."""
+    versions = bench.versions
     changed = [
         f"{name} {version} then, {versions.get(name, 'none')} now"
         for name, version in sorted(finding.found.versions.items())
         if versions.get(name) != version
     ]
+    changed += worlds.changes(finding.world, bench.world)
     then = f"{finding.expect.outcome} at {finding.expect.time:.1f} s"
     if finding.expect.failure == places.CRASH:
         then = "the process died"

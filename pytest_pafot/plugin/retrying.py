@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pytest_pafot.plugin import worlds
 from pytest_pafot.plugin.apart import answers_of
 from pytest_pafot.plugin.crew import Answer, Lost
 from pytest_pafot.trace import Outcome
@@ -81,6 +82,8 @@ def _world(bench: Bench, leftover: Leftover) -> Any:
     """That the process ran in; None where it cannot be made again."""
     if leftover.world in (None, bench.errand.plain_world):
         return bench.world
+    if worlds.is_code(leftover.world):
+        return None
     from pytest_pafot.world import WorldError, from_dict  # noqa: PLC0415
 
     try:

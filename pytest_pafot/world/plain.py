@@ -32,6 +32,11 @@ def from_dict(data: dict[str, Any]) -> Highway | World:
             raise WorldError(f"world.limits: expected a mapping, received {values['limits']!r}")
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
+    if "wrappers" in values:
+        raise WorldError(
+            f"world.wrappers: expected none, since a file holds no code, received {values['wrappers']!r:.200}; give "
+            "pafot.World(..., wrappers=[...]) in their place"
+        )
     if kind == "gym" and "env_id" not in values:
         raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
     _check_class_paths(values.get("config"))

@@ -1,0 +1,241 @@
+"""Worlds that are code, the user's own and environments in wrappers, are searched and replayed as tests name them."""
+
+import textwrap
+
+import pytest
+
+from pytest_pafot.findings.corpus import read
+
+OWN = """
+class Ring:
+    speed_limit, longest_run = 26.8, 10.0
+
+    def __init__(self, lanes):
+        self.lanes = lanes
+
+    def rollout(self, scenario, ads_factory):
+        return pafot.Highway(lanes=self.lanes, duration=10.0).rollout(scenario, ads_factory)
+
+    def to_dict(self):
+        return DATA
+
+@pafot.search(SHORT, npcs=1, world=Ring(LANES), stop_after=1)
+def test_fails(run):
+    assert run.VERDICT
+"""
+WRAPPED = """
+from gymnasium.wrappers import FlattenObservation, FrameStackObservation
+
+seen = []
+
+def ads():
+    return lambda observation: seen.append(observation.shape) or 1
+
+@pafot.search(SHORT, npcs=1, ads=ads, world=pafot.World("highway-v0", duration=10.0, WRAPPERS), stop_after=1)
+def test_fails(run):
+    assert set(seen) == {SHAPE}
+    assert run.VERDICT
+"""
+FAILS, PASSES = "outcome == 'x'", "outcome"
+
+
+def write(project, source, **words):
+    for word, text in words.items():
+        source = source.replace(word, text)
+    project.write(source)
+
+
+def own(project, data="{'lanes': self.lanes}", lanes="3", verdict=FAILS, name="Ring"):
+    write(project, OWN, DATA=data, LANES=lanes, VERDICT=verdict, Ring=name)
+
+
+def wrapped(project, wrappers="wrappers=[FlattenObservation]", shape="(25,)", verdict=FAILS):
+    write(project, WRAPPED, WRAPPERS=wrappers, SHAPE=shape, VERDICT=verdict)
+
+
+@pytest.fixture
+def saved(project):
+    """A project with one scenario that was saved in a world of its own."""
+    own(project)
+    project.run(generations=5)
+    return project
+
+
+@pytest.fixture
+def saved_wrapped(project):
+    """The same in a wrapped environment."""
+    wrapped(project)
+    project.run(generations=5)
+    return project
+
+
+def test_a_find_in_a_world_of_ones_own_is_replayed_in_the_world_that_the_test_names(saved):
+    assert "\nworld: {kind: own, class: Ring, data: {lanes: 3}}\n" in saved.only_file.read_text()
+    result = saved.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    own(saved, verdict=PASSES)
+    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+def test_a_later_search_in_a_world_of_ones_own_knows_the_find(saved):
+    known = saved.only_id
+    saved.run(generations=5).stdout.fnmatch_lines([f"  known: * covered by saved-{known}"])
+
+
+def test_where_the_world_differs_from_the_file_a_replay_that_passes_has_drifted(saved):
+    own(saved, lanes="4", verdict=PASSES)
+    result = saved.run("--pafot-strict-drift", generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*passes, but drifted: *world.data.lanes 3 in the file, 4 now*"])
+    own(saved, lanes="4")
+    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_out(saved):
+    own(saved, name="Circle")
+    result = saved.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(
+        [f"*{saved.only_file.name}:3: world: expected *, one of the class Ring, *, received one of the class Circle; *"]
+    )
+    saved.write("@pafot.search(SHORT, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
+    result = saved.run(generations=0)
+    result.stdout.fnmatch_lines(["*one of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"])
+
+
+@pytest.mark.parametrize("data", ["object()", "{'road': {1: 2}}", "[float('nan')]"])
+def test_a_world_that_gives_no_plain_data_is_replayed_all_the_same(project, data):
+    own(project, data=data)
+    project.run(generations=5)
+    assert read(project.only_file).world == {"kind": "own", "class": "Ring"}
+    project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_a_class_derived_from_a_world_of_this_package_is_a_world_of_ones_own(project):
+    project.write(
+        textwrap.dedent(
+            """
+            class Short(pafot.Highway):  # which may do anything
+                def rollout(self, scenario, ads_factory):
+                    return pafot.Highway(duration=2.0).rollout(scenario, ads_factory)
+
+            @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0), stop_after=1)
+            def test_fails(run):
+                assert run.duration > 5, run.duration
+            """
+        )
+    )
+    project.run(generations=5)
+    finding = read(project.only_file)
+    assert (finding.world["class"], finding.expect.time, finding.flaky) == ("Short", 2.0, None)
+    project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_a_world_without_what_a_search_needs_is_refused_with_what_is_missing(project):
+    own(project)
+    text = project.path.joinpath("test_it.py").read_text().replace("speed_limit, longest_run", "nothing, else_")
+    project.path.joinpath("test_it.py").write_text(text)
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*or a world of your own with rollout, to_dict, speed_limit, longest_run, *"])
+    result.stdout.fnmatch_lines(["*which has no speed_limit, longest_run*"])
+
+
+def test_a_file_of_version_1_of_a_world_of_ones_own_is_replayed(saved):
+    text = saved.only_file.read_text()
+    text = text.replace("pafot: 2", "pafot: 1").replace("{kind: own, class: Ring, data: {lanes: 3}}", "{lanes: 3}")
+    saved.only_file.write_text(text)
+    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    own(saved, verdict=PASSES)
+    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+# --- environments in wrappers
+
+
+def test_a_find_in_a_wrapped_environment_is_replayed_in_the_wrappers_that_the_test_names(saved_wrapped):
+    assert read(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
+    assert read(saved_wrapped.only_file).flaky is None
+    saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    wrapped(saved_wrapped, verdict=PASSES)
+    saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "shape", "now"),
+    [
+        ("wrappers=[FlattenObservation, lambda env: FrameStackObservation(env, 2)]", "(2, 25)", "'FrameStackOb*'"),
+        ("", "(5, 5)", "missing"),
+    ],
+)
+def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
+    wrapped(saved_wrapped, wrappers, shape, PASSES)
+    result = saved_wrapped.run("--pafot-strict-drift", generations=0)
+    result.stdout.fnmatch_lines([f"*drifted: *world.wrappers [[]'FlattenObservation'] in the file, *{now}* now*"])
+
+
+def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
+    wrapped(saved_wrapped)
+    path = saved_wrapped.path / "test_it.py"
+    path.write_text(path.read_text().replace("highway-v0", "highway-fast-v0"))
+    result = saved_wrapped.run(generations=0)
+    result.stdout.fnmatch_lines(
+        ["*pafot.World('highway-v0') with FlattenObservation, *, received pafot.World('highway-fast-v0') with Flatten*"]
+    )
+
+
+def test_an_environment_that_is_registered_with_a_wrapper_fails_its_item_alone(project):
+    project.write(
+        textwrap.dedent(
+            """
+            import gymnasium
+            from gymnasium.wrappers import FlattenObservation
+            from highway_env.envs.highway_env import HighwayEnv
+
+            def flat(config=None, render_mode=None):
+                return FlattenObservation(HighwayEnv(config, render_mode))
+
+            if "flat-v0" not in gymnasium.registry:
+                gymnasium.register("flat-v0", flat)
+
+            @pafot.search(SHORT, ads=lambda: lambda seen: 1, world=pafot.World("flat-v0"))
+            def test_refused(run):
+                assert not run.collision
+
+            @pafot.search(SHORT, npcs=1)
+            def test_runs(run):
+                assert run.outcome
+            """
+        )
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines(["*: env_id: *registered with FlattenObservation *wrappers=[[]])*"])
+
+
+def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_not_say_otherwise(project):
+    project.write(
+        textwrap.dedent(
+            """
+            from gymnasium.wrappers import FlattenObservation
+
+            class Policy:
+                def __call__(self, seen):
+                    assert seen.shape == (25,)
+                    return 1
+
+                def batch(self, observations):
+                    raise AssertionError("in lock step")
+
+            FLAT = pafot.World("highway-v0", duration=10.0, wrappers=[FlattenObservation])
+
+            @pafot.search(SHORT, ads=Policy, world=FLAT)
+            def test_holds(run):
+                assert run.ads_error is None, run.explain()
+            """
+        )
+    )
+    result = project.run("--pafot-workers=2")
+    result.assert_outcomes(passed=1)
+    result.stdout.no_fnmatch_line("*by its `batch`*")
