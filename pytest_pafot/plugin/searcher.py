@@ -170,6 +170,7 @@ class Searching:
         """Replay, search, report; fails the item when there is something new, or nothing was tested."""
         __tracebackhide__ = True
         fitness = checked_fitness(self.bench)
+        space = checked_space(self.bench) if self.bench.request.settings.generations else None
         messages.send(self.bench.item, "start", {})
         with self.bench.in_flight(self.bench.world) as flight:
             watched = Watched.of(self.bench, flight)
@@ -202,7 +203,7 @@ class Searching:
             reason, fault = "interrupted", None
             try:
                 with watched.ahead as ahead:
-                    reason = self._hunted(hunt, keeper, saved, ahead)
+                    reason = self._hunted(hunt, space, keeper, saved, ahead)
                 keeper.release()
                 self._shrunk(hunt, keeper, watched)
             except SetupFaultError as error:
@@ -226,13 +227,14 @@ class Searching:
             raise fault.shown()
         self._conclude(hunt, keeper, search)
 
-    def _hunted(self, hunt: Hunt, keeper: Keeper, saved: list[places.Saved], ahead: LockStep) -> str:
+    def _hunted(
+        self, hunt: Hunt, space: SearchSpace | None, keeper: Keeper, saved: list[places.Saved], ahead: LockStep
+    ) -> str:
         """Run the campaign; returns why it ended."""
         __tracebackhide__ = True
         settings = self.bench.request.settings
-        if settings.generations == 0:
+        if space is None:
             return "replay only"
-        space = checked_space(self.bench)
         replayed = [replay_for_search(self.bench, each) for each in saved]
         hunt.replayed = [each for each in replayed if each is not None]
         limit = 1 if _stops_at_first(self.bench.item.config) else settings.stop_after

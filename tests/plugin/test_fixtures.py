@@ -92,7 +92,9 @@ def test_search(run):
     )
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected the fixture pafot_world to give *received 'highway-v0', which has no rollout, *"])
+    result.stdout.fnmatch_lines(
+        ["*expected the fixture pafot_world to give *received 'highway-v0', which has no rollout, *"]
+    )
 
 
 def test_pafot_corpus_gives_the_saved_scenarios_of_the_module(failing):

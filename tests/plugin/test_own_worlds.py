@@ -211,7 +211,7 @@ def test_an_environment_that_is_registered_with_a_wrapper_fails_its_item_alone(p
     )
     result = project.run()
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["*: env_id: *registered with FlattenObservation *wrappers=[[]])*"])
+    result.stdout.fnmatch_lines(["*(world=...): env_id: *registered with FlattenObservation *wrappers=[[]])*"])
 
 
 def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_not_say_otherwise(project):
