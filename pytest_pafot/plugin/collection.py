@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,12 @@ import pytest
 
 from pytest_pafot.plugin import places
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
-from pytest_pafot.plugin.options import corpus_name
+from pytest_pafot.plugin.options import BY_NAME, corpus_name
 from pytest_pafot.plugin.places import Candidates, Saved
 from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit, Seen, base_line
 
-ORPHANS = pytest.StashKey[list[Path]]()
+ORPHANS = pytest.StashKey[dict[Path, list[Path]]]()
+"""Folders of saved scenarios whose test is gone, each with the files that may be removed."""
 
 STRAYS = pytest.StashKey[dict[str, str]]()
 """Where saved scenarios that lie in no folder of a test should be."""
@@ -47,6 +49,28 @@ class Collection:
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._seen = Seen()
+
+    def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
+        """What lies in a corpus is data, whatever its name."""
+        folders = [collection_path, *collection_path.parents]
+        return True if any(self._is_corpus(folder) for folder in folders) else None
+
+    def _is_corpus(self, folder: Path) -> bool:
+        """A folder of another than the usual name is none if pytest was asked for it, or runs in it."""
+        is_named = self._corpus is not None and places.is_corpus(folder, self._corpus)
+        return folder.name == BY_NAME["corpus"].default or (is_named and folder not in self._asked_for)
+
+    @cached_property
+    def _corpus(self) -> Path | None:
+        name = corpus_name(self._config, {})
+        return Path(name) if name and Path(name).name else None
+
+    @cached_property
+    def _asked_for(self) -> set[Path]:
+        """Folders that the rootdir or an argument is, or lies in."""
+        given = [self._config.invocation_params.dir / _without_ids(arg) for arg in self._config.args]
+        folders = [self._config.rootpath, *(path for path in given if path.is_dir())]
+        return {each for folder in folders for each in (folder, *folder.parents)}
 
     @pytest.hookimpl(trylast=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:

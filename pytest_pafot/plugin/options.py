@@ -171,7 +171,7 @@ OPTIONS: tuple[Option, ...] = (
         kind="switch",
         default=False,
         everywhere=False,
-        help="Remove saved scenarios whose test was collected and no longer exists.",
+        help="Remove saved scenarios whose test was collected and no longer exists; lists them first.",
     ),
     Option(
         name="profile",

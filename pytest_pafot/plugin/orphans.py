@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from pytest_pafot.plugin import places
@@ -13,8 +13,8 @@ from pytest_pafot.plugin.session import Seen
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
 
 
-def find(seen: Seen, roots: Mapping[Path, Path], collected: set[Path], rootpath: Path) -> list[Path]:
-    """Folders that hold saved scenarios of no test.
+def find(seen: Seen, roots: Mapping[Path, Path], collected: set[Path], rootpath: Path) -> dict[Path, list[Path]]:
+    """Folders that hold saved scenarios of no test, each with the files that may be removed.
 
     A folder is an orphan when its module is gone, or when the place where its test would be, module or class, was
     collected and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all
@@ -26,27 +26,59 @@ def find(seen: Seen, roots: Mapping[Path, Path], collected: set[Path], rootpath:
         collected: test files with at least one item.
         rootpath: of the session.
     """
-    return [
-        folder
+    return {
+        folder: _own_files(folder, directory, rootpath)
         for root, directory in sorted(roots.items())
         for folder in _folders(root)
         if _is_orphan(folder, directory, collected, seen, rootpath)
-    ]
+    }
 
 
-def prune(folders: Iterable[Path]) -> list[str]:
-    """Remove orphaned folders, and the folders around them that are empty then; returns what failed."""
+def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """Remove files, and the folders around them that are empty then; returns those removed, and what failed."""
+    removed: list[Path] = []
     failures: list[str] = []
-    for folder in folders:
+    for file in files:
         try:
-            shutil.rmtree(folder)
-            if not any(folder.parent.iterdir()):
-                folder.parent.rmdir()
-        except FileNotFoundError:
-            continue  # Another session was faster.
+            file.unlink(missing_ok=True)  # Another session may have been faster.
+            removed.append(file)
         except OSError as error:
-            failures.append(f"{folder}: {error.strerror or error}")
-    return failures
+            failures.append(f"{file}: {error.strerror or error}")
+    for folder in dict.fromkeys(file.parent for file in removed):
+        with suppress(OSError):  # It holds something else, which stays.
+            folder.rmdir()
+            folder.parent.rmdir()
+    return removed, failures
+
+
+def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
+    """Files of a folder that name a test of this rootdir whose folder it is, and that no link leads to.
+
+    A corpus outside of the rootdir may serve other projects, too: there a test is of this rootdir if its module is.
+    """
+    inside = folder.is_relative_to(rootpath)
+    top = rootpath if inside else folder.parents[2 + len(_relative_parts(directory, rootpath)) - 1]
+    if any(each.is_symlink() for each in (folder, *folder.parents) if each != top and each.is_relative_to(top)):
+        return []
+    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+
+    def is_own(file: Path) -> bool:
+        module, _, test = _test_of(file).partition("::")
+        path = rootpath / module
+        is_there = (safe_name(path.stem), safe_name(test)) == (folder.parent.name, folder.name)
+        return is_there and path.parent == directory and (inside or path.exists())
+
+    return [file for file in places.files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
+
+
+def _relative_parts(directory: Path, rootpath: Path) -> tuple[str, ...]:
+    return directory.relative_to(rootpath).parts if directory.is_relative_to(rootpath) else ()
+
+
+def _test_of(file: Path) -> str:
+    """The node id that a file names, also where the file is broken."""
+    finding = places.read_saved_file(file).finding
+    return named_test(file) if finding is None else finding.test
 
 
 def count(folder: Path) -> int:

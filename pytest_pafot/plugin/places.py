@@ -132,6 +132,13 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
         return folder
 
 
+def is_corpus(path: Path, corpus: Path) -> bool:
+    """Whether a folder is one that a corpus option names."""
+    if corpus.is_absolute():
+        return path == corpus
+    return path.name == corpus.name and path.parts[-len(corpus.parts) :] == corpus.parts
+
+
 def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
     """Where the folders of all tests of a module lie."""
     root = corpus_root(test_file, corpus, rootpath)

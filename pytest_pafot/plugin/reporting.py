@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -32,7 +33,8 @@ class Reporter:
         self._running: dict[str, None] = {}
         self._searches: list[terminal.Search] = []
         self._replays: list[terminal.Replay] = []
-        self._orphans: dict[Path, int] = {}
+        self._orphans: dict[Path, list[Path]] = {}
+        self._removed: list[Path] = []
         self._strays: dict[str, str] = {}
         self._problems: list[str] = []
         self._notes: dict[str, None] = {}
@@ -62,8 +64,9 @@ class Reporter:
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Take what a worker knew at its end."""
         output = getattr(node, "workeroutput", {})
-        with self._told("orphans"):
-            self._note_orphans(map(Path, output.get(WORKER_ORPHANS, ())))
+        self._orphans |= {
+            Path(folder): [Path(file) for file in files] for folder, files in output.get(WORKER_ORPHANS, {}).items()
+        }
         self._strays |= output.get(WORKER_STRAYS, {})
 
     @pytest.hookimpl(tryfirst=True)
@@ -76,13 +79,13 @@ class Reporter:
                 self._expand(node_id)
         with self._told("records of processes that died"):
             self._note_unclaimed()
-        gone = self._config.stash.get(ORPHANS, [])
+        gone: dict[Path, list[Path]] = self._config.stash.get(ORPHANS, {})
+        self._orphans |= gone
         strays = self._config.stash.get(STRAYS, {})
         self._strays |= strays
-        with self._told("orphans"):
-            self._note_orphans(gone)
-        with self._told("--pafot-prune"):
-            self._prune()
+        if self._orphans and self._config.getoption(BY_NAME["prune"].key):
+            with self._told("--pafot-prune"):
+                self._prune()
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
@@ -100,7 +103,8 @@ class Reporter:
         session = terminal.Session(
             searches=self._searches,
             replays=self._replays,
-            orphans=[(places.relative(folder, root), count) for folder, count in self._orphans.items()],
+            orphans=self._left(self._orphans),
+            removed=list(Counter(places.relative(file.parent, root) for file in self._removed).items()),
             strays=sorted(self._strays.items()),
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
             problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
@@ -230,17 +234,22 @@ class Reporter:
 
             self._problems += unclaimed(self._config)
 
-    def _note_orphans(self, folders: Iterable[Path]) -> None:
-        for folder in folders:
-            from pytest_pafot.plugin import orphans  # noqa: PLC0415
-
-            self._orphans.setdefault(folder, orphans.count(folder))
-
     def _prune(self) -> None:
-        if self._config.getoption(BY_NAME["prune"].key):
-            from pytest_pafot.plugin import orphans  # noqa: PLC0415
+        """Remove the saved scenarios of tests that are gone, once they are listed."""
+        from pytest_pafot.plugin import orphans  # noqa: PLC0415
 
-            self._problems += orphans.prune(self._orphans)
+        files = [file for own in self._orphans.values() for file in own]
+        names = [f"  {places.relative(file, self._config.rootpath)}" for file in files]
+        self._write_lines(["", "pafot: --pafot-prune removes", *names] if names else [])
+        self._removed, failures = orphans.prune(files)
+        self._problems += failures
+
+    def _left(self, folders: Iterable[Path]) -> list[tuple[str, int]]:
+        """Folders of saved scenarios of no test, with the number of those that are there."""
+        from pytest_pafot.plugin import orphans  # noqa: PLC0415
+
+        counts = ((places.relative(folder, self._config.rootpath), orphans.count(folder)) for folder in folders)
+        return [(name, number) for name, number in counts if number]
 
 
 class WorkerReporter:
@@ -251,9 +260,9 @@ class WorkerReporter:
 
     def pytest_sessionfinish(self) -> None:
         """Hand over what this worker collected."""
-        found = self._config.stash.get(ORPHANS, [])
+        found = self._config.stash.get(ORPHANS, {})
         output: dict[str, Any] = self._config.workeroutput  # type: ignore[attr-defined]
-        output[WORKER_ORPHANS] = [str(folder) for folder in found]
+        output[WORKER_ORPHANS] = {str(folder): [str(file) for file in files] for folder, files in found.items()}
         output[WORKER_STRAYS] = self._config.stash.get(STRAYS, {})
 
 

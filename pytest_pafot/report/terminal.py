@@ -180,6 +180,13 @@ class Replay:
     detail: str = ""
 
 
+_ORPHANED = "rename the folder to the test's new name, or remove it with --pafot-prune"
+_LEFT_ALONE = (
+    "left alone: --pafot-prune removes files whose line `test:` names a test of this rootdir and of that folder, and "
+    "follows no link; delete the others by hand"
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
     """Everything that the summary of a session shows.
@@ -188,7 +195,8 @@ class Session:
         searches: in the order in which they ended.
         replays: likewise.
         orphans: folders of saved scenarios whose test is gone, with their number of files.
-        pruned: whether those were removed.
+        removed: the same of those that were removed.
+        pruned: whether they were to be removed.
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
         problems: anything that went wrong beside the tests.
         written: where reports are.
@@ -199,6 +207,7 @@ class Session:
     searches: Sequence[Search] = ()
     replays: Sequence[Replay] = ()
     orphans: Sequence[tuple[str, int]] = ()
+    removed: Sequence[tuple[str, int]] = ()
     pruned: bool = False
     strays: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
@@ -313,11 +322,11 @@ def session_lines(session: Session, *, verbose: bool = False, width: int = WIDTH
     for node_id in session.interrupted:
         lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is saved", width)]
     lines += replay_lines(session.replays, width)
-    for folder, count in session.orphans:
-        verb = "removed" if session.pruned else "orphaned"
-        lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
-    if session.orphans and not session.pruned:
-        lines += _wrapped("rename the folder to the test's new name, or remove it with --pafot-prune", width)
+    for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
+        for folder, count in folders:
+            lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
+    if session.orphans:
+        lines += _wrapped(_LEFT_ALONE if session.pruned else _ORPHANED, width)
     for file, place in session.strays:
         lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
     if any(find.path for search in session.searches for find in search.finds):

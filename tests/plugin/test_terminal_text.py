@@ -116,12 +116,15 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
     ]
 
 
-def test_orphans_say_what_to_do_and_pruned_ones_that_they_are_gone():
+def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
     kept = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)]))
     assert kept[0] == "orphaned: 2 saved scenarios of no test in corpus/test_a"
     assert "--pafot-prune" in kept[1]
-    gone = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)], pruned=True))
+    gone = terminal.session_lines(Session(removed=[("corpus/test_a", 2)], pruned=True))
     assert gone == ["removed: 2 saved scenarios of no test in corpus/test_a"]
+    left = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)], pruned=True))
+    assert left[0] == kept[0]
+    assert left[1].startswith("  left alone: --pafot-prune removes files whose line `test:` names a test of")
 
 
 def test_what_is_no_ascii_is_escaped():

@@ -1,0 +1,171 @@
+"""What ``--pafot-prune`` removes, and what it must never touch; and that nothing in a corpus is collected."""
+
+import os
+import shutil
+
+import pytest
+
+from tests.plugin.conftest import FAILING
+
+links = pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+
+BOTH = FAILING + FAILING.replace("test_fails", "test_gone")
+
+
+@pytest.fixture
+def orphaned(project):
+    """A project with the saved scenarios of two tests, one of which is gone."""
+    project.write(BOTH)
+    project.run()
+    project.write(FAILING)
+    assert len(project.files) == 2
+    return project
+
+
+def gone(project):
+    (file,) = [project.path / name for name in project.files if "test_gone" in name]
+    return file
+
+
+def prune(project, *args):
+    return project.run("--pafot-prune", *args, generations=0)
+
+
+def left_alone(result):
+    result.stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in *", "  left alone: *"])
+    result.stdout.no_fnmatch_line("removed: *")
+
+
+def test_what_is_removed_is_listed_before_it_goes_and_empty_folders_go_with_it(orphaned):
+    file = gone(orphaned)
+    result = prune(orphaned)
+    name = file.relative_to(orphaned.path).as_posix()
+    result.stdout.fnmatch_lines(
+        ["pafot: --pafot-prune removes", f"  {name}", "removed: 1 saved scenario of no test in *test_gone"]
+    )
+    assert not file.parent.exists()
+    assert len(orphaned.files) == 1
+
+
+def test_the_workers_of_pytest_xdist_remove_the_same(orphaned):
+    file = gone(orphaned)
+    result = orphaned.run("--pafot-prune", "-n2", generations=0)
+    result.stdout.fnmatch_lines(["pafot: --pafot-prune removes", "removed: 1 saved scenario of no test in *test_gone"])
+    assert not file.parent.exists()
+
+
+def test_notes_beside_orphans_stay(orphaned):
+    file = gone(orphaned)
+    notes = file.with_name("NOTES.md")
+    notes.write_text("why this happens")
+    prune(orphaned).stdout.fnmatch_lines(["removed: 1 saved scenario of no test in *"])
+    assert list(file.parent.iterdir()) == [notes]
+    again = prune(orphaned)
+    assert "orphaned" not in again.stdout.str()
+    assert notes.exists()
+
+
+@pytest.mark.parametrize("line", ["test: test_it.py::test_other", "test: sub/test_it.py::test_gone", "", "test: 3"])
+def test_a_file_that_names_a_test_of_another_folder_stays(orphaned, line):
+    file = gone(orphaned)
+    file.write_text(file.read_text().replace("test: test_it.py::test_gone", line))
+    left_alone(prune(orphaned))
+    assert file.exists()
+
+
+def test_a_broken_file_that_names_the_test_goes(orphaned):
+    file = gone(orphaned)
+    file.write_text("pafot: 99\ntest: test_it.py::test_gone\n")
+    prune(orphaned)
+    assert not file.exists()
+
+
+@links
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_nothing_behind_a_link_is_touched(orphaned, level, tmp_path_factory):
+    """A link in the place of the test's folder, the module's or the corpus."""
+    folder = gone(orphaned).parents[level]
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / folder.name
+    shutil.move(folder, elsewhere)
+    folder.symlink_to(elsewhere, target_is_directory=True)
+    before = sorted(elsewhere.rglob("*"))
+    left_alone(prune(orphaned))
+    assert sorted(elsewhere.rglob("*")) == before
+    assert folder.is_symlink()
+
+
+@links
+def test_a_link_in_the_place_of_a_file_stays(orphaned, tmp_path_factory):
+    file = gone(orphaned)
+    target = tmp_path_factory.mktemp("elsewhere") / file.name
+    shutil.move(file, target)
+    file.symlink_to(target)
+    left_alone(prune(orphaned))
+    assert file.is_symlink()
+    assert target.exists()
+
+
+def test_finds_of_another_project_in_the_same_absolute_corpus_stay(orphaned, tmp_path_factory):
+    """The other project's test files are not in this rootdir; what this project's own tests left behind goes."""
+    shared = tmp_path_factory.mktemp("shared")
+    shutil.copytree(orphaned.path / "pafot_corpus" / "test_it", shared / "test_it")
+    others = [shared / "test_b" / "test_gone", shared / "tests" / "test_it" / "test_gone"]
+    file = gone(orphaned)
+    for folder in others:
+        module = folder.parent.relative_to(shared).as_posix()
+        folder.mkdir(parents=True)
+        text = file.read_text().replace("test: test_it.py", f"test: {module}.py")
+        (folder / file.name).write_text(text)
+    orphaned.write("def test_other():\n    pass\n", name="tests/test_other")
+    result = prune(orphaned, f"--pafot-corpus={shared}")
+    result.stdout.fnmatch_lines(
+        ["removed: 1 saved scenario of no test in *test_it/test_gone", "orphaned: *", "  left alone: *"]
+    )
+    assert all(any(folder.iterdir()) for folder in others)
+    assert not (shared / "test_it" / "test_gone").exists()
+    assert any((shared / "test_it" / "test_fails").iterdir())
+
+
+def test_a_file_of_a_nested_project_with_a_rootdir_of_its_own_stays(orphaned):
+    """Collected from above, it names its test by its own rootdir."""
+    nested = orphaned.path / "nested"
+    nested.mkdir()
+    for name in ("pafot_corpus", "test_it.py", "conftest.py"):
+        shutil.move(orphaned.path / name, nested / name)
+    (nested / "conftest.py").rename(orphaned.path / "conftest.py")
+    left_alone(prune(orphaned))
+    assert len(orphaned.files) == 2
+
+
+TEST_FILE = "def test_in_the_corpus():\n    raise AssertionError\n"
+
+
+@pytest.mark.parametrize("place", ["", "test_it", "test_it/test_fails"])
+@pytest.mark.parametrize("name", ["pafot_corpus", "finds", "data/finds"])
+def test_test_files_in_a_corpus_are_not_collected(failing, name, place):
+    failing.run("--pafot-corpus", name)
+    (failing.path / name / place / "test_extra.py").write_text(TEST_FILE)
+    failing.run("--pafot-corpus", name, generations=0).assert_outcomes(failed=1, skipped=1)
+
+
+def test_test_files_in_an_absolute_corpus_are_not_collected(failing):
+    corpus = failing.path / "all"
+    failing.run("--pafot-corpus", corpus)
+    (corpus / "test_extra.py").write_text(TEST_FILE)
+    failing.run("--pafot-corpus", corpus, generations=0).assert_outcomes(failed=1, skipped=1)
+
+
+@pytest.mark.parametrize("args", [(), ("pafot_corpus",), ("-n2",)])
+def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_either(project, args):
+    project.write("def test_ordinary():\n    pass\n")
+    (project.path / "pafot_corpus").mkdir()
+    (project.path / "pafot_corpus" / "test_extra.py").write_text(TEST_FILE)
+    assert "test_in_the_corpus" not in project.run("-v", *args).stdout.str()
+
+
+@pytest.mark.parametrize("corpus", ["tests", "."])
+def test_folders_of_tests_are_collected_whatever_the_corpus_is_called(project, corpus):
+    project.write(FAILING, name="tests/test_low")
+    args = ("--pafot-corpus", corpus if corpus == "tests" else project.path)
+    project.run(*args, "tests").assert_outcomes(failed=2)
+    project.run(*args, "tests", generations=0).assert_outcomes(failed=1, skipped=1)
