@@ -262,3 +262,20 @@ def test_every_option_in_the_documents_exists():
     for document in DOCUMENTS:
         used = set(re.findall(r"--pafot-[a-z]+(?:-[a-z]+)*", text_of(document)))
         assert used <= flags, document.name
+
+
+def workflows():
+    for document in DOCUMENTS:
+        for block in blocks_of(text_of(document)):
+            if block.first.startswith("# .github/workflows/"):
+                yield pytest.param(yaml.safe_load(block.rest), id=document.name)
+
+
+@pytest.mark.parametrize("workflow", list(workflows()))
+def test_a_job_that_searches_is_allowed_more_time_than_its_options_allow_the_searches(workflow):
+    commands = {name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()}
+    searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
+    assert searching
+    for name, text in searching.items():
+        (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each of any number
+        assert workflow["jobs"][name]["timeout-minutes"] * 60 >= int(seconds) + 15 * 60

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pytest_pafot.plugin.checks import REQUEST
-from pytest_pafot.plugin.collection import saved_of
+from pytest_pafot.plugin.collection import is_search, saved_of
+from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.bench import Bench
@@ -16,7 +17,13 @@ if TYPE_CHECKING:
 
 
 class Execution:
-    """The hook that calls test functions."""
+    """The hooks that run items and call test functions."""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        """Count searches that begin, whether they are skipped or not: they no longer wait for their time."""
+        if is_search(item):
+            item.config.stash[SHARED].begun.add(item.nodeid)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:

@@ -46,6 +46,7 @@ class Option(NamedTuple):
         least: smallest number that is accepted.
         choices: the texts that are accepted, or nothing for any.
         everywhere: False for what concerns the session and is a deliberate act: command line only.
+        is_argument: False for what concerns the session as a whole: no marker argument.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Option(NamedTuple):
     least: float = 0
     choices: tuple[str, ...] = ()
     everywhere: bool = True
+    is_argument: bool = True
 
     @property
     def flag(self) -> str:
@@ -118,6 +120,14 @@ OPTIONS: tuple[Option, ...] = (
         kind="seconds",
         default=None,
         help="End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
+    ),
+    Option(
+        name="total_time",
+        kind="seconds",
+        default=None,
+        is_argument=False,
+        help="End the searches of the session so many seconds of wall-clock time after its start, shrinking included; "
+        "each gets an equal share of what is left when it begins. A search that this cuts is not reproducible.",
     ),
     Option(
         name="stop_after",
@@ -259,7 +269,7 @@ class Sources(NamedTuple):
         if source == "command line":
             return option.flag, self.config.getoption(option.key)
         if source == "marker":
-            return f"@pafot.search({option.name}=...)", self.marker.get(option.name)
+            return f"@pafot.search({option.name}=...)", self.marker.get(option.name) if option.is_argument else None
         if source == "environment":
             return f"environment variable {option.variable}", self.environ.get(option.variable) or None
         return f"ini key {option.key}", _ini(self.config, option)

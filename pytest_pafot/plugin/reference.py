@@ -15,7 +15,8 @@ def options_table() -> str:
 
 def _row(option: Option) -> tuple[str, ...]:
     flag = option.flag if option.kind == "switch" else f"{option.flag}={option.metavar}"
-    elsewhere = (option.key, option.variable, f"{option.name}=") if option.everywhere else ("", "", "")
+    argument = f"{option.name}=" if option.is_argument else ""
+    elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
     choices = f" One of {', '.join(f'`{choice}`' for choice in option.choices)}." if option.choices else ""
     return (*(f"`{name}`" if name else "-" for name in (flag, *elsewhere)), _default(option), f"{option.help}{choices}")
 

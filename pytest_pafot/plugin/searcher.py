@@ -30,6 +30,7 @@ from pytest_pafot.plugin.retrying import settle
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.setup_fault import SetupFaultError
 from pytest_pafot.plugin.shrinking import Shrinking
+from pytest_pafot.plugin.time_limits import TimeLimit, searches_left, time_limit
 from pytest_pafot.report import terminal
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import Algorithm, algorithm_named, check_road, reads_near_misses, run_campaign, sample
@@ -42,10 +43,7 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.showing import Showing
     from pytest_pafot.trace import Trace
 
-REASONS = {"generations": "all generations done", "time": "--pafot-max-time", "stopped": "enough findings"}
-
-WHOLE = (REASONS["generations"], REASONS["time"])
-"""Reasons that leave a search whose health says something."""
+DONE = "all generations done"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +145,7 @@ class Searching:
         seed: of the search.
         clock: seconds since any moment.
         started: when the search began.
+        limit: when it must end.
         told_at: when progress was told last.
         notes: to be told once in the summary.
         shrink_runs: taken to simplify finds.
@@ -157,6 +156,7 @@ class Searching:
     seed: int
     clock: Callable[[], float]
     started: float = field(init=False)
+    limit: TimeLimit = field(init=False)
     told_at: float = field(init=False)
     notes: list[str] = field(default_factory=list)
     shrink_runs: int = 0
@@ -165,6 +165,13 @@ class Searching:
     def __post_init__(self) -> None:
         self.showing = showing_of(self.bench.item, self.bench.request.settings)
         self.started = self.told_at = self.clock()
+        item = self.bench.item
+        self.limit = time_limit(
+            self.bench.request.settings,
+            now=self.started,
+            began=item.config.stash[SHARED].began,
+            left=searches_left(item),
+        )
 
     def run(self) -> None:
         """Replay, search, report; fails the item when there is something new, or nothing was tested."""
@@ -243,7 +250,7 @@ class Searching:
             hunt.evaluate,
             generations=settings.generations,
             seed=self.seed,
-            max_seconds=settings.max_time,
+            max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
             stop=lambda: limit is not None and keeper.count >= limit,
             foresee=lambda scenarios: ahead.foresee([each for each in scenarios if each not in hunt.lethal]),
@@ -255,13 +262,12 @@ class Searching:
             raise RequestError(f"{self.bench.item.name}: {error}") from None
         except skips() as error:
             raise RequestError(f"{self.bench.item.name}: {no_skip('the fitness', error)}") from None
-        return "interrupted" if hunt.finished is None else REASONS[hunt.finished.reason]
+        reasons = {"generations": DONE, "time": self.limit.flag, "stopped": "enough findings"}
+        return "interrupted" if hunt.finished is None else reasons[hunt.finished.reason]
 
     def _shrunk(self, hunt: Hunt, keeper: Keeper, watched: Watched) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
-        settings = self.bench.request.settings
-        limit = float("inf") if settings.max_time is None else self.started + settings.max_time
         shrinking = Shrinking(
             bench=self.bench,
             keeper=keeper,
@@ -269,14 +275,16 @@ class Searching:
             afresh=watched.afresh,
             judge=watched.judge,
             lethal=hunt.lethal,
-            rollouts=settings.shrink_rollouts,
-            is_over=lambda: self.clock() > limit,
+            rollouts=self.bench.request.settings.shrink_rollouts,
+            is_over=lambda: self.clock() > self.limit.until,
             tell=lambda phase: self._tick(hunt, keeper, phase),
         )
         shrinking.run_all()
         self.shrink_runs = shrinking.runs
         if shrinking.is_cut:
-            self.notes.append("shrinking was cut by --pafot-max-time: the same seed may give other scenarios next time")
+            self.notes.append(
+                f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"
+            )
 
     def _tick(self, hunt: Hunt, keeper: Keeper, phase: str = "") -> None:
         now = self.clock()
@@ -299,8 +307,8 @@ class Searching:
     def _summary(self, hunt: Hunt, keeper: Keeper, reason: str) -> terminal.Search:
         settings, health = self.bench.request.settings, hunt.health
         finds = tuple(replace(find, repeats=hunt.repeats[find.id]) for find in keeper.finds)
-        if reason == REASONS["time"]:
-            self.notes.append("cut by --pafot-max-time: the same seed may find other scenarios next time")
+        if reason == self.limit.flag:
+            self.notes.append(f"cut by {reason}: the same seed may find other scenarios next time")
         return terminal.Search(
             node_id=self.bench.item.nodeid,
             algorithm=settings.algorithm,
@@ -324,7 +332,7 @@ class Searching:
             unsaved={id_: 1 + hunt.repeats[id_] for id_ in keeper.unsaved},
             shrink_runs=self.shrink_runs,
             known=dict(hunt.known),
-            warnings=tuple(_warnings(hunt)) if reason in WHOLE else (),
+            warnings=tuple(_warnings(hunt)) if reason in (DONE, self.limit.flag) else (),
             notes=tuple(self.notes),
             coverage=health.coverage.describe(float(self.bench.world.speed_limit)) if hunt.runs else "",
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +25,26 @@ class Shared:
         fresh_seed: base seed where no option gives one.
         progress_seconds: between two reports of progress.
         width: of the terminal, in columns, which a worker cannot ask.
+        began: when the session did, by ``time.monotonic`` of this process [s].
+        begun: node ids of the searches that this process has begun.
         frozen: node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed
             one collects these and no files that were written since. None before.
     """
 
     def __init__(
-        self, *, fresh_seed: int, progress_seconds: float, width: int, frozen: frozenset[str] | None = None
+        self,
+        *,
+        fresh_seed: int,
+        progress_seconds: float,
+        width: int,
+        began: float,
+        frozen: frozenset[str] | None = None,
     ) -> None:
         self.fresh_seed = fresh_seed
         self.progress_seconds = progress_seconds
         self.width = width
+        self.began = began
+        self.begun: set[str] = set()
         self.frozen = frozen
 
 
@@ -101,7 +112,10 @@ def start(config: pytest.Config) -> None:
     received = getattr(config, "workerinput", {}).get(WORKER_KEY)
     if received is None:
         config.stash[SHARED] = Shared(
-            fresh_seed=int.from_bytes(os.urandom(4), "big"), progress_seconds=LOG_SECONDS, width=terminal_width()
+            fresh_seed=int.from_bytes(os.urandom(4), "big"),
+            progress_seconds=LOG_SECONDS,
+            width=terminal_width(),
+            began=time.monotonic(),
         )
         return
     frozen = received["frozen"]
@@ -109,6 +123,7 @@ def start(config: pytest.Config) -> None:
         fresh_seed=received["fresh_seed"],
         progress_seconds=received["progress_seconds"],
         width=received["width"],
+        began=time.monotonic() - max(0.0, time.time() - received["began"]),
         frozen=None if frozen is None else frozenset(frozen),
     )
 
@@ -127,6 +142,7 @@ class Sharing:
             "fresh_seed": shared.fresh_seed,
             "progress_seconds": shared.progress_seconds,
             "width": shared.width,
+            "began": time.time() - (time.monotonic() - shared.began),  # a clock that another process has too
             "frozen": None if shared.frozen is None else sorted(shared.frozen),
         }
 

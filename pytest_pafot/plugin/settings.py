@@ -20,6 +20,7 @@ class Settings:
     seed: int
     algorithm: str
     max_time: float | None
+    total_time: float | None
     stop_after: int | None
     shrink_rollouts: int
     max_saved: int

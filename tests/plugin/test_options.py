@@ -62,14 +62,15 @@ def test_a_profile_may_be_named_anywhere(project, source):
 
 
 @pytest.mark.parametrize("option", [option for option in OPTIONS if option.everywhere], ids=lambda option: option.name)
-def test_every_option_is_an_ini_key_a_variable_and_a_marker_argument(project, option):
+def test_an_option_is_an_ini_key_a_variable_and_unless_it_is_the_sessions_a_marker_argument(project, option):
     word = option.choices[-1] if option.choices else "x"
     text = {"integer": "7", "seconds": "7", "text": word, "page": "x.html", "switch": "true", "workers": "7"}
     expected = option.read(text[option.kind])
+    marker = [{"marker": {option.name: expected}}] if option.is_argument else []
     for source in (
         {"ini": f"{option.key} = {text[option.kind]}"},
         {"environ": {option.variable: text[option.kind]}},
-        {"marker": {option.name: expected}},
+        *marker,
     ):
         assert getattr(settings(project, **source), option.name) == expected
 
@@ -120,7 +121,8 @@ def test_a_wrong_value_elsewhere_fails_the_marked_items_alone(project):
 
 def test_the_decorators_arguments_are_those_of_the_table_and_the_rest_of_the_design():
     own = {"world", "ads", "arg", "fitness", "blame", "decision_limit", *ROAD_ARGUMENTS, *SPACE_ARGUMENTS}
-    assert set(SearchArguments.__annotations__) == own | {option.name for option in OPTIONS if option.everywhere}
+    options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
+    assert set(SearchArguments.__annotations__) == own | options
 
 
 def test_every_option_is_in_the_help(project):
@@ -133,6 +135,7 @@ def test_the_reference_has_a_row_for_every_option_with_all_its_names():
     rows = options_table().splitlines()[2:]
     assert len(rows) == len(OPTIONS)
     for option, row in zip(OPTIONS, rows, strict=True):
-        names = (option.key, option.variable, f"{option.name}=") if option.everywhere else ()
+        names = (option.key, option.variable) if option.everywhere else ()
         assert all(f"`{name}`" in row for name in names)
+        assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
         assert option.flag in row

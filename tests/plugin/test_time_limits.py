@@ -1,0 +1,128 @@
+"""Limits of time: one of each search, and one of the session that its searches share."""
+
+import math
+import re
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.time_limits import searches_left, time_limit
+
+TWO = """
+import time
+
+def slow(observation):
+    time.sleep(0.002)
+    return 0.0, 0.0
+
+@pafot.search(SHORT, ads=lambda: slow)
+def test_first(run):
+    pass
+
+@pafot.search(SHORT, ads=lambda: slow)
+def test_second(run):
+    pass
+"""
+
+
+def limits(max_time=None, total_time=None):
+    return SimpleNamespace(max_time=max_time, total_time=total_time)
+
+
+@pytest.mark.parametrize(
+    ("settings", "left", "expected"),
+    [
+        (limits(), 1, ("--pafot-max-time", math.inf)),
+        (limits(max_time=30), 2, ("--pafot-max-time", 130)),
+        (limits(total_time=60), 1, ("--pafot-total-time", 150)),  # 10 of 60 s are gone
+        (limits(total_time=60), 2, ("--pafot-total-time", 125)),
+        (limits(max_time=10, total_time=60), 2, ("--pafot-max-time", 110)),
+        (limits(max_time=30, total_time=60), 2, ("--pafot-total-time", 125)),
+        (limits(total_time=5), 3, ("--pafot-total-time", 100)),  # all is gone: one run, and no more
+    ],
+)
+def test_a_search_ends_by_its_own_limit_or_its_share_of_what_is_left_of_the_sessions(settings, left, expected):
+    assert time_limit(settings, now=100.0, began=90.0, left=left) == expected
+
+
+@pytest.mark.parametrize("searches", range(1, 9))
+def test_searches_that_take_their_whole_shares_take_the_sessions_time_and_no_more(searches):
+    now, shares = 0.0, []
+    for left in range(searches, 0, -1):
+        until = time_limit(limits(total_time=80), now=now, began=0.0, left=left).until
+        shares.append(until - now)
+        now = until
+    assert now == pytest.approx(80)
+    assert shares == pytest.approx([80 / searches] * searches)
+
+
+class Item(SimpleNamespace):
+    """A search among others."""
+
+    def get_closest_marker(self, name):
+        return name == SEARCH_MARK or None
+
+
+@pytest.mark.parametrize(
+    ("searches", "workers", "begun", "left"),
+    [(4, None, 0, 4), (4, None, 1, 3), (4, None, 3, 1), (5, 2, 0, 3), (5, 2, 1, 2), (5, 2, 4, 1), (1, 8, 0, 1)],
+)
+def test_the_searches_left_are_those_of_this_process_or_a_workers_part_of_them(searches, workers, begun, left):
+    shared = SimpleNamespace(begun={f"other{number}" for number in range(begun)} | {"this"})
+    config = SimpleNamespace(stash={SHARED: shared})
+    if workers is not None:
+        config.workerinput = {"workercount": workers}
+    item = Item(nodeid="this", config=config)
+    item.session = SimpleNamespace(items=[item] * searches)
+    assert searches_left(item) == left
+
+
+def runs(result):
+    """Of each search."""
+    return [int(found) for found in re.findall(r"^  (\d+) runs? in ", result.stdout.str(), re.MULTILINE)]
+
+
+@pytest.mark.parametrize("args", [(), ("-n2",)], ids=["alone", "workers"])
+def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(project, args):
+    if args:
+        pytest.importorskip("xdist")
+    project.write(TWO)
+    begun = time.monotonic()
+    result = project.run("--pafot-total-time=4", *args, generations=9999, subprocess=True)
+    assert time.monotonic() - begun < 60  # each would take many minutes
+    result.assert_outcomes(passed=2)
+    text = result.stdout.str()
+    assert text.count("ended: --pafot-total-time") == 2
+    assert text.count("note: cut by --pafot-total-time: the same seed may find other scenarios next time") == 2
+
+
+def test_a_session_whose_time_is_over_still_runs_one_scenario_of_each_search(project):
+    project.write(TWO)
+    result = project.run("--pafot-total-time=0", generations=50)
+    result.assert_outcomes(passed=2)
+    assert runs(result) == [1, 1]
+
+
+def test_the_time_of_searches_that_are_not_selected_goes_to_those_that_are(project):
+    project.write(TWO)
+    result = project.run("--pafot-total-time=3", "-k", "second", generations=9999)
+    result.assert_outcomes(passed=1, deselected=1)
+    (seconds,) = re.findall(r"runs? in (\S+) s", result.stdout.str())
+    assert float(seconds) > 1.5  # more than a half, which is the share of one of two
+
+
+def test_it_bounds_shrinking(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    result = project.run("--pafot-total-time=0", generations=10)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*note: shrinking was cut by --pafot-total-time*"])
+
+
+def test_it_is_no_argument_of_one_search(project):
+    project.write("@pafot.search(SHORT, total_time=3)\ndef test_it(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*(total_time=...): this concerns the whole session; give --pafot-total-time*"])
