@@ -1,7 +1,7 @@
 """The option ``workers``: once runs turn out to be dear, those of a generation take place ahead, in other processes.
 
 The search asks for one run after the other, as it always does, and gets each from here. So nothing but the time
-depends on whether, when and by how many processes it was made.
+depends on whether, when and by how many processes it was made. With the option ``isolate`` none takes place here.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.crew import GRACE, Answer, Crew, Errand, Lost, ProcessLostError
+from pytest_pafot.plugin.request import RequestError
 from pytest_pafot.plugin.session import is_worker
 
 if TYPE_CHECKING:
@@ -141,14 +142,107 @@ class Ahead:
             self._coming = []
 
 
+@dataclass(slots=True, kw_only=True)
+class Isolated:
+    """Gives all runs of one search from other processes: the ADS is never called in this one.
+
+    To be used in a ``with`` statement, which ends the processes; what runs after it has others.
+
+    Attributes:
+        hire: makes the crew.
+        is_wanted: whether runs may take place in lock step, which they may not.
+    """
+
+    hire: Callable[[], Crew]
+    is_wanted: Literal[False] = False
+    _crew: Crew | None = field(default=None, init=False)
+    _recovered: list[Lost] = field(default_factory=list, init=False)
+
+    @property
+    def notes(self) -> list[str]:
+        """To be told once."""
+        return [_recovery(lost) for lost in [*self._recovered, *(self._crew.recovered if self._crew else ())]]
+
+    def __enter__(self) -> Isolated:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        crew, self._crew = self._crew, None
+        if crew is not None:
+            crew.close(at_once=kind is not None)
+            self._recovered += crew.recovered
+
+    def foresee(self, scenarios: Sequence[Scenario]) -> None:
+        """Know what will be asked for."""
+        self._hired().expect(scenarios)
+
+    def saw(self, ads: Any) -> None:
+        """Whatever the ADS can do besides, it is asked for one run at a time."""
+
+    def was_together(self, trace: Trace) -> bool:
+        """No run takes place together with others."""
+        return False
+
+    def run(self, scenario: Scenario, here: Callable[[Scenario], Trace]) -> Trace:
+        """A run; ``here`` only to raise what it raised in another process beside the ADS.
+
+        Raises:
+            ProcessLostError: where the process that made it did not come back.
+            RequestError: where there can be no process.
+            Exception: whatever ``here`` raises.
+        """
+        __tracebackhide__ = True
+        crew = self._hired()
+        if not crew.expects(scenario):
+            crew.insert(scenario)
+        answer = crew.fetch(scenario)
+        if crew.failure:
+            raise RequestError(f"--pafot-isolate: expected processes to run the ADS in, received: {crew.failure}")
+        if isinstance(answer, Lost):
+            raise ProcessLostError(answer)
+        if answer.trace is None:
+            return here(scenario)
+        answer.echo.repeat()
+        return answer.trace
+
+    def _hired(self) -> Crew:
+        self._crew = self._crew or self.hire()
+        return self._crew
+
+
 def ahead_of(bench: Bench) -> Ahead:
     """The runs of an item's search, by as many processes as its settings say."""
+    size, notes = _size(bench), list[str]()
+    return Ahead(size=size, hire=lambda: hired(bench.errand, size, METHOD, notes), notes=notes)
+
+
+def isolated_of(bench: Bench) -> Isolated:
+    """The same where the ADS shall not run in this process."""
+    size = _size(bench)
+    return Isolated(hire=lambda: crew_for(bench.errand, size))
+
+
+def crew_for(errand: Errand, size: int) -> Crew:
+    """A crew that there must be.
+
+    Raises:
+        RequestError: where its processes cannot be given what they need.
+    """
+    notes: list[str] = []
+    crew = hired(errand, size, METHOD, notes)
+    if crew is None:
+        raise RequestError(f"--pafot-isolate: {notes[0].partition(': ')[2]}")
+    return crew
+
+
+def _size(bench: Bench) -> int:
     size = bench.request.settings.workers
     if size > 1 and is_worker(bench.item.config):
         messages.send(bench.item, "note", {"text": IN_WORKER})
-        size = 1
-    notes: list[str] = []
-    return Ahead(size=size, hire=lambda: hired(bench.errand, size, METHOD, notes), notes=notes)
+        return 1
+    return size
 
 
 def hired(errand: Errand, size: int, method: str, notes: list[str]) -> Crew | None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin.ahead import METHOD, hired
+from pytest_pafot.plugin.ahead import METHOD, crew_for, hired
 from pytest_pafot.plugin.crew import Answer, Lost, ProcessLostError, ending
 from pytest_pafot.plugin.echo import listening
 from pytest_pafot.plugin.flights import left_behind
@@ -61,7 +61,8 @@ def answers_of(
 ) -> tuple[dict[Scenario, Answer | Lost], list[Lost]] | None:
     """What running each by itself in another process shows, and the deaths that did not come again.
 
-    None where there can be no process with the fixtures of the test function.
+    None where there can be no process with the fixtures of the test function. With the option ``isolate`` one that has
+    the factory will do.
 
     Args:
         bench: of the item.
@@ -69,10 +70,15 @@ def answers_of(
         world: that they run in.
         owner: of the records of what is in flight; without it the item.
     """
-    if METHOD != "fork":
+    if METHOD != "fork" and not bench.request.settings.isolate:
         return None
     errand = bench.errand
-    errand = replace(errand, world=Whole(bench, world), owner=owner or errand.owner, plain_world=described(world))
+    errand = replace(
+        errand,
+        world=Whole(bench, world) if METHOD == "fork" else world,
+        owner=owner or errand.owner,
+        plain_world=described(world),
+    )
     crew = hired(errand, 1, METHOD, [])
     if crew is None:
         return None
@@ -111,6 +117,43 @@ def tried_apart(bench: Bench, file: Path, scenario: Scenario, world: Any, owner:
         flight.record(scenario)
         run = bench.seen(answer.trace, world)
         return run, bench.judge(run)
+
+
+@dataclass(frozen=True, slots=True)
+class InGym:
+    """The plain environment of a world, in the place of that world."""
+
+    world: Any
+
+    @property
+    def hang_limit(self) -> float:
+        """Of a decision [s]."""
+        return float(self.world.hang_limit)
+
+    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        """The run by ``env.step``."""
+        from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
+
+        return replay_in_gym(self.world, scenario, ads)
+
+
+def replay_in_gym_apart(bench: Bench, world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+    """One run in the plain environment of a world, in another process.
+
+    Raises:
+        ProcessLostError: where that process did not come back.
+        Exception: what it raised.
+    """
+    __tracebackhide__ = True
+    with crew_for(replace(bench.errand, world=InGym(world)), 1) as crew:
+        crew.expect([scenario])
+        answer = crew.fetch(scenario)
+    if isinstance(answer, Lost):
+        raise ProcessLostError(answer)
+    if answer.trace is None:  # It raised, or cannot be sent: that is to be seen here.
+        return InGym(world).rollout(scenario, ads)
+    answer.echo.repeat()
+    return answer.trace
 
 
 def _try_in_session(bench: Bench, file: Path, scenario: Scenario, owner: str) -> None:

@@ -38,6 +38,7 @@ class SearchArguments(TypedDict, total=False):
     corpus: str
     save: str
     workers: int | str
+    isolate: bool
     report: str
     profile: str
     strict_drift: bool

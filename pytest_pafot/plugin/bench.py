@@ -155,8 +155,15 @@ class Bench:
         prevent = getattr(world, "preventable_by", None)  # A world of the user's own need not have it.
         return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent)
 
-    def simulate_in_gym(self, scenario: Scenario) -> Run | None:
-        """The same by ``env.step`` of the plain environment; None for a world of the user's own, which has none."""
+    def simulate_in_gym(
+        self, scenario: Scenario, replay: Callable[[Any, Scenario, Any], Trace] | None = None
+    ) -> Run | None:
+        """The same by ``env.step`` of the plain environment; None for a world of the user's own, which has none.
+
+        Args:
+            scenario: to run.
+            replay: does that with a world and a factory, where it shall not be done in this process.
+        """
         __tracebackhide__ = True
         from pytest_pafot.world import Highway, World  # noqa: PLC0415
         from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
@@ -164,7 +171,7 @@ class Bench:
         if type(self.world) not in (Highway, World):  # one that derives from these may do anything
             return None
         with self._refusals():
-            trace = replay_in_gym(self.world, scenario, self.ads)
+            trace = (replay or replay_in_gym)(self.world, scenario, self.ads)
         return Run(trace, decision_limit=self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:

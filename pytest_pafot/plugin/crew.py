@@ -169,6 +169,15 @@ class Crew:
         self._answers, self._suspects = {}, {}
         self._send()
 
+    def insert(self, scenario: Scenario) -> None:
+        """Run this one next, beside what is expected."""
+        self._wanted.add(scenario)
+        if self.failure:
+            self._answers[scenario] = Answer()
+            return
+        self._pending.appendleft(scenario)
+        self._send()
+
     def expects(self, scenario: Scenario) -> bool:
         """Whether :meth:`fetch` can give an answer."""
         return scenario in self._wanted

@@ -137,7 +137,7 @@ class Hunt:
         run = self._run(scenario)
         if isinstance(run, Lost):
             self._settle()
-            return self._lost(run)
+            return self.lose(run)
         verdict = self.stage.judge(run)
         again = self.stage.alone(run) if verdict.failed else None
         if again is not None:  # A find is what its replay will be, also where an ADS does not keep its rows apart.
@@ -180,7 +180,7 @@ class Hunt:
         self._sort(signature, lambda: self.stage.keep(run, verdict, self.generation, self.runs))
         return signature
 
-    def _lost(self, lost: Lost) -> Evaluation:
+    def lose(self, lost: Lost) -> Evaluation:
         """A scenario that is not to be run again; what the search knows of it is that, as in later sessions."""
         self.died.add(lost.scenario)
         self._sort(lost.expect.signature, lambda: self.stage.keep_lost(lost, self.generation, self.runs + 1))

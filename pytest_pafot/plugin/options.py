@@ -171,6 +171,13 @@ OPTIONS: tuple[Option, ...] = (
         "each core. What is found is the same. 1 under pytest-xdist.",
     ),
     Option(
+        name="isolate",
+        kind="switch",
+        default=False,
+        help="Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
+        "session goes on. What is found is the same.",
+    ),
+    Option(
         name="report",
         kind="page",
         default=None,

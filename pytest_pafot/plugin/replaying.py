@@ -105,8 +105,8 @@ def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:
 
 
 def _means(bench: Bench, saved: Saved, owner: str) -> Tried:
-    """How a scenario is run: in another process where one died in it, or hung."""
-    if saved.is_deadly or left_behind(bench.item, bench.request, owner):
+    """How a scenario is run: in another process where one died in it, or hung, or the ADS shall run in no other way."""
+    if bench.request.settings.isolate or saved.is_deadly or left_behind(bench.item, bench.request, owner):
         return partial(tried_apart, bench, saved.path)
     return bench.tried
 

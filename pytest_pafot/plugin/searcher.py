@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,7 +15,8 @@ from pytest_pafot.findings.near_miss import NearMiss, near_misses
 from pytest_pafot.findings.responsibility import is_ego_responsible
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
-from pytest_pafot.plugin.ahead import ahead_of
+from pytest_pafot.plugin.ahead import Isolated, ahead_of, isolated_of
+from pytest_pafot.plugin.apart import replay_in_gym_apart
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.confirming import difference
 from pytest_pafot.plugin.failing import SUMMARY
@@ -52,7 +55,7 @@ class Watched:
 
     bench: Bench
     flight: InFlight
-    ahead: LockStep
+    ahead: LockStep | Isolated
     resuming: Resuming
 
     @classmethod
@@ -64,9 +67,20 @@ class Watched:
             flight.record(*scenarios)
             return bench.rolled_out_together(scenarios)
 
+        if bench.request.settings.isolate:
+            return cls(bench, flight, isolated_of(bench), Resuming(is_wanted=False))
         is_wanted = None if bench.can_lock_step else False
         ahead = LockStep(apart=ahead_of(bench), together=together, is_wanted=is_wanted)
         return cls(bench, flight, ahead, Resuming(is_wanted=None if bench.can_resume else False))
+
+    def __enter__(self) -> Watched:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if isinstance(self.ahead, Isolated):  # others have ended by then
+            self.ahead.__exit__(kind, value, traceback)
 
     def run(self, scenario: Scenario) -> Run:
         """One run, whose verdict follows; what a pure ADS decides may be known from earlier ones.
@@ -131,7 +145,8 @@ class Watched:
         """One run in highway-env's own environment, where the world has one."""
         __tracebackhide__ = True
         self.flight.record(scenario)
-        run = self.bench.simulate_in_gym(scenario)
+        replay = partial(replay_in_gym_apart, self.bench) if isinstance(self.ahead, Isolated) else None
+        run = self.bench.simulate_in_gym(scenario, replay)
         self.flight.clear()
         return run
 
@@ -179,8 +194,7 @@ class Searching:
         fitness = checked_fitness(self.bench)
         space = checked_space(self.bench) if self.bench.request.settings.generations else None
         messages.send(self.bench.item, "start", {})
-        with self.bench.in_flight(self.bench.world) as flight:
-            watched = Watched.of(self.bench, flight)
+        with self.bench.in_flight(self.bench.world) as flight, Watched.of(self.bench, flight) as watched:
             keeper = Keeper(
                 bench=self.bench,
                 seed=self.seed,
@@ -235,7 +249,12 @@ class Searching:
         self._conclude(hunt, keeper, search)
 
     def _hunted(
-        self, hunt: Hunt, space: SearchSpace | None, keeper: Keeper, saved: list[places.Saved], ahead: LockStep
+        self,
+        hunt: Hunt,
+        space: SearchSpace | None,
+        keeper: Keeper,
+        saved: list[places.Saved],
+        ahead: LockStep | Isolated,
     ) -> str:
         """Run the campaign; returns why it ended."""
         __tracebackhide__ = True
@@ -275,6 +294,7 @@ class Searching:
             afresh=watched.afresh,
             judge=watched.judge,
             lethal=hunt.lethal,
+            lose=hunt.lose,
             rollouts=self.bench.request.settings.shrink_rollouts,
             is_over=lambda: self.clock() > self.limit.until,
             tell=lambda phase: self._tick(hunt, keeper, phase),

@@ -27,6 +27,7 @@ class Settings:
     corpus: str
     save: str
     workers: int
+    isolate: bool
     report: str | None
     profile: str
     strict_drift: bool

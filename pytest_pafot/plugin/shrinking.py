@@ -15,6 +15,7 @@ from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, Start, shrink, size_of
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.plugin import places
+from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import LANE, SPEED
@@ -35,6 +36,7 @@ class Shrinking:
         afresh: the same with the ADS asked for every decision, for what is saved.
         judge: says what the test function makes of a run; likewise.
         lethal: scenarios in which a process died; they are not run.
+        lose: takes one in which a process dies now.
         rollouts: that each find may take.
         is_over: whether time is up.
         tell: is told what goes on, often.
@@ -48,6 +50,7 @@ class Shrinking:
     afresh: Callable[[Scenario], Run]
     judge: Callable[[Run], Verdict]
     lethal: frozenset[Scenario]
+    lose: Callable[[Lost], object]
     rollouts: int
     is_over: Callable[[], bool]
     tell: Callable[[str], None]
@@ -62,7 +65,15 @@ class Shrinking:
             if is_firm and self.is_over():
                 self.is_cut = True
             elif is_firm:
-                self._refine(kept)
+                self._refine_firm(kept)
+
+    def _refine_firm(self, kept: Kept) -> None:
+        __tracebackhide__ = True
+        try:
+            self._refine(kept)
+        except ProcessLostError as error:
+            self._call_flaky(kept, f"the process that ran it again {error.lost.how}")
+            self.lose(error.lost)
 
     def _refine(self, kept: Kept) -> None:
         """Shrink a find, run the result once more, try reference drivers, and tell."""
@@ -93,7 +104,11 @@ class Shrinking:
                 return None
             spent += 1
             self.tell(f"shrinking {kept.find.id}, run {spent} of {self.rollouts}")
-            run, verdict = self._tried(candidate, self.run)
+            try:
+                run, verdict = self._tried(candidate, self.run)
+            except ProcessLostError as error:
+                self.lose(error.lost)
+                return None
             is_same = verdict.failure is not None and of_failure(run, verdict.failure) == signature
             if not is_same:
                 return None

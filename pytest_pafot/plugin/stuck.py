@@ -61,7 +61,7 @@ def _flush(item: pytest.Item, stack: str) -> None:
     reason = (
         f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores each interruption, so "
         "that only the end of this session ends it. Its scenario is on disk: the next session runs it again in a "
-        "process of its own, and saves it. With --pafot-workers=2 such a search goes on"
+        "process of its own, and saves it. With --pafot-isolate such a search goes on"
     )
     item.ihook.pytest_runtest_logreport(
         report=pytest.TestReport(

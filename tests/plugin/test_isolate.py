@@ -1,0 +1,204 @@
+"""The option `isolate`: the ADS runs in other processes alone, which may die of it, and the search is the same."""
+
+import os
+import sys
+
+import pytest
+
+import pytest_pafot.plugin.ahead
+import pytest_pafot.plugin.apart
+from pytest_pafot.findings.corpus import read
+from tests.plugin.test_workers import forget, summary
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+CONFTEST = """
+import os
+
+import pytest
+
+SESSION = os.getpid()
+
+def note():
+    open(f"pid-{os.getpid()}", "w").close()
+
+def keep(observation):
+    return 0.0, 0.0
+
+MORE
+
+@pytest.fixture
+def ads():
+    def make():
+        note()
+        return DRIVE
+    return make
+"""
+
+MANY = """
+@pafot.search(genes=2, gene_seconds=4, npcs=2)
+def test_many(run):
+    assert not run.collision
+    assert run.min_distance > 1.9
+
+def test_ordinary():
+    pass
+"""
+
+DIES = """
+def drive(observation):
+    ego, other = observation.ego, observation.others[0]
+    if observation.time == 1 and other.lane == ego.lane:
+        os._exit(9)
+    return 0.0, 0.0
+"""
+
+
+@pytest.fixture
+def isolated(project):
+    """A project whose ADS is some source text."""
+
+    def write(drive="keep", more="", test=MANY):
+        project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
+        project.write(test)
+        return project
+
+    return write
+
+
+def session(project, *args, generations=3):
+    """A session that begins without saved scenarios, and what is saved after it."""
+    forget(project)
+    result = project.run("-p", "no:cacheprovider", *args, generations=generations)
+    return result, project.contents
+
+
+BATCH = """
+class Batching:
+    pure = True
+
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+    def batch(self, observations):
+        return [(0.0, 0.0)] * len(observations)
+"""
+
+FAILS = """
+def fails(observation):
+    if observation.time > 3 and observation.others[0].lane == 1:
+        raise KeyError('lane')
+    print('at', observation.time)
+    return 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("drive", "more"),
+    [("keep", ""), ("Batching()", BATCH), ("fails", FAILS)],
+    ids=["plain", "batch", "raises"],
+)
+def test_what_is_found_said_and_saved_is_the_same(isolated, drive, more):
+    project = isolated(drive, more)
+    here, contents = session(project)
+    assert any("shrunk: {" in text for text in contents.values())
+    apart, same = session(project, "--pafot-isolate")
+    assert same == contents
+    assert summary(apart) == summary(here)
+    several, same = session(project, "--pafot-isolate", "--pafot-workers=2")
+    assert same == contents
+    assert summary(several) == summary(here)
+
+
+def test_the_ads_never_runs_in_the_process_of_the_session(isolated):
+    project = isolated(test=MANY.replace("npcs=2", "npcs=2, isolate=True"))
+    _, contents = session(project, generations=2)
+    assert contents
+    project.run("-p", "no:cacheprovider", generations=1)
+    pids = [path.name for path in project.path.glob("pid-*")]
+    assert len(pids) > 3
+    assert f"pid-{os.getpid()}" not in pids
+
+
+def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isolated):
+    project = isolated("drive", DIES)
+    result = project.run("--pafot-isolate", generations=4, subprocess=True)
+    (crash,) = [name for name in project.files if "crash-" in name]
+    assert read(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
+    assert len(project.files) > 1
+    result.assert_outcomes(failed=1 + len(project.files), passed=1)
+    result.stdout.fnmatch_lines(["*ended: all generations done*"])
+    again = project.run("--pafot-isolate", generations=4, subprocess=True)
+    again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{crash.rpartition('/')[2][:-11]}"])
+    assert not list(project.path.rglob("*.inflight"))
+
+
+def test_so_it_is_in_the_first_run_of_all(isolated):
+    project = isolated("os._exit(9)")
+    result = project.run("--pafot-isolate", generations=1, subprocess=True)
+    assert result.parseoutcomes()["passed"] == 1
+    assert project.only_id.startswith("crash-")
+
+
+def test_under_xdist_as_well(isolated):
+    pytest.importorskip("xdist")
+    project = isolated("drive", DIES)
+    project.run("--pafot-isolate", generations=4, subprocess=True)
+    contents = project.contents
+    forget(project)
+    result = project.run("--pafot-isolate", "-n1", generations=4, subprocess=True)
+    assert project.contents == contents
+    result.assert_outcomes(failed=1 + len(contents), passed=1)
+
+
+LONE = """
+def drive(observation):
+    if len(observation.others) == 1:
+        os._exit(9)
+    return 0.0, 0.0
+"""
+
+
+def test_a_process_that_dies_of_a_simplification_is_a_finding_too(isolated):
+    project = isolated("drive", LONE)
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
+    crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
+    assert len(read(project.path / crash).scenario.npcs) == 1
+    assert read(project.path / other).shrunk is not None
+    result.assert_outcomes(failed=3, passed=1)
+
+
+ONCE = """
+import pathlib
+
+def drive(observation):
+    runs = pathlib.Path("runs")
+    if observation.time == 0:
+        runs.write_text((runs.read_text() if runs.exists() else "") + ".")
+    if len(runs.read_text()) > 1:
+        os._exit(9)
+    return 0.0, 0.0
+"""
+
+
+def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
+    project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
+    assert read(project.only_file).flaky == "the process that ran it again ended with exit code 9"
+    result.assert_outcomes(failed=2, passed=1)
+
+
+def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pickled(isolated, monkeypatch):
+    for module in (pytest_pafot.plugin.ahead, pytest_pafot.plugin.apart):
+        monkeypatch.setattr(module, "METHOD", "spawn")
+    project = isolated()
+    result, contents = session(project, "--pafot-isolate", generations=1)
+    assert contents == {}
+    result.stdout.fnmatch_lines(["*--pafot-isolate: where processes cannot be forked, the ADS factory must be one*"])
+    named = "from tests.support.errands import Keeps\n" + MANY.replace("npcs=2", "npcs=2, ads=Keeps, shrink_rollouts=0")
+    project = isolated(test=named)
+    result, contents = session(project, "--pafot-isolate", "--pafot-stop-after=1", generations=1)
+    assert contents
+    project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=0).assert_outcomes(
+        failed=len(contents), passed=1, skipped=1
+    )
