@@ -1,5 +1,6 @@
 """Configuration of the project's own tests."""
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["pytester"]
@@ -10,3 +11,9 @@ settings.register_profile(
 )
 settings.register_profile("fresh", settings.get_profile("project"), derandomize=False)
 settings.load_profile("project")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """From here on every warning is an error; of what other plugins warn while they are configured is their matter."""
+    config.addinivalue_line("filterwarnings", "error")
