@@ -8,17 +8,28 @@ Samples are fenced blocks, and their first line says what they are:
 - ``$ pytest ...`` or ``$ python ...``: a command with what it prints.
 
 The blocks of a document run in order, in one folder; ``<!-- new folder -->`` starts with an empty one. In expected
-output ``...`` stands for anything, every number and every scenario's six digits for any other.
+output a line ``...`` stands for anything; all else is compared, but for white space. What ``pytest`` prints ends with
+its summary line (``1 failed, 2 passed in 0.4s``), which tells the exit status, too; ``$ python`` exits with 0.
+
+Seconds of wall clock vary, as in that line and in ``20 runs in 1.0 s``. For other numbers that vary, a comment before
+the block names the texts that they stand in: ``<!-- varies: 3 of 4 workers | pid 17 -->``.
+
+Where the output has changed on purpose, this brings samples whose words are the same up to it, for a look at the diff:
+
+    PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -k samples -p no:xdist
 """
 
 import html
 import importlib.util
+import os
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
@@ -44,12 +55,17 @@ COMMANDS = {
 
 NEW_FOLDER = "<!-- new folder -->"
 GENERATED = re.compile(r"<!-- generated: ([a-z-]+) -->\n(.*?)<!-- end of generated -->", re.DOTALL)
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-VARIABLE = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
+FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
+WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\d runs? in [\d.]+ s", re.MULTILINE)
+SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")
+REFRESH = "PAFOT_REFRESH"
 CORPUS_NAME = re.compile(r"([a-z0-9-]+)-[0-9a-f]{6}(?=\.pafot\.yaml|\])")
 
 
 class Block(NamedTuple):
+    varies: tuple[str, ...]
+    """Texts whose numbers vary."""
     language: str
     first: str
     """The first line."""
@@ -62,7 +78,10 @@ def text_of(document):
 
 
 def blocks_of(text):
-    return [Block(found[1], *found[2].partition("\n")[::2]) for found in FENCE.finditer(text)]
+    return [
+        Block(tuple((found[1] or "").split(" | ")) if found[1] else (), found[2], *found[3].partition("\n")[::2])
+        for found in FENCE.finditer(text)
+    ]
 
 
 def stories():
@@ -70,35 +89,68 @@ def stories():
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
-                yield pytest.param(part, id=f"{document.stem}-{number}")
+                yield pytest.param(document, part, id=f"{document.stem}-{number}")
 
 
-def expected(output):
-    """A pattern for the printed output: white space, numbers and ids are loose, ``...`` is anything."""
-    parts = [part.split() for part in re.split(r"^\.\.\.$", output, flags=re.MULTILINE)]
-    return [r"\s+".join(_loose(word) for word in words) for words in parts if words]
+def pattern(text, varying):
+    """Of a text: white space and rules of ``=`` are loose, and numbers where something says so.
+
+    Args:
+        text: as in a document.
+        varying: whether the number at a place in it varies.
+    """
+    parts = []
+    for found in re.finditer(rf"\s+|={{3,}}|{NUMBER.pattern}|.", text.strip()):
+        if found[0].isspace():
+            parts.append(r"\s+")
+        elif found[0].startswith("==="):
+            parts.append("=+")
+        elif NUMBER.fullmatch(found[0]) and varying(found.start()):
+            parts.append(r"[0-9a-f]{6}" if len(found[0]) == 6 and "." not in found[0] else r"[\d.]+")
+        else:
+            parts.append(re.escape(found[0]))
+    return re.compile("".join(parts))
 
 
-def _loose(word):
-    kept = VARIABLE.split(word)
-    found = VARIABLE.findall(word)
-    loose = [r"[0-9a-f]{6}" if len(each) == 6 and "." not in each else r"[\d.]+" for each in found] + [""]
-    return "".join(re.escape(part) + gap for part, gap in zip(kept, loose, strict=True))
+def compared(text, varies):
+    """The pattern of a text whose numbers count, but for seconds of wall clock and what else varies."""
+    text = text.strip()
+    spans = [found.span() for found in WALL_CLOCK.finditer(text)]
+    spans += [found.span() for each in varies for found in re.finditer(re.escape(each), text)]
+    return pattern(text, lambda place: any(start <= place < end for start, end in spans))
 
 
-def check_output(output, printed):
-    position = 0
-    for pattern in expected(output):
-        found = re.compile(pattern).search(printed, position)
-        assert found, f"not found in order:\n{pattern}\n\nin what was printed:\n{printed}"
-        position = found.end()
+def check_output(block, printed):
+    """The block as it should be, which is as it is."""
+    position, right = 0, block.rest
+    for part in re.split(r"^\.\.\.$", block.rest, flags=re.MULTILINE):
+        found = compared(part, block.varies).search(printed, position)
+        near = found or pattern(part, lambda _: True).search(printed, position)
+        if found is None:
+            advice = f"with PAFOT_REFRESH=1 the document has:\n{near[0]}" if near else "edit the document by hand"
+            if near is None or not os.environ.get(REFRESH):
+                pytest.fail(f"the document says, in this order:\n{part}\n{advice}\n\nall that is printed:\n{printed}")
+            right = right.replace(part.strip(), near[0], 1)
+        position = near.end()
+    if block.language == "console" and not block.rest.rstrip().endswith("..."):
+        assert not printed[position:].strip(), f"the document ends before what is printed does:\n{printed[position:]}"
+    return right
+
+
+def check_end(block, result):
+    """The summary line that a sample of pytest ends with is the last one printed, and tells the exit status."""
+    last = block.rest.rstrip().rpartition("\n")[2]
+    summary = SUMMARY.fullmatch(last)
+    assert summary, f"expected {block.first} to end with a summary line such as `2 passed in 0.4s`, not with: {last}"
+    assert result.ret == (1 if re.search(r"\b(failed|errors?)\b", summary[1]) else 0)
 
 
 class Folder:
     """Where a story runs."""
 
-    def __init__(self, pytester):
+    def __init__(self, pytester, document):
         self.pytester = pytester
+        self.document = document
         self.path = pytester.path
 
     def show(self, block):
@@ -108,7 +160,7 @@ class Folder:
         elif name.startswith("last line of "):
             self.replace_last_line(self.saved(name.removeprefix("last line of ")), block.rest)
         elif name.endswith(".pafot.yaml"):
-            check_output(block.rest, self.saved(name).read_text(encoding="utf-8"))
+            self.compare(block, self.saved(name).read_text(encoding="utf-8"))
         elif re.fullmatch(r"[\w./-]+\.(py|toml|yml)", name):
             self.write(name, block.rest)
         else:
@@ -153,30 +205,111 @@ class Folder:
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if program == "python":
             done = self.pytester.run(sys.executable, *arguments)
-            check_output(block.rest, done.stdout.str())
+            self.compare(block, done.stdout.str())
+            assert done.ret == 0
             return
         assert program == "pytest", block.first
         # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
         others = ("sugar", "randomly", "hypothesispytest", "rerunfailures", "unraisableexception")
         quiet = [part for name in others for part in ("-p", f"no:{name}")]
         run = self.pytester.runpytest_subprocess if "-n" in arguments else self.pytester.runpytest_inprocess
-        check_output(block.rest, run(*quiet, *arguments).stdout.str())
+        result = run(*quiet, *arguments)
+        self.compare(block, result.stdout.str())
+        check_end(block, result)
+
+    def compare(self, block, printed):
+        """What is printed with what the document says, or the other way round."""
+        right = check_output(block, printed)
+        if right != block.rest:
+            text = text_of(self.document).replace(block.rest, right)
+            renamed = zip(NUMBER.findall(block.rest), NUMBER.findall(right), strict=True)
+            for old, new in {(old, new) for old, new in renamed if old != new and len(old) == 6}:
+                text = text.replace(old, new)  # in commands and sentences, too
+            self.document.write_text(text, encoding="utf-8")
 
 
 @pytest.fixture
-def folder(pytester, monkeypatch):
+def folder(pytester, monkeypatch, document):
     for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", *(option.variable for option in OPTIONS)):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    return Folder(pytester)
+    return Folder(pytester, document)
 
 
-@pytest.mark.parametrize("story", list(stories()))
+@pytest.mark.parametrize(("document", "story"), list(stories()))
 def test_samples_work_as_printed(story, folder):
     for block in blocks_of(story):
         if block.language in RUN:
             folder.show(block)
+
+
+SAMPLE = """
+<!-- varies: took 0.030 s -->
+```console
+$ pytest -q
+...
+E  after 6.3 s in cell 2, took 0.030 s
+  20 runs in 1.0 s
+...
+saved as front-d175c6
+1 failed in 0.43s
+```
+"""
+PRINTED = (
+    "F\nE   after 6.3 s in cell 2, took 0.125 s\n\n20 runs in 12.5 s, 9 more\nsaved as front-d175c6\n1 failed in 7.1s\n"
+)
+
+
+def test_numbers_are_compared_but_for_seconds_of_wall_clock_and_those_that_a_comment_names():
+    (block,) = blocks_of(SAMPLE)
+    assert check_output(block, PRINTED) == block.rest
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("6.3", "6.4"), ("cell 2", "cell 12"), ("20 runs", "21 runs"), ("d175c6", "d175c7"), ("1 f", "2 f")],
+)
+def test_any_other_number_that_is_printed_differs_and_the_failure_tells_how_to_refresh(old, new, monkeypatch):
+    monkeypatch.delenv(REFRESH, raising=False)
+    (block,) = blocks_of(SAMPLE)
+    with pytest.raises(pytest.fail.Exception, match=f"(?s)the document says.*{old}.*with PAFOT_REFRESH=1 .*{new}"):
+        check_output(block, PRINTED.replace(old, new))
+
+
+def test_a_sample_ends_where_what_is_printed_does():
+    (block,) = blocks_of(SAMPLE)
+    with pytest.raises(AssertionError, match="the document ends before what is printed does"):
+        check_output(block, PRINTED + "and more\n")
+
+
+@pytest.mark.parametrize(
+    ("rest", "code", "holds"),
+    [
+        ("...\n2 passed in 0.1s\n", 0, True),
+        ("=== 1 passed, 1 xfailed in 0.1s ===\n", 0, True),
+        ("1 failed, 2 passed in 0.1s\n", 1, True),
+        ("2 passed in 0.1s\n", 1, False),
+        ("1 failed in 0.1s\n", 0, False),
+        ("2 passed\n...\n", 0, False),
+    ],
+)
+def test_a_sample_of_pytest_ends_with_its_summary_line_and_the_exit_status_that_this_tells(rest, code, holds):
+    with nullcontext() if holds else pytest.raises(AssertionError):
+        check_end(Block((), "console", "$ pytest", rest), SimpleNamespace(ret=code))
+
+
+def test_refreshing_writes_new_numbers_and_new_names_of_files_wherever_the_document_has_them(tmp_path, monkeypatch):
+    monkeypatch.setenv(REFRESH, "1")
+    document = tmp_path / "document.md"
+    document.write_text(f"See front-d175c6.\n{SAMPLE}")
+    (block,) = blocks_of(SAMPLE)
+    Folder(SimpleNamespace(path=tmp_path), document).compare(
+        block, PRINTED.replace("6.3", "6.4").replace("75c6", "75c7")
+    )
+    text = document.read_text()
+    assert text.startswith("See front-d175c7.")
+    assert "after 6.4 s in cell 2, took 0.125 s\n\n20 runs in 12.5 s\n...\nsaved as front-d175c7\n" in text
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
