@@ -6,20 +6,23 @@ The format is in docs/reference; :mod:`pytest_pafot.findings.emit` writes it and
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import secrets
 import stat
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from types import MappingProxyType
+from typing import Any, BinaryIO, get_args
 
 from pytest_pafot.findings.document import MAX_BYTES, DocumentError, decoded, parse
 from pytest_pafot.findings.emit import DEFAULT_GENE_SECONDS, text_of
 from pytest_pafot.findings.fields import RESTORE, CorpusError, Field
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
 from pytest_pafot.findings.formats import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
+from pytest_pafot.findings.locks import hold, is_held, pid_of
 from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.names import CORPUS, folder_of, safe_name
 from pytest_pafot.findings.responsibility import Fault, Responsibility
@@ -41,17 +44,33 @@ __all__ = [
     "rewrite",
     "safe_name",
     "save",
+    "sweep",
     "write",
 ]
 
 SUFFIX = ".pafot.yaml"
-STALE_SECONDS = 600.0
-"""A temporary file this much older than a new one was left behind by a process that was killed."""
+TEMPORARY = ".pafot-"
+"""How the names of files begin that are being written."""
 
 _RULE = re.compile(
     r"(?:(?P<field>[\w-]+(?:\[\d+\]|\.\w+)*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S
 )
 MAX_RECEIVED = 300
+_WAYS_OUT: Mapping[int, str] = MappingProxyType(
+    {
+        errno.ENOSPC: "free some space on the disk, {}",
+        errno.EDQUOT: "free some of your quota of the disk, {}",
+        errno.EROFS: "the file system is read-only: mount it so that it can be written, {}",
+        errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
+        errno.ENOTDIR: "a file lies where a folder should be: rename or delete it, {}",
+        errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
+        errno.ELOOP: "a link on the way leads to itself: remove it, {}",
+        errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
+        errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
+        errno.EIO: "the disk or the network has failed: look after it, {}",
+    }
+)
+"""By the error, with a gap for another folder."""
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
 
@@ -384,39 +403,60 @@ def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
     return SpeedInterval(npc=npc, gene=gene, low=low, high=high)
 
 
+def sweep(folder: Path) -> None:
+    """Remove what processes that were killed left half written; what a live one writes stays."""
+    for path in Path(folder).glob(f"{TEMPORARY}*.tmp"):
+        with contextlib.suppress(OSError):  # what cannot be removed does no harm: its name is no corpus file's
+            with path.open("r+b") as file:
+                if is_held(file.fileno(), pid_of(path)):
+                    continue
+                with contextlib.suppress(PermissionError):  # Windows removes no open file
+                    path.unlink(missing_ok=True)  # while the lock is held, so that nobody begins to write it
+            path.unlink(missing_ok=True)
+
+
 def _through_temporary(path: Path, finding: Finding, finish: Callable[[Path, Path], bool]) -> bool:
     content = text_of(finding).encode()
     if len(content) > MAX_BYTES:
         reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
         raise CorpusWriteError(path, reason, "use fewer or shorter chains")
-    temporary = path.parent / f".pafot-{secrets.token_hex(8)}.tmp"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            _sweep(path.parent, newest=_write_through(temporary, content))
-            return finish(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        sweep(path.parent)
+        return _written(path, content, finish)
     except OSError as error:
-        fix = "make the folder writable, or choose another one with --pafot-corpus"
-        raise CorpusWriteError(path, error.strerror or str(error), fix) from error
+        raise CorpusWriteError(path, error.strerror or str(error), _way_out(error)) from error
 
 
-def _write_through(temporary: Path, content: bytes) -> float:
-    """Write a file down to the disk; its time of modification [s]."""
-    with temporary.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-        return os.fstat(file.fileno()).st_mtime
+def _written(path: Path, content: bytes, finish: Callable[[Path, Path], bool]) -> bool:
+    temporary, file = _create(path.parent)
+    try:
+        with file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # down to the disk
+            if os.name != "nt":
+                return finish(temporary, path)  # while the lock is held
+        return finish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
-def _sweep(folder: Path, newest: float) -> None:
-    """Remove the temporary files of processes that were killed, by the clock of the file system itself."""
-    for other in folder.glob(".pafot-*.tmp"):
-        with contextlib.suppress(OSError):  # what cannot be removed does no harm: its name is no corpus file's
-            if newest - other.stat().st_mtime > STALE_SECONDS:
-                other.unlink()
+def _create(folder: Path) -> tuple[Path, BinaryIO]:
+    """A new file under a lock that says that this process writes it."""
+    while True:
+        temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
+        file = temporary.open("xb")
+        if hold(file.fileno()):
+            return temporary, file
+        file.close()
+        temporary.unlink(missing_ok=True)
+
+
+def _way_out(error: OSError) -> str:
+    """What to do when a file cannot be written."""
+    elsewhere = "or choose another folder with --pafot-corpus"
+    return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
 def _publish(temporary: Path, path: Path) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import linecache
 import math
+import os
 import re
 import traceback
 from collections.abc import Mapping
@@ -25,6 +26,18 @@ MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
 
+_ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
+_PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
+_FOLDERS = r"(?:[^\s\"'<>|*?:\\/]+[\\/])*"
+_TO_PACKAGES = re.compile(
+    rf"(?:[A-Za-z]:)?[\\/]{_FOLDERS}(?=(?:site|dist)-packages[\\/]|python3\.\d+[\\/](?!site|dist))"
+)
+_TEMPORARY = re.compile(
+    r"(?<![\w.])(?:(?:/private)?/(?:var/)?tmp|(?:/private)?/var/folders/\w+/\w+/T"
+    rf"|[A-Za-z]:\\Users\\\w+\\AppData\\Local\\Temp)[\\/]{_FOLDERS}(?P<name>[^\s\"'<>|*?:\\/]*)"
+)
+_RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]pytest-\d+)")
+_TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
@@ -35,7 +48,8 @@ class Expect:
     Attributes:
         failure: name of the exception class.
         assertion: normalised, as in :class:`~pytest_pafot.findings.signature.Signature`.
-        message: first line of the exception's message; empty where the assertion says it.
+        message: first line of the exception's message, without addresses, process ids and temporary folders; empty
+            where the assertion says it.
         outcome: how the run ended.
         time: of the event [s], see :attr:`~pytest_pafot.findings.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
@@ -44,7 +58,7 @@ class Expect:
         fault: what the ego answers for; None where it does not.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         preventable_by: reference drivers that survive the scenario in the ego's place.
-        traceback: of an ADS that raised; empty otherwise.
+        traceback: of an ADS that raised, likewise; empty otherwise.
     """
 
     failure: str
@@ -78,14 +92,21 @@ class Expect:
         )
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = ()) -> Expect:
-        """What a failing run showed. Times are rounded to milliseconds; long texts are cut."""
+    def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = (), root: str = "") -> Expect:
+        """What a failing run showed, as it shows again in any process: times rounded to milliseconds, texts portable.
+
+        Args:
+            run: that failed.
+            failure: of it.
+            preventable_by: reference drivers that survive it.
+            root: folder of the project, which paths in texts are relative to.
+        """
         hit, trace = run.collision, run.trace
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
         return cls(
             failure=failure.kind,
             assertion=normalised(failure.assertion, failure.message),
-            message="" if is_told else _first_line(failure.message),
+            message="" if is_told else _portable_line(failure, root),
             outcome=run.outcome,
             time=round(run.event_time, 3),
             npc=None if run.event_cell is None else run.event_npc,
@@ -96,7 +117,7 @@ class Expect:
             npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             preventable_by=preventable_by,
-            traceback=_tail(failure.traceback),
+            traceback=_tail(portable(failure.traceback[-4 * MAX_TRACEBACK :], root)),
         )
 
 
@@ -178,9 +199,11 @@ class Finding:
         return self.expect.signature
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, *, test: str, world: Mapping[str, Any], found: Found) -> Finding:
+    def of(
+        cls, run: Run, failure: Failure, *, test: str, world: Mapping[str, Any], found: Found, root: str = ""
+    ) -> Finding:
         """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
-        expect = Expect.of(run, failure)
+        expect = Expect.of(run, failure, root=root)
         return cls(
             id=f"{expect.signature.slug}-{run.scenario.id}",
             test=test,
@@ -269,8 +292,24 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
     )
 
 
-def _first_line(text: str) -> str:
-    return next((line.strip() for line in text.splitlines() if line.strip()), "")[:MAX_MESSAGE]
+def portable(text: str, root: str = "") -> str:
+    """A text without what differs from process to process, and from checkout to checkout.
+
+    ``ADDRESS`` stands for memory addresses, ``N`` for ids of processes and threads, ``TMP`` for temporary folders.
+    Paths begin at the project's folder, or where packages are installed.
+    """
+    if root:
+        text = text.replace(root.rstrip("\\/") + os.sep, "")
+    text = _TO_PACKAGES.sub("", text)
+    text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
+    return _PROCESS_ID.sub(r"\g<1>N", _ADDRESS.sub("ADDRESS", text))
+
+
+def _portable_line(failure: Failure, root: str) -> str:
+    """The first line of a message, and no time that was measured."""
+    first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
+    line = portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
+    return _TOOK.sub("took N s", line) if failure.kind == SLOW_DECISION else line
 
 
 def _tail(text: str) -> str:

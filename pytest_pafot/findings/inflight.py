@@ -11,7 +11,6 @@ import contextlib
 import errno
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,19 +18,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from pytest_pafot.findings.locks import hold, is_held, pid_of
 from pytest_pafot.scenario import Scenario, ScenarioError
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 SUFFIX = ".inflight"
 TRIED = ".tried"
 """Before the suffix of a record whose scenario was run again and came to its end."""
 MAX_BYTES = 1 << 20
-_HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
-_LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the bytes that are locked
 
 
 class InFlightError(Exception):
@@ -163,25 +156,16 @@ def _create(folder: Path) -> tuple[int, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     while True:
         descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
-        if _hold(descriptor):
+        if hold(descriptor):
             return descriptor, Path(name)
         os.close(descriptor)
         Path(name).unlink(missing_ok=True)
 
 
-def _hold(descriptor: int) -> bool:
-    """Lock a new record; False when another session looked at it before that, and so took it for a dead one."""
-    try:
-        _lock(descriptor)
-    except OSError as error:
-        return error.errno not in _HELD  # without locks on this file system, the process id in the name decides
-    return os.fstat(descriptor).st_nlink > 0
-
-
 def _leftover(path: Path) -> Leftover | None:
     try:
         with path.open("r+b") as file:
-            if _is_held(file.fileno(), path):
+            if is_held(file.fileno(), pid_of(path)):
                 return None
             file.seek(0)
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
@@ -201,40 +185,8 @@ def _parsed(path: Path, line: bytes) -> Leftover:
         together = tuple(Scenario.from_canonical(each) for each in record.get("together", ()))
         scenario = None if together else Scenario.from_canonical(record["scenario"])
     except (ValueError, KeyError, TypeError, ScenarioError, RecursionError):
-        return Leftover(path=path, pid=_pid(path), owner="", scenario=None)
-    return Leftover(path=path, pid=_pid(path), owner=owner, scenario=scenario, world=world, together=together)
-
-
-def _is_held(descriptor: int, path: Path) -> bool:
-    try:
-        _lock(descriptor)
-    except OSError as error:
-        if error.errno in _HELD:
-            return True
-        return _is_alive(_pid(path))
-    return False
-
-
-def _is_alive(pid: int) -> bool:
-    """Whether a process of this id runs; only asked where the file system has no locks.
-
-    Windows has no harmless question of this kind (``os.kill(pid, 0)`` ends a process there), so that a record
-    counts as held.
-    """
-    if sys.platform == "win32" or pid <= 0:
-        return pid > 0
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _pid(path: Path) -> int:
-    digits = path.name.partition("-")[0]
-    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 12 else 0
+        return Leftover(path=path, pid=pid_of(path), owner="", scenario=None)
+    return Leftover(path=path, pid=pid_of(path), owner=owner, scenario=scenario, world=world, together=together)
 
 
 def _error(folder: Path, error: OSError) -> InFlightError:
@@ -245,19 +197,3 @@ def _error(folder: Path, error: OSError) -> InFlightError:
         f"{folder}: expected a folder that can be read and written, received: {reason}; a hard crash of this process "
         f"will not name the scenario that caused it; {way_out}"
     )
-
-
-if sys.platform == "win32":
-
-    def _lock(descriptor: int) -> None:
-        position = os.lseek(descriptor, 0, os.SEEK_CUR)
-        os.lseek(descriptor, _LOCK_AT, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        finally:
-            os.lseek(descriptor, position, os.SEEK_SET)
-
-else:
-
-    def _lock(descriptor: int) -> None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.findings.corpus import sweep
 from pytest_pafot.findings.inflight import InFlight
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import places
@@ -65,13 +66,15 @@ class Bench:
         """
         world = build_world(request, item.funcargs[WORLD_FIXTURE])
         _check_world(item, request, world)
+        folder = places.folder_of_item(item, request.settings.corpus, item.config.rootpath)
+        sweep(folder)
         return cls(
             item=item,
             request=request,
             world=world,
             ads=_factory(item, request),
             test=bound_test(item, request.arg),
-            folder=places.folder_of_item(item, request.settings.corpus, item.config.rootpath),
+            folder=folder,
             versions=installed_versions(),
         )
 
@@ -211,6 +214,11 @@ class Bench:
             if folder == corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
                 with suppress(OSError):  # It holds findings, or was never made.
                     folder.rmdir()
+
+    @property
+    def root(self) -> str:
+        """The rootdir, which paths in files are relative to."""
+        return str(self.item.config.rootpath)
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""

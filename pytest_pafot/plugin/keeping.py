@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.findings.corpus import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
 from pytest_pafot.findings.emit import text_of
-from pytest_pafot.findings.finding import Expect, Finding, Found, message_of
+from pytest_pafot.findings.finding import Expect, Finding, Found, message_of, portable
 from pytest_pafot.findings.inflight import Leftover
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
@@ -166,7 +166,7 @@ class Keeper:
 
     def flaky(self, kept: Kept, difference: str) -> Kept:
         """The same as a find that does not repeat, in its file too."""
-        marked = self.rewritten(kept, replace(kept.finding, flaky=difference))
+        marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, self.bench.root)))
         return replace(marked, find=replace(kept.find, difference=difference))
 
     def rewritten(self, kept: Kept, finding: Finding) -> Kept:
@@ -298,7 +298,8 @@ class Keeper:
 
     def _finding(self, run: Run, failure: Failure, found: Found) -> Finding:
         test = places.base_id(self.bench.item)
-        return Finding.of(run, failure, test=test, world=worlds.described(self.bench.world), found=found)
+        world, root = worlds.described(self.bench.world), self.bench.root
+        return Finding.of(run, failure, test=test, world=world, found=found, root=root)
 
     def _saved(self, finding: Finding, headline: str, origin: str, *, is_timed: bool = False) -> Kept:
         path, finding = free_path(self.bench.folder, finding, self.replayed)

@@ -155,7 +155,7 @@ class Shrinking:
         finding = replace(
             before,
             scenario=shrunk.scenario,
-            expect=Expect.of(run, failure, preventable_by=preventable_by),
+            expect=Expect.of(run, failure, preventable_by=preventable_by, root=self.bench.root),
             original=before.scenario if is_simpler else None,
             shrunk=how if shrunk.rollouts else None,
         )

@@ -1,11 +1,15 @@
+import errno
 import os
+import re
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pytest_pafot.findings import corpus
+from pytest_pafot.findings import corpus, locks
 from pytest_pafot.findings.corpus import CorpusError, CorpusWriteError
 from pytest_pafot.findings.emit import text_of
 from pytest_pafot.scenario import PositionInstruction, Scenario
@@ -215,15 +219,100 @@ def test_a_finding_too_large_to_be_read_back_is_refused(path):
     assert not path.exists()
 
 
-def test_what_a_killed_process_left_is_swept_up_once_it_is_old(path):
+WRITER = """
+import os, sys, time
+from pathlib import Path
+from pytest_pafot.findings import corpus, locks
+temporary, file = corpus._create(Path(sys.argv[1]))
+file.write(b"half a fi")
+file.flush()
+print(temporary.name, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def writer(path):
+    """A process that is writing a file, and the name of its temporary file."""
     path.parent.mkdir(parents=True)
-    old, young = path.parent / ".pafot-old.tmp", path.parent / ".pafot-young.tmp"
-    for leftover in (old, young):
-        leftover.write_text("half a fi")
-    os.utime(old, (1.0, 1.0))
+    with subprocess.Popen([sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True) as process:
+        yield process, path.parent / process.stdout.readline().strip()
+        process.kill()
+
+
+def test_what_a_process_writes_stays_while_it_lives_and_goes_with_the_next_save_after_its_end(path, writer):
+    process, temporary = writer
+    os.utime(temporary, (1.0, 1.0))
     corpus.write(path, plain_finding())
-    assert sorted(path.parent.iterdir()) == [young, path]
+    assert sorted(path.parent.iterdir()) == sorted([temporary, path])
     assert corpus.list_files(path.parent) == [path]
+    process.kill()
+    process.wait()
+    corpus.rewrite(path, plain_finding())
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypatch):
+    def no_locks(descriptor):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(locks, "_lock", no_locks)
+    process, temporary = writer
+    corpus.sweep(path.parent)
+    assert temporary.exists()
+    process.kill()
+    process.wait()
+    corpus.sweep(path.parent)
+    assert not temporary.exists()
+
+
+def test_a_temporary_file_of_an_earlier_version_goes(path):
+    path.parent.mkdir(parents=True)
+    (path.parent / ".pafot-0123456789abcdef.tmp").write_text("half a fi")
+    corpus.write(path, plain_finding())
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_temporary_file_that_another_session_took_for_a_dead_process_s_is_made_anew(path, monkeypatch):
+    path.parent.mkdir(parents=True)
+    holding, taken = locks.hold, []
+
+    def taken_at_first(descriptor):
+        if not taken:
+            taken.extend(path.parent.iterdir())
+            taken[0].unlink()
+        return holding(descriptor)
+
+    monkeypatch.setattr(corpus, "hold", taken_at_first)
+    assert corpus.write(path, plain_finding())
+    assert corpus.read(path) == plain_finding()
+
+
+@pytest.mark.parametrize(
+    ("number", "way_out"),
+    [
+        (errno.ENOSPC, "free some space on the disk, or choose another folder with --pafot-corpus"),
+        (errno.EDQUOT, "free some of your quota"),
+        (errno.EROFS, "mount it so that it can be written"),
+        (errno.EACCES, "make the folder writable"),
+        (errno.EPERM, "make the folder writable"),
+        (errno.ENAMETOOLONG, "shorten the names of the folders, of the test or of its parameters"),
+        (errno.ENOTDIR, "a file lies where a folder should be"),
+        (errno.ELOOP, "a link on the way leads to itself"),
+        (errno.EMFILE, "close the files that the ADS and the tests open"),
+        (errno.EIO, "the disk or the network has failed"),
+    ],
+)
+def test_the_way_out_of_a_failed_write_depends_on_the_failure(path, monkeypatch, number, way_out):
+    def fail(descriptor):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(CorpusWriteError, match=re.escape(way_out)) as caught:
+        corpus.write(path, plain_finding())
+    assert os.strerror(number) in str(caught.value)
+    assert ("writable" in str(caught.value)) == (number in (errno.EACCES, errno.EPERM))
+    assert list(path.parent.iterdir()) == []
 
 
 @pytest.mark.skipif(os.name == "nt", reason="permissions of files")

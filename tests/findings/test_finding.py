@@ -1,9 +1,10 @@
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, raised_failure
+from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.grid import Cell
@@ -55,6 +56,46 @@ def test_it_expects_what_the_run_showed():
 def test_the_message_is_kept_where_no_assertion_says_it():
     expect = Expect.of(run_of(), Failure(kind="Failed", message="\n  too close: 0.3 m\nmore"))
     assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("<Car object at 0x7f12ab34cd56>", "<Car object at ADDRESS>"),
+        ("<Car at 0x1F3> and 0x00007FF612AB34CD", "<Car at ADDRESS> and ADDRESS"),
+        ("error 0x80004005, mask 0x1F", "error 0x80004005, mask 0x1F"),
+        ("process id 77 (pid 1234, PID=12)", "process id N (pid N, PID=N)"),
+        ("<Thread(Worker-3, started daemon 140211)>", "<Thread(Worker-3, started daemon N)>"),
+        ("restarted 3 times by planner 7", "restarted 3 times by planner 7"),
+        ("no file '/tmp/tmpab12cd34/model.bin'", "no file 'TMP/model.bin'"),
+        ("no folder /tmp/tmp_b12cd34", "no folder TMP/tmp"),
+        ("/tmp/pytest-of-me/pytest-12/test_x0/a.csv: gone", "TMP/a.csv: gone"),
+        ("/private/var/folders/ab/c_d/T/tmpab12cd34/a.csv", "TMP/a.csv"),
+        ("/scratch/me/tmpab12cd34/a.csv", "/scratch/me/tmp/a.csv"),
+        (r"C:\Users\me\AppData\Local\Temp\tmpab12cd34\a.csv", "TMP/a.csv"),
+        ("https://example.org/tmp/abc, a/tmp/b, 3/4", "https://example.org/tmp/abc, a/tmp/b, 3/4"),
+        ('File "/home/me/planner/ads/plan.py", line 3', 'File "ads/plan.py", line 3'),
+        ('File "/opt/venv/lib/python3.11/site-packages/numpy/x.py"', 'File "site-packages/numpy/x.py"'),
+        ('File "/usr/lib/python3.11/json/decoder.py"', 'File "python3.11/json/decoder.py"'),
+    ],
+)
+@pytest.mark.skipif(os.name == "nt", reason="the folder of the project is written as on other systems")
+def test_texts_hold_nothing_that_differs_from_run_to_run(text, kept):
+    assert portable(text, "/home/me/planner") == kept
+    run = broken_ads(f"Traceback\n  {text}\n")
+    failure = replace(ads_failure(run), message=text)
+    expect = Expect.of(run, failure, root="/home/me/planner")
+    assert (expect.message, expect.traceback) == (kept, f"Traceback\n  {kept}\n")
+
+
+def test_a_measured_time_is_no_part_of_a_message():
+    slow = Run(run_of(max_decision_seconds=0.25).trace, decision_limit=0.1)
+    assert Expect.of(slow, ads_failure(slow)).message == "a decision took N s, allowed are 0.1 s"
+
+
+def test_a_huge_text_takes_no_time():
+    failure = Failure(kind="ValueError", message="/a" * 500_000, traceback="/a" * 500_000)
+    assert len(Expect.of(broken_ads(), failure).message) == 300
 
 
 def test_the_traceback_of_an_ads_is_kept_and_a_long_one_loses_its_beginning():

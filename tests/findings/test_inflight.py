@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 
-from pytest_pafot.findings import inflight
+from pytest_pafot.findings import inflight, locks
 from pytest_pafot.findings.inflight import InFlight, InFlightError, leftovers
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import scenarios
@@ -197,7 +197,7 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
     def unsupported(_descriptor):
         raise OSError(95, "Operation not supported")
 
-    monkeypatch.setattr(inflight, "_lock", unsupported)
+    monkeypatch.setattr(locks, "_lock", unsupported)
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     with InFlight(tmp_path, OWNER) as record:
@@ -208,7 +208,7 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
 
 
 def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monkeypatch):
-    lock, taken = inflight._lock, []
+    lock, taken = locks._lock, []
 
     def interrupted(descriptor):
         if not taken:
@@ -216,7 +216,7 @@ def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monk
             taken[0].unlink()
         lock(descriptor)
 
-    monkeypatch.setattr(inflight, "_lock", interrupted)
+    monkeypatch.setattr(locks, "_lock", interrupted)
     with InFlight(tmp_path, OWNER) as record:
         record.record(SCENARIO)
         assert len(list(tmp_path.iterdir())) == 1

@@ -276,6 +276,42 @@ def test_a_corpus_that_cannot_be_written_loses_no_find(failing):
     result.stdout.fnmatch_lines(["  not saved: *expected to write a finding*", "the file would be:", "  pafot: 2*"])
 
 
+RAISES = """
+import os, tempfile, threading
+
+class Planner:
+    def __call__(self, observation):
+        if observation.time < 1:
+            return 0.0, 0.0
+        file = tempfile.mkdtemp() + "/model.bin"
+        raise RuntimeError(f"{self!r} of {threading.current_thread()!r}, pid {os.getpid()}: no {file} in {__file__}")
+
+@pafot.search(SHORT, ads=Planner, stop_after=1)
+def test_fails(run):
+    pass
+"""
+
+
+def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(project):
+    texts = []
+    for folder in ("first", "second"):
+        project.write(RAISES, name=f"{folder}/test_it")
+        place = project.path / folder
+        project.run("--rootdir", place, place, subprocess=True).assert_outcomes(failed=2)
+        (file,) = place.rglob("*.pafot.yaml")
+        texts.append(file.read_bytes())
+    assert texts[0] == texts[1]
+    assert b"Planner object at ADDRESS> of <_MainThread(MainThread, started N)>, pid N: no TMP/model.bin in" in texts[0]
+
+
+def test_what_a_killed_process_left_half_written_goes_with_the_next_session(failing):
+    failing.run()
+    leftover = failing.only_file.with_name(".pafot-1-0123456789abcdef.tmp")
+    leftover.write_text("half a fi")
+    failing.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    assert not leftover.exists()
+
+
 def test_a_name_that_another_finding_has_taken_is_not_overwritten(failing):
     failing.run()
     text = failing.only_file.read_text().replace("AssertionError", "ValueError")
