@@ -16,7 +16,7 @@ the block names the texts that they stand in: ``<!-- varies: 3 of 4 workers | pi
 
 Where the output has changed on purpose, this brings samples whose words are the same up to it, for a look at the diff:
 
-    PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -k samples -p no:xdist
+    PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -k samples
 """
 
 import html

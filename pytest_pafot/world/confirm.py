@@ -98,19 +98,27 @@ class StockPolicy:
         self._view = view
 
     def begin(self, seed: int) -> None:
-        """See what a reset returns, which leaves everybody in the places of the scenario."""
+        """See what a reset returns, which leaves everybody in the places of the scenario.
+
+        Raises:
+            WorldError: where a reset of the environment's own adds vehicles.
+        """
         plain = self._outer.unwrapped
-
-        def scene(**_: Any) -> tuple[Any, dict[str, Any]]:
-            seen = plain.observation_type.observe()
-            return seen, plain._info(seen, plain.action_space.sample())
-
-        if self._outer is plain:
-            self._seen = plain.observation_type.observe()
-            return
+        vehicles = list(plain.road.vehicles)
+        if type(plain).reset is AbstractEnv.reset:
+            plain.reset = lambda **_: _scene(plain)
+        plain._reset = lambda: None
         plain.action_space.seed(seed)
-        plain.reset = scene
-        self._through_wrappers(lambda: self._outer.reset(seed=seed))
+        if self._outer is plain:
+            self._seen, _ = plain.reset(seed=seed)
+        else:
+            self._through_wrappers(lambda: self._outer.reset(seed=seed))
+        plain.road.np_random = plain.np_random
+        if plain.road.vehicles != vehicles:
+            raise WorldError(
+                f"env_id: expected an environment that makes its vehicles in `_reset`, received "
+                f"{type(plain).__name__}, whose `reset` adds others after that; make them in `_reset`"
+            )
 
     def decide(self, tick: int) -> Any:
         """Ask and check; the environment applies the action."""
@@ -138,6 +146,12 @@ class StockPolicy:
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""
         self.vehicle.act()
+
+
+def _scene(env: Any) -> tuple[Any, dict[str, Any]]:
+    """What highway-env's own reset returns of a scene that stands."""
+    seen = env.observation_type.observe()
+    return seen, env._info(seen, env.action_space.sample())
 
 
 Driver = Planner | SelfDriving | StockPolicy

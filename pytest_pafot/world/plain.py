@@ -24,7 +24,8 @@ def from_dict(data: dict[str, Any]) -> Highway | World:
         raise WorldError(f"world: expected a mapping, received {data!r}")
     kind = data.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise WorldError(f"world.kind: expected one of {', '.join(sorted(_KINDS))}, received {kind!r}")
+        hint = "; a world of your own is code, which no file holds: use itself" if kind == "own" else ""
+        raise WorldError(f"world.kind: expected one of {', '.join(sorted(_KINDS))}, received {kind!r}{hint}")
     values = {key: value for key, value in data.items() if key != "kind"}
     _check_names(f"world (kind {kind})", values, _KINDS[kind])
     if "limits" in values:

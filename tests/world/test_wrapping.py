@@ -208,7 +208,11 @@ def test_the_configuration_that_an_environment_is_registered_with_holds_unless_a
 
 
 class Doubled(HighwayEnv):
-    """A straight road, and a step of its own."""
+    """A straight road, and a reset and step of its own."""
+
+    def reset(self, **options):
+        seen, info = super().reset(**options)
+        return 2 * seen, info
 
     def step(self, action):
         seen, *others = super().step(action)
@@ -225,11 +229,25 @@ class Wet(HighwayEnv):
 
 def test_a_step_of_its_own_is_taken_on_a_straight_road_too(register):
     register("mine-v0", entry_point=Doubled)
-    own, stock = Listener(gymnasium.spaces.Discrete(5)), Listener(gymnasium.spaces.Discrete(1))
+    own, stock = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))  # of one action
     World("mine-v0", duration=2.0).rollout(SCENARIO, lambda: own)
     World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
-    assert np.array_equal(own.seen[1][:, 0], 2 * stock.seen[1][:, 0])
+    assert np.array_equal(own.seen[0], 2 * stock.seen[0])
+    assert np.array_equal(own.seen[1], 2 * stock.seen[1])
     assert not World("mine-v0").has_lock_step
+
+
+@pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
+def test_a_reset_of_its_own_that_adds_vehicles_is_refused(wrappers, register):
+    class Crowded(Doubled):
+        def reset(self, **options):
+            first = super().reset(**options)
+            self.road.vehicles.append(Replayed(self.road, [500.0, 0.0]))
+            return first
+
+    register("mine-v0", entry_point=Crowded)
+    with pytest.raises(WorldError, match="received Crowded, whose `reset` adds others"):
+        World("mine-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
 
 
 def test_a_simulation_of_its_own_is_too(register):
