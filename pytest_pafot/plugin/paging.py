@@ -90,7 +90,7 @@ class _Page:
         """
         from pytest_pafot.report.views import Report  # noqa: PLC0415
 
-        findings = tuple(sorted(map(completed, self.findings.values()), key=_place))
+        findings = _by_test(map(completed, self.findings.values()))
         what = _plural(len(findings), "finding")
         return Report(
             title=f"{config.rootpath.name}: {what}",
@@ -188,6 +188,13 @@ def _finding(message: Mapping[str, Any]) -> FindingView | None:
     from pytest_pafot.report.views import FindingView  # noqa: PLC0415
 
     return from_plain(FindingView, message["view"])
+
+
+def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:
+    """Those of a test together; the test whose first finding comes first is the first."""
+    ordered = sorted(findings, key=_place)
+    tests = list(dict.fromkeys(finding.test for finding in ordered))
+    return tuple(sorted(ordered, key=lambda finding: tests.index(finding.test)))
 
 
 def _place(finding: FindingView) -> tuple[bool, int, int, str]:

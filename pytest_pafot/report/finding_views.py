@@ -23,7 +23,7 @@ from pytest_pafot.report.views import (
     VehicleView,
 )
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.trace import ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y
 
 FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
@@ -66,6 +66,7 @@ def finding_view(
         test=finding.test,
         headline=headline or first or finding.expect.message or finding.expect.failure,
         explanation=explanation or rest or finding.expect.message,
+        assertion=_assertion(finding),
         responsibility=finding.expect.responsibility,
         generation=finding.found.generation,
         road=road,
@@ -151,12 +152,21 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
                 across=_numbers(across[ticks, vehicle], 2),
                 heading=_numbers(heading[ticks, vehicle], 3),
                 speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
+                acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
+                jerk=_numbers(_jerk(trace, ticks, vehicle), 1),
                 gap=() if is_ego else _numbers(encounters.gap[npc, ticks], 2),
                 ttc=() if is_ego else _numbers(encounters.ttc[npc, ticks], 2),
                 cells=() if is_ego else _cells(trace, cells_along[ticks], cells_across[ticks], vehicle),
             )
         )
     return tuple(views)
+
+
+def _jerk(trace: Trace, ticks: Sequence[int], vehicle: int) -> FloatArray:
+    """The largest change of acceleration per second since the frame before [m/s^3]; a peak lasts but a tick."""
+    changes = np.diff(trace.states[:, vehicle, ACCELERATION], prepend=trace.states[0, vehicle, ACCELERATION])
+    spans = [changes[before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
+    return np.array([span[np.argmax(np.abs(span))] for span in spans]) * trace.physics_hz
 
 
 def _in_the_picture(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -221,6 +231,14 @@ def _instruction(
 
 def _cell_of(instruction: Gene) -> int:
     return int(instruction.cell) if isinstance(instruction, PositionInstruction) else 0
+
+
+def _assertion(finding: Finding) -> str:
+    """What failed, as the test has it."""
+    expect = finding.expect
+    if expect.assertion:
+        return f"assert {expect.assertion.removeprefix('assert ')}"
+    return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
 
 
 def _event(trace: Trace | None, finding: Finding) -> EventView:

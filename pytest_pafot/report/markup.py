@@ -58,17 +58,46 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     """Links to all findings, with counts."""
     if not findings:
         return '<p class="empty">No findings. Every judged run kept the property.</p>'
-    has_tests = len({finding.test for finding in findings}) > 1
-    items = "".join(
-        f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}">'
+    groups: dict[str, list[str]] = {}
+    for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
+        groups.setdefault(finding.test, []).append(_list_item(finding, key, index))
+    parts = [f'<p class="summary">{text(_summary(findings))}</p>', _filter(findings) if len(findings) > 1 else ""]
+    for number, (test, items) in enumerate(groups.items()):
+        name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
+        listed = f'<ol aria-labelledby="group-{number}">{"".join(items)}</ol>' if len(groups) > 1 else ""
+        parts.append(f'<div class="group">{name}{listed}</div>' if listed else f"<ol>{''.join(items)}</ol>")
+    return "".join(parts)
+
+
+def _list_item(finding: FindingView, key: str, index: int) -> str:
+    return (
+        f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
+        f'data-outcome="{text(finding.event.kind)}" data-words="{text(_words(finding))}">'
         f'<span class="mark" aria-hidden="true">{_symbol(finding)}</span>'
         f'<span class="what"><span class="id">{text(finding.id)}</span>'
         f'<span class="headline">{text(finding.headline)}</span>'
-        + (f'<span class="meta">{text(finding.test.rpartition("::")[2])}</span>' if has_tests else "")
-        + f'<span class="meta">{text(_meta(finding))}</span></span></a></li>'
-        for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True))
+        f'<span class="meta">{text(_meta(finding))}</span></span></a></li>'
     )
-    return f'<p class="summary">{text(_summary(findings))}</p><ol>{items}</ol>'
+
+
+def _words(finding: FindingView) -> str:
+    """What the filter looks through."""
+    return " ".join([finding.node_id, finding.headline, finding.assertion, _meta(finding), finding.path]).lower()
+
+
+def _filter(findings: Sequence[FindingView]) -> str:
+    """Fields that leave some findings out of the list; they need the script."""
+    counts = Counter(finding.event.kind for finding in findings)
+    options = "".join(
+        f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
+        for kind, count in sorted(counts.items())
+    )
+    return (
+        '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
+        'aria-label="Filter findings by text"><select id="outcome" aria-label="Filter findings by outcome">'
+        f'<option value="">all outcomes</option>{options}</select>'
+        '<p id="nothing" hidden>No finding is like this.</p></div>'
+    )
 
 
 def article(finding: FindingView, index: int) -> str:
@@ -76,6 +105,7 @@ def article(finding: FindingView, index: int) -> str:
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
+        f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else "",
         _tags(finding),
         "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">Nobody saw a run to draw.</p>',
@@ -93,8 +123,8 @@ def article(finding: FindingView, index: int) -> str:
     return "".join(parts)
 
 
-def campaign(view: CampaignView, index: int) -> str:
-    """One search: figures, a place for the curve of fitness, coverage."""
+def campaign(view: CampaignView, index: int, *, is_open: bool = True) -> str:
+    """One search, which can be folded: figures, a place for the curve of fitness, coverage."""
     figures = (
         ("algorithm", view.algorithm),
         ("seed", view.seed),
@@ -106,8 +136,10 @@ def campaign(view: CampaignView, index: int) -> str:
     rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in figures)
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
     parts = [
-        f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">',
-        f'<h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3><dl class="facts">{rows}</dl>{warnings}',
+        f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
+        f"<details{' open' if is_open else ''}>",
+        f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
+        f'<span class="meta">{text(_in_short(view))}</span></summary><dl class="facts">{rows}</dl>{warnings}',
         '<div class="fitness"></div>',
         _details("Generations as a table", _generation_table(view.generations)),
         '<div class="columns">',
@@ -121,9 +153,16 @@ def campaign(view: CampaignView, index: int) -> str:
         _coverage("Cells", "cell", view.cells),
         _coverage("Target speeds", "speed", view.speeds),
         _ring(view.steps),
-        "</div></article>",
+        "</div></details></article>",
     ]
     return "".join(parts)
+
+
+def _in_short(view: CampaignView) -> str:
+    """A folded search in a line."""
+    warned = f", {_plural(len(view.warnings), 'warning')}" if view.warnings else ""
+    failing = sum(row.failing for row in view.generations)
+    return f"{_plural(view.simulated, 'run')}, {failing} failing in its generations{warned}"
 
 
 def copyable(label: str, value: str) -> str:

@@ -54,7 +54,8 @@ def data_json(report: Report) -> str:
 def _rendered(report: Report, *, embedded: bool) -> str:
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
-    campaigns = "".join(markup.campaign(view, index) for index, view in enumerate(report.campaigns))
+    is_open = len(report.campaigns) == 1
+    campaigns = "".join(markup.campaign(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
     return Template(_asset("page.html")).substitute(
         title=markup.text(report.title),
         policy=_policy(style, script),

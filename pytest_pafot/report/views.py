@@ -52,6 +52,8 @@ class VehicleView:
         along, across: of its centre [m].
         heading: relative to the road, positive to the right [rad].
         speed: [m/s].
+        acceleration: along its way [m/s^2].
+        jerk: the change of its acceleration per second that was largest since the frame before [m/s^3].
         gap: between its box and the ego's [m]; empty for the ego.
         ttc: constant-velocity time to contact with the ego [s]; empty for the ego.
         cells: of the grid that its centre is in, 0 for the ego's own; empty for the ego.
@@ -64,6 +66,8 @@ class VehicleView:
     across: Numbers
     heading: Numbers
     speed: Numbers
+    acceleration: Numbers = ()
+    jerk: Numbers = ()
     gap: Numbers = ()
     ttc: Numbers = ()
     cells: tuple[int, ...] = ()
@@ -147,6 +151,7 @@ class FindingView:
         node_id: of the item that replays it.
         test: node id of the test.
         headline: one line that says what happened.
+        assertion: the line of the test that failed, or what was raised; may be empty.
         explanation: several lines of text.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: of the search that failed in this way.
@@ -182,6 +187,7 @@ class FindingView:
     generation: int | None = None
     label: str = ""
     path: str = ""
+    assertion: str = ""
     preventable_by: tuple[str, ...] = ()
     preventable_tried: tuple[str, ...] = ()
     shrink: ShrinkView | None = None

@@ -1,15 +1,17 @@
 """What a finding's view says of its run."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.emit import text_of
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.finding_views import finding_view, frame_ticks, shrink_view
-from pytest_pafot.trace import Outcome
+from pytest_pafot.trace import ACCELERATION, Outcome
 from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
 from tests.support.traces import collision_at, straight_lanes, trace_of, vehicle
 
@@ -146,3 +148,29 @@ def test_a_shrunk_scenario_is_told_beside_the_original():
     assert (shrunk.original_instructions, shrunk.shrunk_instructions) == (3, 1)
     assert shrunk.original == ("1 front-left 25.0 m/s, 2 front 8.0 m/s", "4 right 20.0 m/s x2")
     assert shrunk.shrunk == ("2 front 8.0 m/s x2",)
+
+
+def test_accelerations_are_those_of_the_record_and_the_jerk_is_the_largest_since_the_frame_before():
+    trace = cut_in_trace()
+    ticks, vehicle = frame_ticks(trace), 1
+    view = view_of(trace).vehicles[vehicle]
+    recorded = trace.states[:, vehicle, ACCELERATION]
+    assert view.acceleration == pytest.approx([recorded[tick] for tick in ticks], abs=0.06)
+    jerks = [0.0, *((after - before) * trace.physics_hz for before, after in pairwise(recorded))]
+    expected = [max(jerks[a + 1 : b + 1], key=abs) for a, b in pairwise([-1, *ticks])]
+    assert view.jerk == pytest.approx(expected, abs=0.06)
+    assert max(map(abs, view.jerk)) > 5
+
+
+@pytest.mark.parametrize(
+    ("failure", "shown"),
+    [
+        (Failure(kind="AssertionError", assertion="not run.collision"), "assert not run.collision"),
+        (Failure(kind="ValueError", message="no plan"), "ValueError: no plan"),
+    ],
+)
+def test_a_view_says_what_failed(failure, shown):
+    finding = finding_of(cut_in_trace())
+    expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)
+    view = finding_view(cut_in_trace(), replace(finding, expect=expect), node_id="n", yaml="")
+    assert view.assertion == shown

@@ -278,6 +278,133 @@ def test_the_picture_is_drawn_anew_when_the_window_changes(opened):
     page.until("document.querySelector('.stage svg').viewBox.baseVal.width < 400")
 
 
+def grouped_report():
+    """Findings of three tests, each with one of either outcome."""
+    base = real_report()
+    findings = []
+    for name in ("test_first", "test_second", "test_third"):
+        for number, kind in enumerate(("collision", "safe")):
+            finding = base.findings[number]
+            test, id_ = f"t.py::{name}", f"{name[5:]}-{kind}"
+            event = replace(finding.event, kind=kind)
+            more = {"assertion": f"assert run.{kind}", "node_id": f"{test}[saved-{id_}]"}
+            findings.append(replace(finding, id=id_, test=test, event=event, **more))
+    campaigns = tuple(replace(base.campaigns[0], node_id=f"{name}[search]") for name in ("first", "second"))
+    return replace(base, findings=tuple(findings), campaigns=campaigns)
+
+
+@pytest.fixture
+def grouped(browser, tmp_path):
+    path = tmp_path / "grouped.html"
+    path.write_text(render_page(grouped_report()), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    yield page
+    assert page.complaints == []
+    page.close()
+
+
+LISTED = "[...document.querySelectorAll('#list li a')].filter(a => a.offsetParent).map(a => a.dataset.key)"
+GROUPS = "[...document.querySelectorAll('#list h3')].filter(h => h.offsetParent).map(h => h.textContent)"
+
+
+def typed(page, text):
+    for key in text:
+        page.press(key)
+
+
+def test_findings_are_listed_by_test(grouped):
+    assert grouped.evaluate(GROUPS) == ["test_first 2", "test_second 2", "test_third 2"]
+
+
+def test_findings_of_one_test_are_one_list(page):
+    assert page.evaluate(GROUPS) == []
+    assert page.evaluate("document.querySelectorAll('#list ol').length") == 1
+
+
+def test_the_filter_leaves_what_has_all_its_words_and_is_used_by_keys_alone(grouped):
+    grouped.press("/")
+    typed(grouped, "second safe")
+    assert grouped.evaluate(LISTED) == ["second-safe"]
+    assert grouped.evaluate(GROUPS) == ["test_second 2"]
+    assert grouped.evaluate("document.querySelector('article.current .id').textContent") == "second-safe"
+    assert grouped.evaluate("document.querySelector('#list .count').textContent") == "1 of 6"
+    typed(grouped, "x")
+    assert grouped.evaluate(LISTED) == []
+    assert grouped.evaluate("document.getElementById('nothing').offsetParent !== null")
+    grouped.press("Escape")
+    assert len(grouped.evaluate(LISTED)) == 6
+    assert grouped.evaluate("document.activeElement.dataset.key") == "second-safe"
+
+
+def test_the_filter_leaves_the_outcome_that_is_chosen_and_j_and_k_pass_the_others(grouped):
+    grouped.evaluate(
+        "(() => { const each = document.getElementById('outcome'); each.value = 'safe';"
+        " each.dispatchEvent(new Event('change')); })()"
+    )
+    assert grouped.evaluate(LISTED) == ["first-safe", "second-safe", "third-safe"]
+    seen = []
+    for key in "jjjk":
+        grouped.press(key)
+        seen.append(grouped.evaluate(CURRENT))
+    assert seen == [3, 5, 5, 3]
+
+
+def test_a_page_with_one_finding_has_nothing_to_filter(browser, tmp_path):
+    path = tmp_path / "single.html"
+    path.write_text(render_page(Report(title="t", findings=real_report().findings[:1])), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    page.press("/")
+    assert page.evaluate("document.getElementById('filter')") is None
+    assert page.complaints == []
+    page.close()
+
+
+def test_the_failing_assertion_stands_above_the_picture(grouped):
+    place = "document.querySelector('article.current {}').getBoundingClientRect().top"
+    assert grouped.evaluate("document.querySelector('article.current .assertion').textContent") == (
+        "assert run.collision"
+    )
+    assert grouped.evaluate(place.format(".assertion")) < grouped.evaluate(place.format(".stage"))
+
+
+def test_several_searches_are_folded_and_one_is_open(grouped, page):
+    is_open = "[...document.querySelectorAll('.campaign > details')].map(each => each.open)"
+    assert grouped.evaluate(is_open) == [False, False]
+    assert page.evaluate(is_open) == [True]
+    grouped.evaluate("document.querySelector('.campaign summary').focus()")
+    grouped.press("Enter")
+    assert grouped.evaluate(is_open) == [True, False]
+    grouped.until("document.querySelector('.campaign .fitness svg').getBoundingClientRect().width > 100")
+
+
+def test_there_are_curves_of_acceleration_and_jerk(page):
+    titles = page.evaluate(ALL.format(selector="article.current .charts tspan.strong", what="each.textContent"))
+    assert titles[-2:] == ["acceleration", "jerk, peak of each frame"]
+
+
+@pytest.mark.parametrize("width", [400, 1200])
+@pytest.mark.parametrize("report", [real_report, bend_report], ids=["straight", "bend"])
+def test_the_text_of_the_contact_covers_no_number_of_a_cell(browser, tmp_path, report, width):
+    path = tmp_path / "contact.html"
+    path.write_text(render_page(report()), encoding="utf-8")
+    page = browser.open(path.as_uri(), width=width)
+    for index in range(len(report().findings)):
+        page.evaluate(f"location.hash = 'finding={report().findings[index].id}'")
+        page.until(f"{CURRENT} === {index}")
+        page.press("e")
+        covered = page.evaluate(
+            "(() => { const box = each => each.getBoundingClientRect();"
+            " const stage = document.querySelector('article.current .stage');"
+            " const text = box(stage.querySelector('.impact-label'));"
+            " return [...stage.querySelectorAll('.cell-number')].filter(each => {"
+            " const other = box(each); return each.getAttribute('visibility') === 'visible' && text.width > 0"
+            " && other.left < text.right && text.left < other.right && other.top < text.bottom"
+            " && text.top < other.bottom; }).map(each => each.textContent); })()"
+        )
+        assert covered == []
+    page.close()
+
+
 def luminance(colour):
     channels = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in channels]

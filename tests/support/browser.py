@@ -21,7 +21,7 @@ FLAGS = (
 
 KEYS = {
     " ": ("Space", 32), "ArrowLeft": ("ArrowLeft", 37), "ArrowRight": ("ArrowRight", 39), "Home": ("Home", 36),
-    "End": ("End", 35), "Tab": ("Tab", 9), "Enter": ("Enter", 13),
+    "End": ("End", 35), "Tab": ("Tab", 9), "Enter": ("Enter", 13), "Escape": ("Escape", 27), "/": ("Slash", 191),
 }  # fmt: skip
 
 SHIFT = 8

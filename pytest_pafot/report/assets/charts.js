@@ -6,6 +6,8 @@ const CURVES = [
   { key: "gap", title: "gap to the ego", unit: "m", top: 40, digits: 1 },
   { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2 },
   { key: "speed", title: "speed", unit: "m/s", top: null, digits: 1 },
+  { key: "acceleration", title: "acceleration", unit: "m/s\u00b2", least: 4, digits: 1 },
+  { key: "jerk", title: "jerk, peak of each frame", unit: "m/s\u00b3", least: 10, digits: 0 },
 ];
 
 class Charts {
@@ -24,7 +26,7 @@ class Charts {
     this.cursor = svg("line", { class: "cursor", y1: 12, y2: px(this.height - 22) });
     this.root = svg("svg", {
       viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
-      "aria-label": "Instructions of the NPCs, and gap, time to contact and speed over time.",
+      "aria-label": "Instructions of the NPCs, and gap, time to contact, speed, acceleration and jerk over time.",
     }, [...this.parts, this.cursor, ...this.dots.map((dot) => dot.mark)]);
   }
 
@@ -71,13 +73,12 @@ class Charts {
 
   curve(curve) {
     const { finding } = this;
-    const tops = finding.vehicles.flatMap((vehicle) => vehicle.speed.filter((value) => value !== null));
-    const top = curve.top || Math.ceil(Math.max(finding.road.speed_limit, ...tops) / 5) * 5;
+    const [low, top] = this.range(curve);
     const [y0, y1] = [this.y + CHART.curve, this.y];
-    const y = (value) => y0 - (value / top) * (y0 - y1);
+    const y = (value) => y0 - ((value - low) / (top - low)) * (y0 - y1);
     const limit = curve.key === "speed" ? `, dotted: limit ${finding.road.speed_limit}` : "";
     this.heading(curve.title, curve.unit, limit);
-    for (const value of [0, top / 2, top]) {
+    for (const value of [low, (low + top) / 2, top]) {
       this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(y(value)), y2: px(y(value)), class: "axis" }));
       const label = curve.top && value === top ? `\u2265${top}` : `${value}`;
       this.parts.push(svg("text", { x: CHART.left - 6, y: px(y(value) + 4), class: "small soft", "text-anchor": "end" }, label));
@@ -93,6 +94,16 @@ class Charts {
     });
     this.ends(ends);
     this.y = y0 + CHART.gap;
+  }
+
+  range(curve) {
+    // From 0 up, or as far down as up where values have a sign.
+    if (curve.top) return [0, curve.top];
+    const values = this.finding.vehicles.flatMap((vehicle) => vehicle[curve.key].filter((value) => value !== null));
+    const limit = curve.least || this.finding.road.speed_limit;
+    const most = values.reduce((high, value) => Math.max(high, Math.abs(value)), limit);
+    const top = Math.ceil(most / (curve.least || 5)) * (curve.least || 5);
+    return [curve.least ? -top : 0, top];
   }
 
   limit(y) {

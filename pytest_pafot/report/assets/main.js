@@ -2,7 +2,7 @@
 
 const report = JSON.parse(document.getElementById("data").textContent);
 const articles = [...document.querySelectorAll("#articles > article")];
-const links = [...document.querySelectorAll("#list a[data-index]")];
+const links = [...document.querySelectorAll("#list a[data-index]")].sort((a, b) => a.dataset.index - b.dataset.index);
 const keys = links.map((link) => link.dataset.key);
 const status = document.getElementById("status");
 let current = -1;
@@ -54,12 +54,37 @@ function reveal(link) {
   if (place.bottom > frame.bottom) list.scrollTop += place.bottom - frame.bottom;
 }
 
+const listed = () => [...document.querySelectorAll("#list li:not([hidden]) a[data-index]")];
+
 function step(by) {
-  const next = current + by;
-  if (next < 0 || next >= report.findings.length) return;
-  show(next, null);
+  // In the order of the list, which is by test, among what the filter leaves.
+  const order = listed();
+  const next = order.indexOf(links[current]) + by;
+  if (next < 0 || next >= order.length) return;
+  const index = links.indexOf(order[next]);
+  show(index, null);
   writeLink();
-  announce(`Finding ${next + 1} of ${report.findings.length}: ${report.findings[next].headline}`);
+  announce(`Finding ${next + 1} of ${order.length}: ${report.findings[index].headline}`);
+}
+
+function applyFilter() {
+  const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+  for (const link of links) {
+    const isKind = !outcome.value || link.dataset.outcome === outcome.value;
+    link.parentElement.hidden = !(isKind && words.every((word) => link.dataset.words.includes(word)));
+  }
+  for (const group of document.querySelectorAll("#list .group")) group.hidden = !group.querySelector("li:not([hidden])");
+  const left = listed();
+  document.getElementById("nothing").hidden = left.length > 0;
+  document.querySelector("#list h2 .count").textContent = left.length === links.length ? `${links.length}` : `${left.length} of ${links.length}`;
+  announce(`${left.length} of ${links.length} findings`);
+  if (left.length && !left.includes(links[current])) { show(links.indexOf(left[0]), null); writeLink(); }
+}
+
+function clearFilter() {
+  filter.value = "";
+  outcome.value = "";
+  applyFilter();
 }
 
 function onKey(event) {
@@ -79,6 +104,7 @@ function keyAction(event) {
   if (event.key === "j") return () => step(1);
   if (event.key === "k") return () => step(-1);
   if (event.key === "?") return toggleKeys;
+  if (event.key === "/" && filter) return () => filter.focus();
   if (!player) return null;
   const small = event.shiftKey ? 1 : 0.1;
   return {
@@ -150,6 +176,15 @@ async function copied(source) {
   }
 }
 
+const filter = document.getElementById("filter");
+const outcome = document.getElementById("outcome");
+if (filter) {
+  filter.addEventListener("input", applyFilter);
+  outcome.addEventListener("change", applyFilter);
+  for (const field of [filter, outcome]) {
+    field.addEventListener("keydown", (event) => { if (event.key === "Escape") { clearFilter(); links[current].focus(); } });
+  }
+}
 const theme = stored("pafot-theme");
 setTheme(THEMES.includes(theme) ? theme : "system");
 document.getElementById("theme").addEventListener("click", nextTheme);

@@ -146,6 +146,9 @@ class Scene {
     this.pointers = this.finding.vehicles.slice(1).map((vehicle, npc) => svg("g", {}, [
       svg("path", { class: fill(npc + 1) }), svg("text", { class: "label strong halo" }),
     ]));
+    this.offsets = [];
+    for (let dx = -320; dx <= 320; dx += 16) for (let dy = -90; dy <= 90; dy += 3) if (Math.abs(dy - 4) > 22 || dx) this.offsets.push([dx, dy]);
+    this.offsets.sort((a, b) => Math.hypot(...a) - Math.hypot(...b));
     this.impact = svg("g", { class: "impact-group" }, [
       svg("path", { d: "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z", class: "impact" }),
       svg("text", { class: "impact-label" }, this.impactText()),
@@ -235,6 +238,7 @@ class Scene {
   }
 
   drawCells(ego, wanted, frame) {
+    this.numbers = [];
     const [length, width] = [ego.length * this.scale, this.finding.road.lane_width * this.scale - 6];
     this.cells.forEach(([box, number], index) => {
       const cell = index + 1;
@@ -246,7 +250,15 @@ class Scene {
       number.setAttribute("transform", turned(centre.heading, x, y));
       change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
+      if (centre.exists) this.numbers.push(this.numberPlace(centre, x, y, length, width));
     });
+  }
+
+  // Where the number of a cell is: in its corner, which turns with it.
+  numberPlace(centre, x, y, length, width) {
+    const [dx, dy] = [7 - length / 2, 9 - width / 2];
+    const turn = this.isWorld ? centre.heading : 0;
+    return [x + dx * Math.cos(turn) - dy * Math.sin(turn), y + dx * Math.sin(turn) + dy * Math.cos(turn)];
   }
 
   drawTargets(states, time, frame) {
@@ -339,7 +351,8 @@ class Scene {
     const place = event.kind === "collision" && other ? this.contact(ego, other) : ego;
     const [x, y] = [this.x(place.along), this.y(place.across)];
     this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
-    change(this.impact.children[1], { x: 0, y: this.labelOffset(states, x, y), "text-anchor": "middle" });
+    const [dx, dy] = this.labelOffset(states, x, y);
+    change(this.impact.children[1], { x: px(dx), y: px(dy), "text-anchor": "middle" });
   }
 
   contact(ego, other) {
@@ -350,13 +363,14 @@ class Scene {
     return { along: ego.along + ahead * cos - right * sin, across: ego.across + ahead * sin + right * cos };
   }
 
-  // How far from the impact its text is: at the nearest height at which it covers no vehicle.
+  // Where the text of the impact is, seen from it: at the nearest place where it covers no vehicle and no cell's number.
   labelOffset(states, x, y) {
     const half = 3.7 * this.impactText().length;
-    const offsets = y > this.height / 2 ? [-24, 32, -62, 70] : [32, -24, 70, -62];
-    const isFree = (offset) => y + offset > 12 && y + offset < this.height - RULER && states.every((state) => !state
-      || Math.abs(this.x(state.along) - x) > half + (state.length / 2) * this.scale
-      || Math.abs(this.y(state.across) - (y + offset - 4)) > 8 + (state.width / 2) * this.scale);
-    return offsets.find(isFree) ?? offsets[0];
+    const boxes = states.filter(Boolean).map((state) => [
+      this.x(state.along), this.y(state.across), half + (state.length / 2) * this.scale, 8 + (state.width / 2) * this.scale,
+    ]).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]));
+    const isFree = ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
+      && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
+    return this.offsets.find(isFree) ?? [0, 32];
   }
 }
