@@ -54,6 +54,9 @@ def drive(observation):
 """
 
 
+QUICK = ("--pafot-shrink-rollouts=0",)
+
+
 @pytest.fixture
 def isolated(project):
     """A project whose ADS is some source text."""
@@ -122,13 +125,13 @@ def test_the_ads_never_runs_in_the_process_of_the_session(isolated):
 
 def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isolated):
     project = isolated("drive", DIES)
-    result = project.run("--pafot-isolate", generations=4, subprocess=True)
+    result = project.run("--pafot-isolate", *QUICK, generations=3, subprocess=True)
     (crash,) = [name for name in project.files if "crash-" in name]
     assert read(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
-    again = project.run("--pafot-isolate", generations=4, subprocess=True)
+    again = project.run("--pafot-isolate", *QUICK, generations=3, subprocess=True)
     again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{crash.rpartition('/')[2][:-11]}"])
     assert not list(project.path.rglob("*.inflight"))
 
@@ -143,10 +146,10 @@ def test_so_it_is_in_the_first_run_of_all(isolated):
 def test_under_xdist_as_well(isolated):
     pytest.importorskip("xdist")
     project = isolated("drive", DIES)
-    project.run("--pafot-isolate", generations=4, subprocess=True)
+    project.run("--pafot-isolate", *QUICK, generations=2, subprocess=True)
     contents = project.contents
     forget(project)
-    result = project.run("--pafot-isolate", "-n1", generations=4, subprocess=True)
+    result = project.run("--pafot-isolate", "-n1", *QUICK, generations=2, subprocess=True)
     assert project.contents == contents
     result.assert_outcomes(failed=1 + len(contents), passed=1)
 

@@ -29,12 +29,11 @@ def is_whole(result):
     ("owner", "name", "expected"),
     [
         (pytest_pafot.plugin.flights, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        (pytest_pafot.plugin.reporting.Reporter, "_note_orphans", "problem: orphans: ValueError: a fault"),
         (pytest_pafot.plugin.orphans, "prune", "problem: --pafot-prune: ValueError: a fault"),
         (pytest_pafot.plugin.paging, "_written", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         (pytest_pafot.report.terminal, "session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
-    ids=["records", "orphans", "prune", "report", "summary"],
+    ids=["records", "prune", "report", "summary"],
 )
 def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, owner, name, expected):
     def fail(*arguments, **named):
