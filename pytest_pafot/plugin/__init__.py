@@ -49,7 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Register what runs the items, where there are any."""
-    if not any(item.get_closest_marker(SEARCH_MARK) for item in session.items):
+    if not any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK)):
         return
     from pytest_pafot.plugin.checks import Checks  # noqa: PLC0415
     from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.marks import DEFAULT_ADS, arguments_of
+from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, arguments_of
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.request import Request
@@ -25,6 +25,7 @@ class Checks:
         # Not hidden: pytest 9 adds a line on hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
+            _refuse_raw_mark(item)
             return
         from pytest_pafot.plugin.flights import left_behind  # noqa: PLC0415
         from pytest_pafot.plugin.refusals import checked  # noqa: PLC0415
@@ -56,3 +57,14 @@ class Checks:
 
             report.longrepr = missing_ads(item, str(error.argname))
         return report
+
+
+def _refuse_raw_mark(item: pytest.Item) -> None:
+    """The mark by which pytest selects searched tests makes none: that is the decorator's work."""
+    names = getattr(item, "fixturenames", ())
+    if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in names:
+        pytest.fail(
+            f"{item.name}: expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
+            f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and @pafot.search(...)",
+            pytrace=False,
+        )

@@ -15,6 +15,7 @@ from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.setup_fault import FirstGeneration
+from pytest_pafot.plugin.units import doubt
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -79,6 +80,7 @@ class Hunt:
         skip: the last exception by which the function declined to judge.
         died: scenarios whose process did not come back to this search.
         first: what the runs of the first generation have in common.
+        doubt: about the units of the ADS's actions, once there is one.
     """
 
     stage: Stage
@@ -93,6 +95,7 @@ class Hunt:
     skip: BaseException | None = None
     died: set[Scenario] = field(default_factory=set)
     first: FirstGeneration = field(default_factory=FirstGeneration)
+    doubt: str = ""
 
     @property
     def lethal(self) -> frozenset[Scenario]:
@@ -143,6 +146,7 @@ class Hunt:
         if again is not None:  # A find is what its replay will be, also where an ADS does not keep its rows apart.
             run, verdict = again, self.stage.judge(again)
         self.verdicts[verdict.kind] += 1
+        self.doubt = self.doubt or doubt(run.trace)
         if self.first.is_alike:
             self.first.see(run, verdict)
             if not self.first.is_alike:

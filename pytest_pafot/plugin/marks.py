@@ -6,6 +6,7 @@ This module is imported by every test file that uses the plugin: it imports noth
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
 
@@ -42,7 +43,7 @@ def search(*target: Any, **arguments: Any) -> Any:
     Works bare, with arguments, on functions and on classes of test functions. Arguments are checked when the test
     is about to run, so that a wrong one is one failing item and not a module that cannot be imported.
     """
-    if len(target) == 1 and not arguments and (inspect.isfunction(target[0]) or inspect.isclass(target[0])):
+    if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorated(target[0], (), {})
 
     def decorate(function: Any) -> Any:
@@ -54,6 +55,21 @@ def search(*target: Any, **arguments: Any) -> Any:
 def reject() -> NoReturn:
     """Discard the scenario that is running: it counts neither as passed nor as failed."""
     raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
+
+
+def _may_be_decorated(target: object) -> bool:
+    """Whether ``@pafot.search`` stands bare at a test function or class, and is not given an ADS or its factory.
+
+    An ADS is a class with calls, or a vehicle of highway-env; a factory has neither the run as a parameter nor the name
+    of a test.
+    """
+    if inspect.isclass(target):
+        kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # whoever has a vehicle class has imported it
+        is_vehicle = kinematics is not None and issubclass(target, kinematics.Vehicle)
+        return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
+    if not inspect.isfunction(target):
+        return False
+    return target.__name__.startswith("test") or DEFAULT_ARG in inspect.signature(target).parameters
 
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:

@@ -141,9 +141,12 @@ def _space(request: Request, speed_limit: float) -> SearchSpace:
 
 def _check_names(arguments: Mapping[str, Any]) -> None:
     if arguments.get(POSITIONAL):
+        given = arguments[POSITIONAL][0]
+        name = getattr(given, "__name__", "")
+        example = "generations=20" if not callable(given) else f"ads={name if name.isidentifier() else '...'}"
         raise RequestError(
-            f"@pafot.search: expected keyword arguments only, received {arguments[POSITIONAL]!r}; "
-            "write the argument's name, as in @pafot.search(generations=20)"
+            f"@pafot.search: expected keyword arguments only, received {arguments[POSITIONAL]!r:.200}; "
+            f"write the argument's name, as in @pafot.search({example})"
         )
     known = SearchArguments.__annotations__
     unknown = [name for name in arguments if name not in known and name != POSITIONAL]

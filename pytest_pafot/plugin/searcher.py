@@ -245,7 +245,7 @@ class Searching:
                 messages.send(self.bench.item, "search", search.to_plain())
                 self._show(hunt, search)
         if fault is not None:  # Outside of the handler, so that the same is not shown twice.
-            raise fault.shown()
+            raise fault.shown(self.bench)
         self._conclude(hunt, keeper, search)
 
     def _hunted(
@@ -326,6 +326,8 @@ class Searching:
 
     def _summary(self, hunt: Hunt, keeper: Keeper, reason: str) -> terminal.Search:
         settings, health = self.bench.request.settings, hunt.health
+        if hunt.doubt:
+            self.notes.append(hunt.doubt)
         finds = tuple(replace(find, repeats=hunt.repeats[find.id]) for find in keeper.finds)
         if reason == self.limit.flag:
             self.notes.append(f"cut by {reason}: the same seed may find other scenarios next time")

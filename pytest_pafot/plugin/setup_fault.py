@@ -6,15 +6,20 @@ A misspelt name in the test function, or an ADS that fails before it has seen an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_pafot.plugin.oracle import plain_failure
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.ads import is_vehicle_class
+from pytest_pafot.world.kernel.observation import Observation
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.run import Run
+    from pytest_pafot.plugin.bench import Bench
     from pytest_pafot.plugin.oracle import Verdict
+    from pytest_pafot.scenario import Scenario
 
 NOT_ASKED = ("npc", "invalid")
 """Verdicts on runs that the test function was not asked about."""
@@ -26,12 +31,13 @@ Cause = tuple[str, str]
 class SetupFaultError(Exception):
     """What all runs of the first generation ended in."""
 
-    def __init__(self, verdict: Verdict, runs: int) -> None:
+    def __init__(self, run: Run, verdict: Verdict, runs: int) -> None:
         super().__init__(f"all {runs} runs of the first generation ended in {verdict.exception!r}")
+        self.run = run
         self.verdict = verdict
         self.runs = runs
 
-    def shown(self) -> BaseException:
+    def shown(self, bench: Bench) -> BaseException:
         """The exception for the item: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         if verdict.is_ads or verdict.exception is None:
@@ -39,7 +45,7 @@ class SetupFaultError(Exception):
                 f"{verdict.exception}\n\n"
                 f"So it was in all {self.runs} runs of the first generation, before anything had happened in them: an "
                 "error of the set-up and no finding, so that nothing was saved. Correct the ADS, its factory, or the "
-                "world= that it drives in, and search again."
+                f"world= that it drives in, and search again.\n\n{given_in(bench, self.run.trace.scenario)}".rstrip()
             )
         verdict.exception.add_note(
             f"So it was in all {self.runs} runs of the first generation, whatever happened in them: an error of the "
@@ -55,12 +61,12 @@ class FirstGeneration:
 
     Attributes:
         is_alike: whether all of them ended in the same exception; once they did not, that is settled.
-        last: the verdict on the last of them; None before the first.
+        last: of them, with its verdict; None before the first.
         runs: their number.
     """
 
     is_alike: bool = True
-    last: Verdict | None = None
+    last: tuple[Run, Verdict] | None = None
     runs: int = 0
     _cause: Cause | None = None
 
@@ -70,7 +76,7 @@ class FirstGeneration:
             return
         cause = cause_of(run, verdict)
         self.is_alike &= cause is not None and self._cause in (None, cause)
-        self._cause, self.last, self.runs = cause, verdict, self.runs + 1
+        self._cause, self.last, self.runs = cause, (run, verdict), self.runs + 1
 
     def end(self) -> None:
         """The generation is over.
@@ -79,8 +85,38 @@ class FirstGeneration:
             SetupFaultError: where all of its runs were alike.
         """
         if self.is_alike and self.last is not None:
-            raise SetupFaultError(self.last, self.runs)
+            raise SetupFaultError(*self.last, self.runs)
         self.is_alike = False
+
+
+def given_in(bench: Bench, scenario: Scenario) -> str:
+    """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
+    if is_vehicle_class(bench.ads) or not isinstance(bench.world, (Highway, World)):
+        return ""
+    seen: list[Any] = []
+    trace = bench.world.rollout(
+        scenario, lambda: seen.append
+    )  # returns None, so that the message says what is expected
+    if not seen or trace.error is None:
+        return ""
+    expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
+    if isinstance(seen[0], Observation):
+        return (
+            "The ADS was given a pafot.Observation (time, ego, others, lanes, lane_width, speed_limit, and .array of "
+            f"shape {seen[0].array.shape}), and must return {expected}. A policy of a highway-env environment needs "
+            'world=pafot.World("highway-v0", config=...).'
+        )
+    return (
+        f"The ADS was given {_described(seen[0])}, and must return {expected}. A policy needs the config= that it was "
+        "trained with; a planner in SI units needs pafot.Highway, which is there without world=."
+    )
+
+
+def _described(observation: Any) -> str:
+    shape = getattr(observation, "shape", None)
+    if shape is None:
+        return f"a {type(observation).__name__}"
+    return f"an array of shape {tuple(shape)} and type {observation.dtype}"
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:

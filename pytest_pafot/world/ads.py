@@ -14,6 +14,7 @@ from pytest_pafot.world.kernel.action import (
     checked_si_action,
     possible_acceleration,
     possible_steering,
+    shown,
     without_reversing,
 )
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
@@ -95,8 +96,18 @@ def made(factory: AdsFactory, **arguments: Any) -> Any:
         return ads
     raise AdsFactoryError(
         f"ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
-        f"class, received {ads!r}. If the fixture gives the ADS itself, wrap it: `return lambda: MyPlanner()`"
+        f"class, received {shown(ads)}. {_hint_at(ads)}"
     )
+
+
+def _hint_at(made: Any) -> str:
+    """What to write where a factory made something that does not drive."""
+    if made is None:
+        return "Is a `return` missing in it?"
+    method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(made, name, None))), "")
+    if method:
+        return f"It has a method {method!r}: let the factory return a function of the observation that calls it"
+    return "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
 
 
 def _takes_nothing(factory: AdsFactory) -> bool:
@@ -120,8 +131,21 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         given = "with env=<environment>" if arguments else "without arguments"
         raise AdsFactoryError(
             f"ads: expected a factory that can be called {given}, received one with the signature {signature} "
-            f"({error}). If the fixture gives the ADS itself, wrap it: `return lambda: MyPlanner()`"
+            f"({error}). {_wrapped(factory)}"
         ) from None
+
+
+def _wrapped(factory: Any) -> str:
+    """How to make a factory of what is an ADS, or a class with arguments."""
+    given = inspect.unwrap(factory)
+    if isinstance(given, type):
+        return f"Give the arguments in a function, `lambda: {given.__name__}(...)`"
+    if getattr(given, "__name__", "") == "predict":
+        return "Of a model, write `lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+    return (
+        "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`, or "
+        "`return lambda: MyPlanner()` in the fixture"
+    )
 
 
 def follow(vehicle: Any, route: Sequence[Any] | None) -> None:

@@ -322,9 +322,11 @@ class World(References):
 
         if self.env_id not in gymnasium.registry:
             known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
+            near = difflib.get_close_matches(self.env_id, gymnasium.registry, n=1)
             raise WorldError(
                 f"env_id: expected a registered environment, received {self.env_id!r}; highway-env's straight roads "
                 f"are {', '.join(known)}; an environment of your own must be registered by an import before it is used"
+                f"{f'; did you mean {near[0]!r}?' if near else ''}"
             )
         creator = _creator(gymnasium.registry[self.env_id].entry_point)
         if isinstance(creator, type) and not issubclass(creator, AbstractEnv):

@@ -13,7 +13,7 @@ from highway_env.utils import class_from_path
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.kernel.action import BadAction, shown
+from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
 from pytest_pafot.world.kinematics import observer
 
 
@@ -81,18 +81,37 @@ def checked_action(action: Any, space: Any) -> Any:
     """
     if isinstance(space, spaces.Discrete):
         expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
-        array = np.asarray(action)
+        try:
+            array = np.asarray(action)
+        except (TypeError, ValueError):  # such as rows of different lengths
+            raise _bad(expected, action) from None
         if array.size != 1 or array.dtype.kind not in "iu" or not space.contains(int(array.reshape(()))):
-            raise BadAction(f"{expected}, received {shown(action)}")
+            raise _bad(expected, action, _hint_at_choice(array, space))
         return int(array.reshape(()))
     expected = f"expected finite numbers of shape {space.shape}"
     try:
         given = np.asarray(action)
     except (TypeError, ValueError):
-        raise BadAction(f"{expected}, received {shown(action)}") from None
+        raise _bad(expected, action) from None
     if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
-        raise BadAction(f"{expected}, received {shown(action)}")
+        raise _bad(expected, action)
     return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
+
+
+def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
+    hint = hint_at(action) or hint
+    return BadAction(f"{expected}, received {shown(action)}{f'; {hint}' if hint else ''}")
+
+
+def _hint_at_choice(array: Any, space: Any) -> str:
+    """What an array probably is that should have been the number of an action."""
+    if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
+        return "planners in SI units drive in pafot.Highway, that is without world="
+    if array.dtype.kind == "f" and array.size == space.n:
+        return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
+    if array.dtype.kind == "f" and array.size == 1:
+        return "return `int(...)` of it"
+    return ""
 
 
 def moved(objects: Sequence[Any], road: Road) -> list[Any]:

@@ -1,5 +1,7 @@
 """The same exception in every run of the first generation is an error of the set-up, and no finding."""
 
+import fnmatch
+
 import pytest
 
 from pytest_pafot.findings.corpus import read
@@ -151,3 +153,129 @@ class TestNothingThatWasFoundIsLost:
         project.write(BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None"))
         project.run().assert_outcomes(failed=2)
         assert len(project.files) == 1
+
+
+NEWCOMERS = """
+import numpy as np
+
+class Planner:
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+class Configured(Planner):
+    def __init__(self, config):
+        pass
+
+class Model:
+    def predict(self, observation, state=None, deterministic=False):
+        if getattr(observation, "shape", None) != (5, 5):
+            raise ValueError(f"expected a shape of (5, 5), received {getattr(observation, 'shape', None)}")
+        return np.int64(1), None
+
+model = Model()
+ten = pafot.World("highway-v0", duration=2.0, config={"observation": {"type": "Kinematics", "vehicles_count": 10}})
+five = pafot.World("highway-v0", duration=2.0)
+steering = pafot.World("highway-v0", duration=2.0, config={"action": {"type": "ContinuousAction"}})
+
+async def later(observation):
+    return 0.0, 0.0
+
+def in_turn(observation):
+    yield 0.0, 0.0
+
+@pafot.search(ARGUMENTS)
+def test_drive(run):
+    pass
+"""
+
+CONFIG = "A policy needs the config= that it was trained with; a planner in SI units needs pafot.Highway"
+NO_FACTORY = "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`"
+
+MESSAGES = {
+    "Planner": ["expected keyword arguments only", "write the argument's name, as in @pafot.search(ads=Planner)"],
+    "Planner()": ["expected keyword arguments only", "write the argument's name, as in @pafot.search(ads=...)"],
+    "lambda: Planner()": ["write the argument's name, as in @pafot.search(ads=...)"],
+    "model.predict": ["write the argument's name, as in @pafot.search(ads=predict)"],
+    "ads=Planner()": ["that can be called without arguments, received one with * (observation)", NO_FACTORY],
+    "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
+    "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "write `lambda: lambda observation: ...`"],
+    "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
+    "ads=lambda: model": ["It has a method 'predict': let the factory return a function of the observation"],
+    "ads=Configured": ["Give the arguments in a function, `lambda: Configured(...)`"],
+    "world=five, ads=model.predict": [
+        "write `lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+    ],
+    "world=five, ads=lambda: model.predict": [
+        "received (np.int64(1), None); (action, state) is what `model.predict` returns: take `model.predict(*)[0]`"
+    ],
+    "world=ten, ads=lambda: lambda seen: model.predict(seen)[0]": [
+        "expected a shape of (5, 5), received (10, 5)",
+        "was given an array of shape (10, 5) and type float32",
+        CONFIG,
+    ],
+    "ads=lambda: lambda seen: model.predict(seen)[0]": [
+        "was given a pafot.Observation (time, ego, *.array of shape (3, 7))",
+        "needs world=pafot.World('highway-v0'",
+    ],
+    "ads=lambda: lambda seen: 1": ["received 1; policies of a highway-env environment need world=pafot.World("],
+    "ads=lambda: lambda seen: np.int64(1)": ["policies of a highway-env environment need world=pafot.World("],
+    "world=five, ads=Planner": ["received (0.0, 0.0); planners in SI units drive in pafot.Highway, * without world="],
+    "world=five, ads=lambda: lambda seen: seen.ego": [
+        "no attribute 'ego'",
+        "a planner in SI units needs pafot.Highway",
+    ],
+    "world=five, ads=lambda: lambda seen: np.zeros(5)": ["return the number of the largest: `int(np.argmax(...))`"],
+    "world=five, ads=lambda: lambda seen: 1.0": ["received 1.0; return `int(...)` of it"],
+    "world=five, ads=lambda: lambda seen: None": ["received None; is a `return` missing?"],
+    "world=five, ads=lambda: lambda seen: [[1], [2, 3]]": ["expected a whole number from 0 to 4, received [[1], *"],
+    "world=steering, ads=lambda: lambda seen: np.zeros((1, 2))": ["take its first row, `action[0]`"],
+    "ads=lambda: lambda seen: np.zeros((1, 2))": ["of shape (1, 2), as for several environments: take its first row"],
+    "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
+    "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
+    "ads=lambda: in_turn": ["an ADS is an ordinary function, without `async` and `yield`"],
+    "world=pafot.World('highway-v9')": [
+        "expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"
+    ],
+}
+
+
+@pytest.mark.parametrize("arguments", MESSAGES)
+def test_a_newcomer_reads_what_came_and_what_to_write(project, arguments):
+    project.write(NEWCOMERS.replace("ARGUMENTS", arguments))
+    result = project.run("-W", "error")
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    shown = " ".join(result.stdout.str().split()).replace('"', "'")
+    missing = [text for text in MESSAGES[arguments] if not fnmatch.fnmatchcase(shown, f"*{as_pattern(text)}*")]
+    assert missing == []
+    assert project.files == []
+
+
+def as_pattern(text):
+    return text.replace("[", "[[]").replace('"', "'")
+
+
+@pytest.mark.parametrize("mark", ["pytest.mark.pafot", "pytest.mark.pafot(ads=1)"])
+def test_the_mark_that_selects_searched_tests_says_that_it_makes_none(project, mark):
+    project.write(f"@{mark}\ndef test_drive(run):\n    pass\n\n@pytest.mark.pafot\ndef test_other():\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(errors=1, passed=1)
+    result.stdout.fnmatch_lines(["*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*"])
+
+
+@pytest.mark.parametrize(
+    ("action", "told"),
+    [
+        ("(0.0, 3.0)", ["*asked for a steering angle of 3, in rad, of which 0.79*convert degrees with math.radians*"]),
+        ("(0.05, -6.0)", ["*an action is (acceleration, steering), in this order*"]),
+        ("(80.0, 0.0)", ["*asked for an acceleration of 80, in m/s^2, of which 6*holds no speed*"]),
+    ],
+)
+def test_a_note_doubts_actions_in_other_units_or_in_another_order(project, action, told):
+    project.write(f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive(run):\n    pass\n")
+    project.run().stdout.fnmatch_lines(told)
+
+
+@pytest.mark.parametrize("action", ["(6.0, 0.7)", "(-100.0, -0.7)", "(0, 1)"])
+def test_no_note_doubts_actions_that_a_planner_may_mean(project, action):
+    project.write(f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive(run):\n    pass\n")
+    project.run().stdout.no_fnmatch_line("*the ADS asked for*")

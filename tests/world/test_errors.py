@@ -147,6 +147,14 @@ def test_an_unknown_id_is_refused_with_the_straight_roads_that_there_are(env_id)
 
 
 @pytest.mark.parametrize(
+    ("env_id", "meant"), [("highway-v9", "highway-v0"), ("Merge-v1", "merge-v1"), ("round-about-v0", "roundabout-v0")]
+)
+def test_an_unknown_id_comes_with_the_one_that_is_near(env_id, meant):
+    with raises(f"did you mean {meant!r}?"):
+        World(env_id).check()
+
+
+@pytest.mark.parametrize(
     "env_id", sorted(k for k, spec in gymnasium.registry.items() if "highway_env" in str(spec.entry_point))
 )
 def test_every_environment_of_highway_env_either_runs_or_says_why_not(env_id):

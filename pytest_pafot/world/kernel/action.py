@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from typing import Any
 
@@ -48,8 +49,11 @@ def without_reversing(wanted: float, speed: float, dt: float) -> float:
 
 
 def shown(value: Any) -> str:
-    """A value in an error message, cut to a line."""
-    return one_line(repr(value))
+    """A value in an error message, cut to a line; its class where its ``repr`` raises."""
+    try:
+        return one_line(repr(value))
+    except Exception as error:  # noqa: BLE001  (any code of the user's)
+        return f"a {type(value).__name__} whose repr raises {type(error).__name__}"
 
 
 def one_line(text: str) -> str:
@@ -71,4 +75,26 @@ def _floats(action: Any) -> tuple[float, float]:
 
 
 def _expected(action: Any) -> str:
-    return f"expected (acceleration [m/s^2], steering [rad]), two finite numbers, received {shown(action)}"
+    hint = hint_at(action)
+    if not hint and getattr(action, "ndim", 0) == 0 and hasattr(action, "__int__"):
+        hint = 'policies of a highway-env environment need world=pafot.World("highway-v0")'
+    if not hint and isinstance(action, dict):
+        hint = "return the two values as a tuple"
+    received = f"expected (acceleration [m/s^2], steering [rad]), two finite numbers, received {shown(action)}"
+    return f"{received}; {hint}" if hint else received
+
+
+def hint_at(action: Any) -> str:
+    """What probably went wrong in the making of an action that is none, wherever it was to be used; or empty."""
+    if action is None:
+        return "is a `return` missing?"
+    if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):
+        return "(action, state) is what `model.predict` returns: take `model.predict(observation)[0]`"
+    if inspect.iscoroutine(action) or inspect.isgenerator(action):
+        if inspect.iscoroutine(action):
+            action.close()  # else Python warns of it, too
+        return "an ADS is an ordinary function, without `async` and `yield`"
+    shape = getattr(action, "shape", ())
+    if isinstance(shape, tuple) and len(shape) > 1 and shape[0] == 1:
+        return f"of shape {tuple(shape)}, as for several environments: take its first row, `action[0]`"
+    return ""
