@@ -1,6 +1,8 @@
-"""The project's own tests: what counts as an error in them."""
+"""The project itself: what counts as an error in its tests, and for which Pythons it is made."""
 
+import re
 import shutil
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -25,3 +27,10 @@ def test_a_plugin_that_warns_while_it_is_configured_does_not_end_the_session(pyt
     result = pytester.runpytest_subprocess("-p", "noisy", "-p", "xdist", "-n", "1", "test_it.py")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*UserWarning: ran"])
+
+
+def test_wheels_are_built_for_every_python_that_is_supported():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    supported = re.findall(r"Python :: 3\.(\d+)", " ".join(project["project"]["classifiers"]))
+    assert project["project"]["requires-python"] == f">=3.{supported[0]}"
+    assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in supported]
