@@ -313,10 +313,14 @@ def _gene(field: Field) -> Gene:
     has_lane = "lane" in field.any_mapping() and "cell" not in field.any_mapping()
     fields = field.mapping(("lane", "speed") if has_lane else ("cell", "speed"))
     target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
+    speed = fields["speed"].number()
     try:
-        return gene_of(target, fields["speed"].number())
+        gene = gene_of(target, speed)
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
+    if gene.speed != speed:  # as near as floats come, which is near enough for whoever computes it
+        raise fields["speed"].error("m/s in steps of 0.1", f"write {gene.speed}")
+    return gene
 
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:

@@ -87,7 +87,9 @@ def parse(text: str, base: type[Any] | None = None) -> Document:
     Raises:
         DocumentError: on a fault in the syntax, or anything that is not plain data.
     """
-    kind: Any = base or getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    # The compiled loader takes these in places where the other one does not; a file is to be read alike everywhere.
+    is_odd = "\t" in text or "?" in text
+    kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     loader = kind(text)
     try:
         return _Builder(loader).document()

@@ -20,6 +20,7 @@ DEFAULT_GENE_SECONDS = 10.0
 
 _SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
 _BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
+_TRUTHS = frozenset("yYnN")  # for YAML 1.1, but not for PyYAML
 _RESOLVER: Any = yaml.resolver.Resolver()
 
 
@@ -174,7 +175,7 @@ def _is_plain(text: str, also: str) -> bool:
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
-    is_bounded = not text.endswith((" ", ":")) and ": " not in text
+    is_bounded = not text.endswith((" ", ":")) and ": " not in text and text not in _TRUTHS
     tag = _RESOLVER.resolve(yaml.ScalarNode, text, (True, False))
     return is_bounded and bool(tag == "tag:yaml.org,2002:str")
 

@@ -119,6 +119,8 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ("speed: 8.0", "speed: .inf", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: -1.0", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: 8.05", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.00000001", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 1.0e-300", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: '8'", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: null", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
