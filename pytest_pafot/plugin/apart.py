@@ -181,10 +181,14 @@ def _try_in_session(bench: Bench, file: Path, scenario: Scenario, owner: str) ->
         stderr=subprocess.DEVNULL,
     )
     with session:
-        code = session.wait()
+        try:
+            code = session.wait()
+        finally:
+            session.kill()  # after an interrupt; it has ended by itself otherwise
     died = any(leftover.pid == session.pid for leftover in left_behind(bench.item, bench.request, owner))
     if died or code < 0:
-        raise ProcessLostError(Lost(scenario=scenario, pid=session.pid, how=ending(code)))
+        is_hang = code == pytest.ExitCode.INTERRUPTED  # see stuck.py
+        raise ProcessLostError(Lost(scenario=scenario, pid=session.pid, how=ending(code), is_hang=is_hang))
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RequestError(
             f"{file}: expected a session of its own to replay what a process died in, received {ending(code)} of: "

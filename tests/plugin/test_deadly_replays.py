@@ -152,3 +152,17 @@ def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
     result = crash.run(generations=0)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*that ran this scenario did not answer for 0.5 s and was killed*"])
+
+
+def test_a_hang_replays_in_a_session_that_ends_where_nothing_is_forked(crash):
+    text = crash.only_file.read_text()
+    crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
+    swallow = (
+        "swallow()\n\ndef swallow():\n    try:\n        __import__('time').sleep(60)\n    finally:\n        swallow()"
+    )
+    hangs = DIES.replace("faulthandler.disable()", "").replace("os.kill(os.getpid(), signal.SIGSEGV)", swallow)
+    impatient = "import pytest_pafot.plugin.stuck\n\npytest_pafot.plugin.stuck.GRACE = 0.3\n"
+    crash.pytester.makeconftest(hangs + SPAWNS + impatient)
+    result = replayed(crash)
+    result.assert_outcomes(failed=1, passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*that ran this scenario ended with exit code 2*", "*1 still failing*"])
