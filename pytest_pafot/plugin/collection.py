@@ -56,9 +56,10 @@ class Collection:
         return True if any(self._is_corpus(folder) for folder in folders) else None
 
     def _is_corpus(self, folder: Path) -> bool:
-        """A folder of another than the usual name is none if pytest was asked for it, or runs in it."""
-        is_named = self._corpus is not None and places.is_corpus(folder, self._corpus)
-        return folder.name == BY_NAME["corpus"].default or (is_named and folder not in self._asked_for)
+        """What pytest runs in is none, nor, but by the usual name, what it was asked for."""
+        if folder.name == BY_NAME["corpus"].default:
+            return not self._config.rootpath.is_relative_to(folder)
+        return self._corpus is not None and places.is_corpus(folder, self._corpus) and folder not in self._asked_for
 
     @cached_property
     def _corpus(self) -> Path | None:

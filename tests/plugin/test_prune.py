@@ -158,6 +158,7 @@ def test_test_files_in_an_absolute_corpus_are_not_collected(failing):
 @pytest.mark.parametrize("args", [(), ("pafot_corpus",), ("-n2",)])
 def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_either(project, args):
     project.write("def test_ordinary():\n    pass\n")
+    project.pytester.makeini("[pytest]")
     (project.path / "pafot_corpus").mkdir()
     (project.path / "pafot_corpus" / "test_extra.py").write_text(TEST_FILE)
     assert "test_in_the_corpus" not in project.run("-v", *args).stdout.str()
@@ -169,3 +170,11 @@ def test_folders_of_tests_are_collected_whatever_the_corpus_is_called(project, c
     args = ("--pafot-corpus", corpus if corpus == "tests" else project.path)
     project.run(*args, "tests").assert_outcomes(failed=2)
     project.run(*args, "tests", generations=0).assert_outcomes(failed=1, skipped=1)
+
+
+def test_a_project_that_lies_in_a_folder_of_that_name_is_collected(project):
+    inner = project.path / "pafot_corpus" / "planner"
+    inner.mkdir(parents=True)
+    (inner / "pytest.ini").write_text("[pytest]\n")
+    (inner / "test_ordinary.py").write_text("def test_ordinary():\n    pass\n")
+    project.run("--rootdir", inner, inner).assert_outcomes(passed=1)
