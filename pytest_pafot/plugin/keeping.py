@@ -206,6 +206,8 @@ class Keeper:
         config = self.bench.item.config
         width = config.stash[SHARED].width
         explanation = "" if run is None else run.explain()
+        if is_compact(config):  # without its last line, which names the scenario as the file does
+            explanation = explanation.rpartition("\n")[0]
         more = (f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}", *more)
         section = terminal.find_section(
             kept.find,

@@ -85,6 +85,13 @@ def test_a_find_is_a_block_of_20_lines_at_most_that_fits_the_terminal(explained,
     ]
 
 
+@pytest.mark.parametrize(("flags", "is_named"), [((), False), (("-v",), True)], ids=["compact", "verbose"])
+def test_an_explanation_that_the_message_lacks_names_the_scenario_only_to_those_who_ask(failing, flags, is_named):
+    lines = block(search(failing, *flags), f"test_fails[saved-{failing.only_id}]")
+    assert "no collision in 5.0 s" in lines
+    assert any(line.startswith("  scenario ") for line in lines) is is_named
+
+
 def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     wide = " ".join(search(explained).stdout.str().replace("E   ", " ").split())
     explained.only_file.unlink()
