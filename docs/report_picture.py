@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 from tests.support.browser import Browser, Page, find_chromium  # noqa: E402
 
 MAX_BYTES = 250_000
-WIDTH, HEIGHT = 1280, 1255
+WIDTH, HEIGHT = 1280, 1500
 BEFORE_IMPACT = 0.9
 """How long before the end of the run the picture is taken [s]: the vehicles are then apart."""
 
