@@ -224,9 +224,7 @@ def test_dies(run):
 def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_process_can_be_forked(
     project, alone, expected
 ):
-    project.pytester.makeconftest(
-        "import pytest_pafot.plugin.retrying\npytest_pafot.plugin.retrying.METHOD = 'spawn'\n"
-    )
+    project.pytester.makeconftest("import pytest_pafot.plugin.apart\npytest_pafot.plugin.apart.METHOD = 'spawn'\n")
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
     assert project.run(subprocess=True, generations=3).ret == 9
     project.write((PLANNERS + DYING).replace("HOW", alone))
