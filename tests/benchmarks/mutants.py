@@ -11,6 +11,7 @@ the file. Prints for each way how many files were refused, how many were read as
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import signal
 import subprocess
@@ -86,7 +87,11 @@ def sources(folder: Path) -> dict[str, str]:
         "--pafot-generations=5",
         "--pafot-seed=1",
     ]
-    subprocess.run([*command, str(folder)], cwd=REPOSITORY, capture_output=True, check=False)
+    # Seeds depend on node ids, which are relative to the rootdir.
+    command += ["--rootdir", str(folder), str(folder)]
+    subprocess.run(
+        command, cwd=folder, env=os.environ | {"PYTHONPATH": str(REPOSITORY)}, capture_output=True, check=False
+    )
     for path in sorted(folder.rglob("*.pafot.yaml")):
         texts[f"search {path.parent.name} {path.name}"] = path.read_text(encoding="utf-8")
     return texts

@@ -150,8 +150,9 @@ _SPOKEN = {"true": True, "false": False, "null": None, "": None}
 _INTEGER = re.compile(r"-?(0|[1-9][0-9]*)")
 _REAL = re.compile(r"-?(0|[1-9][0-9]*)\.[0-9]+(e[-+][0-9]+)?")
 _ODD = re.compile(
-    r"[-+.]?[0-9][0-9_:.]*([eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+|[-+]?\.(inf|nan)|~|yes|no|on|off|true|false|null|y|n",
-    re.I,
+    r"[-+.]?[0-9][0-9_:]*\.?[0-9_]*([eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+|[-+]?\.(inf|nan)"
+    r"|~|yes|no|on|off|true|false|null",
+    re.IGNORECASE,
 )
 _DOTTED = re.compile(r"[0-9]+\.[0-9]+\.[0-9.]+")
 
