@@ -210,10 +210,7 @@ class Folder:
             return
         assert program == "pytest", block.first
         # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
-        others = ("sugar", "randomly", "hypothesispytest", "rerunfailures", "unraisableexception")
-        quiet = [part for name in others for part in ("-p", f"no:{name}")]
-        run = self.pytester.runpytest_subprocess if "-n" in arguments else self.pytester.runpytest_inprocess
-        result = run(*quiet, *arguments)
+        result = self.pytester.runpytest_inprocess("-p", "pafot", "-p", "no:unraisableexception", *arguments)
         self.compare(block, result.stdout.str())
         check_end(block, result)
 
@@ -234,6 +231,7 @@ def folder(pytester, monkeypatch, document):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # whatever else is installed prints and warns as it likes
     return Folder(pytester, document)
 
 

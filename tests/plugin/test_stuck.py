@@ -145,7 +145,8 @@ def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_g
 
 
 @pytest.mark.parametrize(("value", "is_ours"), [("0", True), ("30", False)])
-def test_the_one_timer_of_faulthandler_is_left_to_pytest_where_that_uses_it(pytester, value, is_ours):
+def test_the_one_timer_of_faulthandler_is_left_to_pytest_where_that_uses_it(pytester, monkeypatch, value, is_ours):
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     config = pytester.parseconfigure("-o", f"faulthandler_timeout={value}")
     file = stuck._real_stderr(config)
     assert (file is not None) == is_ours
