@@ -72,6 +72,9 @@ class _Stream(io.TextIOWrapper):
         self._bytes = io.BytesIO()
         super().__init__(self._bytes, encoding="utf-8", errors="replace", newline="", write_through=True)
 
+    def close(self) -> None:
+        """Stay open: whoever closes a standard stream does not take back what was said on it."""
+
     @property
     def text(self) -> str:
         return self._bytes.getvalue().decode("utf-8", "replace")

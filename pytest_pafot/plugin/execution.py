@@ -69,7 +69,9 @@ def _run(item: pytest.Function, request: Request) -> None:
 def _search(bench: Bench, request: Request) -> None:
     __tracebackhide__ = True
     from pytest_pafot.plugin import places  # noqa: PLC0415
-    from pytest_pafot.plugin.searcher import Searching  # noqa: PLC0415
+    from pytest_pafot.plugin.searcher import AFTER_A_DEATH, Searching, isolated_after_a_death  # noqa: PLC0415
 
     seed = item_seed(request.settings.seed, places.base_id(bench.item))
-    Searching(bench=bench, seed=seed, clock=time.monotonic).run()
+    chosen = isolated_after_a_death(bench)
+    notes = [] if chosen is bench else [AFTER_A_DEATH]
+    Searching(bench=chosen, seed=seed, clock=time.monotonic, notes=notes).run()

@@ -15,7 +15,7 @@ from pytest_pafot.findings.near_miss import NearMiss, near_misses
 from pytest_pafot.findings.responsibility import is_ego_responsible
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places
-from pytest_pafot.plugin.ahead import Isolated, ahead_of, isolated_of
+from pytest_pafot.plugin.ahead import METHOD, Isolated, ahead_of, isolated_of
 from pytest_pafot.plugin.apart import replay_in_gym_apart
 from pytest_pafot.plugin.bench import Bench
 from pytest_pafot.plugin.confirming import difference
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from pytest_pafot.trace import Trace
 
 DONE = "all generations done"
+AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,6 +388,26 @@ class Searching:
         __tracebackhide__ = True
         self.bench.item.stash[SUMMARY] = f"{what}: {'; '.join(why)}"
         pytest.fail("\n".join([f"{what}:", *why]), pytrace=False)
+
+
+def isolated_after_a_death(bench: Bench) -> Bench:
+    """The same with its runs in other processes, where one of its ADS's died in a session before.
+
+    Only where processes are forked: elsewhere not every factory can be handed to another one.
+    """
+    settings = bench.request.settings
+    if METHOD != "fork" or settings.isolate or not settings.generations or not _is_deadly(bench):
+        return bench
+    return replace(bench, request=replace(bench.request, settings=replace(settings, isolate=True)))
+
+
+def _is_deadly(bench: Bench) -> bool:
+    """Whether a session died in this search, and left a record of it or a file whose scenario still kills."""
+    if left_behind(bench.item, bench.request):
+        return True
+    crashes = [each for each in places.saved_in(bench.folder) if each.is_crash]
+    replayed = [replay_for_search(bench, each) for each in crashes]
+    return any(each is not None and each.observed == each.signature for each in replayed)
 
 
 def checked_space(bench: Bench) -> SearchSpace:

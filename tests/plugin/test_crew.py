@@ -222,6 +222,19 @@ def test_what_the_ads_says_is_said_again_here(crew_of, capsys, caplog):
     assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
 
 
+def test_an_ads_that_closes_a_standard_stream_closes_that_of_nobody_else(crew_of, capsys):
+    def close(number):
+        print("last words")
+        sys.stdout.close()
+
+    crew = crew_of(close)
+    crew.expect(SCENARIOS[:1])
+    answer = crew.fetch(SCENARIOS[0])
+    assert answer.trace is not None
+    answer.echo.repeat()
+    assert capsys.readouterr().out == "last words\n"
+
+
 def test_filters_of_warnings_act_in_the_process_that_runs_the_scenario(crew_of):
     def chat(number):
         warnings.warn("old interface", DeprecationWarning, stacklevel=1)

@@ -76,12 +76,35 @@ def test_a_crash_that_comes_again_fails_its_own_item_and_the_session_goes_on(cra
 
 
 @forks
-def test_a_search_goes_on_beside_a_crash_that_it_knows(crash):
-    sane_here = DIES.replace("    faulthandler", "    if os.getpid() == SESSION: return 0.0, 0.0\n    faulthandler")
-    crash.pytester.makeconftest(sane_here.replace("import pytest", "import pytest\n\nSESSION = os.getpid()"))
+def test_a_search_in_which_a_process_died_before_runs_in_other_processes(crash):
+    result = crash.run(subprocess=True)
+    result.assert_outcomes(failed=2, passed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*ended: all generations done*",
+            "*covered by saved-crash-*",
+            "*note: ran as with --pafot-isolate, since a process has died in this search before*",
+            "*1 saved scenario: 1 still failing*",
+        ]
+    )
+
+
+@forks
+def test_once_the_crash_is_mended_it_runs_in_the_session_again(crash):
+    crash.mend()
     result = crash.run()
-    result.assert_outcomes(failed=1, passed=2)
-    result.stdout.fnmatch_lines(["*ended: all generations done*", "*1 saved scenario: 1 still failing*"])
+    result.assert_outcomes(passed=3)
+    result.stdout.no_fnmatch_line("*--pafot-isolate*")
+
+
+@forks
+def test_so_it_does_in_the_session_after_one_that_died(project):
+    project.write(TESTS)
+    project.pytester.makeconftest(DIES)
+    assert project.run("-p", "cacheprovider", subprocess=True).ret == -signal.SIGSEGV
+    result = project.run("-p", "cacheprovider", subprocess=True)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines(["*found *saved-crash-*", "*note: ran as with --pafot-isolate*"])
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
