@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.options import BY_NAME, is_page_file
 
 if TYPE_CHECKING:
@@ -79,25 +80,32 @@ class _Page:
             self.seeds[message["base_seed"]] = None
 
     def report(
-        self, config: pytest.Config, completed: Callable[[FindingView], FindingView], *, is_interrupted: bool
+        self,
+        config: pytest.Config,
+        completed: Callable[[FindingView], FindingView],
+        errors: tuple[tuple[str, str], ...],
+        *,
+        is_interrupted: bool,
     ) -> Report:
         """The content, in an order that does not depend on who was first.
 
         Args:
             config: of the session.
             completed: adds what is known of a finding by now.
+            errors: node ids of what failed by no finding, and what pytest shows of it.
             is_interrupted: whether the session was.
         """
         from pytest_pafot.report.views import Report  # noqa: PLC0415
 
         findings = _by_test(map(completed, self.findings.values()))
-        what = _plural(len(findings), "finding")
         return Report(
-            title=f"{config.rootpath.name}: {what}",
+            title=f"{config.rootpath.name}: {_counts(findings, errors)}",
             facts=tuple(self._facts(is_interrupted=is_interrupted)),
             command=shlex.join(["pytest", *map(str, config.invocation_params.args)]),
             findings=findings,
             campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
+            errors=errors,
+            is_interrupted=is_interrupted,
         )
 
     def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
@@ -123,6 +131,9 @@ class Pages:
         self._rows: dict[str, FindingView] = {}
         self._runs: dict[str, int] = {}
         self._labels: dict[str, str] = {}
+        self._targets: dict[str, Path] = {}
+        self._failures: dict[tuple[str, str], str] = {}
+        self._shown: set[str] = set()
         config.stash[LINES] = []
 
     @pytest.hookimpl(tryfirst=True)
@@ -130,8 +141,11 @@ class Pages:
         """Take what items show; add it to the row of an ordinary report."""
         message = messages.received(report)
         if message is not None and message["kind"] == MESSAGE:
-            self._take(message)
-        elif report.when == "call" and report.nodeid in self._rows:
+            self._take(report.nodeid, message)
+            return
+        if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
+            self._failures[report.nodeid, report.when] = report.longreprtext
+        if report.when == "call" and report.nodeid in self._rows:
             self._add_row(report, self._rows.pop(report.nodeid))
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:
@@ -140,7 +154,8 @@ class Pages:
         is_interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
         for path, page in self._pages.items():
             with messages.faults_told(self._tell_problem, f"--pafot-report={page.target}: not written"):
-                report = page.report(self._config, self._completed, is_interrupted=is_interrupted)
+                errors = self._errors(path)
+                report = page.report(self._config, self._completed, errors, is_interrupted=is_interrupted)
                 lines += _written(page.target, path, report, has_pictures=not is_interrupted)
         asked = self._config.getoption(BY_NAME["report"].key)
         if asked and not self._pages and not self._config.getoption("collectonly", False):
@@ -149,15 +164,28 @@ class Pages:
     def _tell_problem(self, text: str) -> None:
         self._config.stash[LINES].append((text, True))
 
-    def _take(self, message: Mapping[str, Any]) -> None:
+    def _errors(self, path: Path) -> tuple[tuple[str, str], ...]:
+        """What failed in items of a page, or in items that never came to name one, and is shown by no finding."""
+        return tuple(
+            (node_id, told)
+            for (node_id, when), told in sorted(self._failures.items())
+            if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
+        )
+
+    def _take(self, node_id: str, message: Mapping[str, Any]) -> None:
         finding = _finding(message)
         if finding is not None and _has_rows(self._config):
             self._rows[finding.node_id] = finding
+        if finding is not None:
+            self._shown |= {finding.node_id, node_id}  # the search that found it fails for it, too
+        if "campaign" in message and message["campaign"]["reason"] == "error":
+            self._shown.discard(node_id)
         self._runs.update(message.get("runs", {}))
         self._labels.update(message.get("labels", {}))
         target = message["target"]
         if target is not None:
             path = Path(os.path.normpath(self._config.invocation_params.dir / target))
+            self._targets[node_id] = path
             self._pages.setdefault(path, _Page(target=target)).take(message, finding)
 
     def _add_row(self, report: Any, finding: FindingView) -> None:
@@ -222,7 +250,7 @@ def _written(target: str, path: Path, report: Report, *, has_pictures: bool) -> 
     if not has_pictures and not is_page_file(target):
         lines.append((f"--pafot-report={target}: the page is there, pictures are not, after an interrupt", True))
     more = f", {_plural(pictures, 'moving picture')}" if pictures else ""
-    return [(f"report: {shown} ({_plural(len(report.findings), 'finding')}{more})", False), *lines]
+    return [(f"report: {shown} ({_counts(report.findings, report.errors)}{more})", False), *lines]
 
 
 def _contents(target: str, path: Path, report: Report) -> Iterable[tuple[Path, bytes]]:
@@ -250,6 +278,11 @@ def write(path: Path, content: bytes) -> None:
         with suppress(OSError):
             draft.unlink()
         raise
+
+
+def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:
+    """Errors first; without any, findings alone."""
+    return ", ".join([*([_plural(len(errors), "error")] if errors else []), _plural(len(findings), "finding")])
 
 
 def _plural(count: int, what: str) -> str:

@@ -231,6 +231,7 @@ class Searching:
             except SetupFaultError as error:
                 reason, fault = "error", error
                 keeper.withdraw()
+                hunt.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
             except BaseException as error:
                 reason = "interrupted" if is_interruption(error) else "error"
                 raise
@@ -365,7 +366,8 @@ class Searching:
         if self.showing is None or not self.showing.events:
             return
         known = {places.saved_node_id(self.bench.item, id_): count for id_, count in hunt.known.items()}
-        self.showing.searched(search.finds, known, float(self.bench.world.speed_limit))
+        cut_by = search.reason if search.reason in ("error", "interrupted") else ""
+        self.showing.searched(search.finds, known, float(self.bench.world.speed_limit), cut_by)
 
     def _conclude(self, hunt: Hunt, keeper: Keeper, search: terminal.Search) -> None:
         __tracebackhide__ = True

@@ -131,13 +131,14 @@ class Showing:
         accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
         self._show(replace(view, label=f"{label}{accepted}", path=path))
 
-    def searched(self, finds: Iterable[Find], known: Mapping[str, int], speed_limit: float) -> None:
+    def searched(self, finds: Iterable[Find], known: Mapping[str, int], speed_limit: float, cut_by: str) -> None:
         """Show the search, and what is known at its end of the finds.
 
         Args:
             finds: of the search.
             known: failing runs of the search by the node id of the saved scenario that covers them.
             speed_limit: of its world [m/s].
+            cut_by: ``error`` or ``interrupted`` where that ended it; else empty.
         """
         finds = tuple(finds)
         campaign = campaign_view(
@@ -145,6 +146,7 @@ class Showing:
             self.events,
             speed_limit=speed_limit,
             responsibilities=self.responsibilities,
+            cut_by=cut_by,
         )
         self._tell(
             campaign=to_plain(campaign),

@@ -28,6 +28,7 @@ def campaign_view(
     *,
     speed_limit: float = 26.8,
     responsibilities: Mapping[str, int] | None = None,
+    cut_by: str = "",
 ) -> CampaignView:
     """The view of a search from everything that it told; also of one that was cut short.
 
@@ -36,6 +37,7 @@ def campaign_view(
         events: of the campaign.
         speed_limit: highest target speed [m/s], which says how many bins there are.
         responsibilities: simulated runs by who was responsible.
+        cut_by: ``error`` or ``interrupted`` where that ended it, which no event tells.
     """
     events = list(events)
     simulated = [event.evaluation for event in events if isinstance(event, Evaluated) and not event.reused]
@@ -49,7 +51,7 @@ def campaign_view(
         seed=0 if started is None else started.seed,
         generations=_generations(events),
         asked=0 if started is None else started.generations,
-        reason="" if finished is None else finished.reason,
+        reason=cut_by or ("" if finished is None else finished.reason),
         simulated=health.simulated,
         reused=health.reused,
         outcomes=_ordered(Counter(str(evaluation.outcome) for evaluation in simulated)),

@@ -25,7 +25,13 @@ SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013"}
 
 WHO = {"ego": "ego responsible", "npc": "NPC responsible", "both": "both responsible", "none": "nobody responsible"}
 
-ENDS = {"": "early", "generations": "all generations done", "time": "time was over", "stopped": "enough was found"}
+ENDS = {
+    "": "early",
+    "generations": "all generations done",
+    "time": "time was over",
+    "stopped": "enough was found",
+    "error": "with an error",
+}
 """Why a search ended."""
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
@@ -54,10 +60,35 @@ def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
     return tuple(keys)
 
 
+def errors(report: Report) -> str:
+    """What failed by no finding, with what pytest says of it; empty where nothing did."""
+    ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
+    return "".join(
+        f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
+        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows that.')}</p>"
+        f"<pre>{text(told.strip())}</pre></article>"
+        for node_id, told in report.errors
+    )
+
+
+def nothing_found(report: Report) -> str:
+    """What a page without findings says of the property: that it held only where everything ran to its end."""
+    ends = {view.reason for view in report.campaigns}
+    if report.errors or "error" in ends:
+        return "No findings, since not everything ran to its end: an error came first."
+    if report.is_interrupted or ends & {"", "interrupted"}:
+        return "No findings until the interrupt. What had not run by then says nothing."
+    if any(row.failing for view in report.campaigns for row in view.generations):
+        return "No new findings. Runs that failed are known: a saved scenario covers them."
+    if "time" in ends:
+        return "No findings until time was over. Every run that was judged by then kept the property."
+    return "No findings. Every judged run kept the property."
+
+
 def finding_list(findings: Sequence[FindingView]) -> str:
-    """Links to all findings, with counts."""
+    """Links to all findings, with counts; empty without any."""
     if not findings:
-        return '<p class="empty">No findings. Every judged run kept the property.</p>'
+        return ""
     groups: dict[str, list[str]] = {}
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         groups.setdefault(finding.test, []).append(_list_item(finding, key, index))
@@ -161,6 +192,7 @@ def campaign(view: CampaignView, index: int, *, is_open: bool = True) -> str:
 def _in_short(view: CampaignView) -> str:
     """A folded search in a line."""
     warned = f", {_plural(len(view.warnings), 'warning')}" if view.warnings else ""
+    warned += f", ended {ENDS.get(view.reason, view.reason)}" if view.reason in ("error", "interrupted") else ""
     failing = sum(row.failing for row in view.generations)
     return f"{_plural(view.simulated, 'run')}, {failing} failing in its generations{warned}"
 

@@ -46,7 +46,8 @@ def data_json(report: Report) -> str:
     Texts that the page holds already are left out. Nothing in it can end the element or begin a comment, and
     everything beyond ASCII is escaped, U+2028 among it.
     """
-    slim = replace(report, findings=tuple(replace(finding, yaml="", explanation="") for finding in report.findings))
+    findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
+    slim = replace(report, findings=findings, errors=())
     plain = json.dumps(to_plain(slim), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -64,7 +65,8 @@ def _rendered(report: Report, *, embedded: bool) -> str:
         kind="embedded" if embedded else "whole",
         facts=markup.session_facts(report),
         count=len(report.findings),
-        list=markup.finding_list(report.findings),
+        errors=markup.errors(report),
+        list=markup.finding_list(report.findings) or f'<p class="empty">{markup.nothing_found(report)}</p>',
         articles="".join(markup.article(finding, index) for index, finding in enumerate(report.findings)),
         campaigns=f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
         if campaigns

@@ -249,7 +249,7 @@ class CampaignView:
         algorithm, seed: of the search.
         generations: finished, in order.
         asked: generations asked for.
-        reason: why it ended; empty if it is not known.
+        reason: why it ended, ``error`` and ``interrupted`` among it; empty if it is not known.
         simulated, reused: scenarios that were run, and that were known from an earlier run.
         outcomes, responsibilities: counts of simulated runs by name.
         cells: eight rows, cell 1 first.
@@ -284,6 +284,8 @@ class Report:
         command: by which the session was started; may be empty.
         findings: in the order in which they are listed.
         campaigns: likewise.
+        errors: of tests that failed by no finding: node id and what pytest shows of it.
+        is_interrupted: whether the session was.
     """
 
     title: str
@@ -291,3 +293,5 @@ class Report:
     command: str = ""
     findings: tuple[FindingView, ...] = ()
     campaigns: tuple[CampaignView, ...] = ()
+    errors: tuple[tuple[str, str], ...] = ()
+    is_interrupted: bool = False

@@ -167,8 +167,104 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     assert result.ret == pytest.ExitCode.INTERRUPTED
     data = data_of(page)
     assert {finding["id"] for finding in data["findings"]} == {name.split("/")[-1][:-11] for name in project.files}
-    assert (data["campaigns"][0]["reason"], data["campaigns"][0]["simulated"]) == ("", 2)
+    assert (data["campaigns"][0]["reason"], data["campaigns"][0]["simulated"]) == ("interrupted", 2)
     assert "interrupted" in page.read_text(encoding="utf-8")
+
+
+KEPT = "Every judged run kept the property."
+NOT_KEPT = {
+    "an ADS that fails at once": ("ads=lambda: lambda seen: None", "pass", "The search ended with an error."),
+    "a property that is misspelt": ("", "assert run.collided", "did you mean `run.collision`?"),
+    "a fitness that is no number": ("fitness=lambda trace: 'x'", "pass", "The search ended with an error."),
+    "a search that tests nothing": ("", "pafot.reject()", "the search tested nothing"),
+}
+
+
+@pytest.mark.parametrize("case", NOT_KEPT)
+def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_kept(project, page, case):
+    arguments, body, told = NOT_KEPT[case]
+    passing = "@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"
+    project.write(f"{passing}\n@pafot.search(SHORT, {arguments})\ndef test_drive(run):\n    {body}\n")
+    result = project.run("--pafot-report=report.html")
+    result.assert_outcomes(passed=1, failed=1)
+    text = html.unescape(page.read_text(encoding="utf-8"))
+    assert KEPT not in text
+    assert "No findings, since not everything ran to its end" in text
+    error, _, rest = text.partition('<article class="error"')[2].partition("<main>")
+    assert "test_it.py::test_drive[search]" in error
+    assert told in error
+    assert "test_passes" not in error
+    assert rest
+    result.stdout.fnmatch_lines(["report: report.html (1 error, 0 findings)"])
+
+
+def test_an_error_after_a_find_is_shown_beside_it(project, page):
+    project.write(
+        """
+seen = []
+
+def fitness(trace):
+    seen.append(trace)
+    return 0.0 if len(seen) < 3 else "x"
+
+@pafot.search(SHORT, fitness=fitness)
+def test_drive(run):
+    assert run.duration < 1
+"""
+    )
+    project.run("--pafot-report=report.html")
+    data, text = data_of(page), page.read_text(encoding="utf-8")
+    assert "new" in labels_of(data)
+    assert data["campaigns"][0]["reason"] == "error"
+    assert "The search ended with an error." in text
+
+
+def test_an_error_in_a_fixture_is_shown_on_the_page_of_the_other_tests(project, page):
+    project.write(
+        "@pytest.fixture\ndef lost():\n    raise OSError('no map')\n\n"
+        "@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n\n"
+        "@pafot.search(SHORT)\ndef test_drive(run, lost):\n    pass\n"
+    )
+    project.run("--pafot-report=report.html").assert_outcomes(passed=1, errors=1)
+    text = page.read_text(encoding="utf-8")
+    assert "OSError: no map" in text
+    assert KEPT not in text
+
+
+def test_only_finds_are_shown_where_a_search_and_its_finds_fail(failing, page):
+    failing.run("--pafot-report=report.html").assert_outcomes(failed=2)
+    assert '<article class="error"' not in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("body", "ending"),
+    [
+        ("pass", KEPT),
+        ("raise KeyboardInterrupt", "No findings until the interrupt."),
+        ("pytest.exit('enough', returncode=3)", "No findings until the interrupt."),
+    ],
+)
+def test_a_page_without_findings_says_whether_the_search_was_whole(project, page, body, ending):
+    project.write(f"@pafot.search(SHORT)\ndef test_drive(run):\n    {body}\n")
+    project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
+    text = page.read_text(encoding="utf-8")
+    assert ending in text
+    assert (KEPT in text) == (ending == KEPT)
+
+
+def test_a_search_that_time_cut_says_so_on_the_page(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_drive(run):\n    pass\n")
+    project.run("--pafot-report=report.html", "--pafot-max-time=0")
+    assert "No findings until time was over." in page.read_text(encoding="utf-8")
+
+
+def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property_that_was_kept(project, page):
+    project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
+    project.run("--pafot-shrink-rollouts=0")
+    project.run("--pafot-report=report.html", "test_it.py::test_fails[search]")
+    text = page.read_text(encoding="utf-8")
+    assert "No new findings. Runs that failed are known" in text
+    assert KEPT not in text
 
 
 def test_the_mark_the_environment_and_the_ini_file_name_a_page_too(project, monkeypatch):

@@ -96,6 +96,14 @@ def test_drive(run):
         assert project.contents == contents
         assert len(contents) == 1
 
+    def test_which_no_saved_scenario_is_said_to_cover(self, project):
+        project.write(BROKEN.replace("BROKEN", "return 0.0, 0.0").replace("pass", "assert run.duration < 1"))
+        project.run("--pafot-shrink-rollouts=0")
+        project.write(BROKEN.replace("BROKEN", "return None"))
+        result = project.run()
+        result.stdout.fnmatch_lines(["*4 runs in *, 4 failing", "*ended: error"])
+        result.stdout.no_fnmatch_line("*known: *")
+
 
 class TestNothingThatWasFoundIsLost:
     SOME = """
