@@ -89,9 +89,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """
     sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
     try:
-        _check_libraries()
         plan = checked(plan_of(arguments))
         workers = _workers(arguments.workers)
+        _check_libraries()  # What is wrong on the command line is told before anything is installed for it.
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, WorkerDied) as error:
@@ -204,5 +204,5 @@ def _check_libraries() -> None:
         except ModuleNotFoundError:
             raise PlanError(
                 f"expected the library {name} for the report, received an environment without it; "
-                "run `pip install pytest-pafot[compare]`"
+                "run `pip install 'pytest-pafot[compare]'`"
             ) from None

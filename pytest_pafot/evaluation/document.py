@@ -68,7 +68,7 @@ def _head(material: Material) -> str:
     hours = sum(each.seconds for each in material.whole) / SECONDS_PER_HOUR
     wall = "" if material.wall_seconds is None else f", {_time(material.wall_seconds)} of computing"
     budget = f"{plan.generations} generations" if plan.generations else f"{plan.seconds:g} simulated seconds"
-    blame = "all collisions" if plan.blame == "any" else "collisions that the ego is responsible for (`--blame ego`)"
+    hits = "all collisions" if plan.blame == "any" else "collisions that the ego is responsible for (`--blame ego`)"
     packages = ", ".join(f"{name} {version}" for name, version in versions().items())
     return f"""
 # {" against ".join(plan.algorithms)} on {plan.ads}
@@ -78,7 +78,7 @@ def _head(material: Material) -> str:
 ```
 
 {plan.runs} runs of each algorithm, {budget} each, base seed {plan.seed}; {hours:.1f} h of simulated driving{wall}.
-What counts as a failure in the search: {blame}. {packages}.
+What counts as a failure in the search: {hits}; and faults of the ADS, which are exceptions and hangs. {packages}.
 
 World: `{json.dumps(dict(plan.world))}`.
 Scenarios: `{json.dumps(dict(plan.space))}`.
@@ -189,6 +189,7 @@ def _distinct(material: Material) -> str:
             [
                 name,
                 f"{tables.distinct_in_all(material.frame, name)}",
+                f"{tables.faults_in_all(material.frame, name)}",
                 f"{np.mean([each.distinct for each in runs]):.2f}",
                 f"{np.mean([each.distinct_per_hour for each in runs]):.2f}",
                 f"{np.mean([each.distinct for each in equal]):.2f}",
@@ -199,8 +200,8 @@ def _distinct(material: Material) -> str:
         )
     hours = f"{material.horizon / SECONDS_PER_HOUR:.2f} h"
     header = [
-        "", "in all runs", "mean of a run", "per simulated hour", f"mean of a run, {hours}", f"per hour, {hours}",
-        f"runs with any, {hours}", "median time to the first",
+        "", "in all runs", "faults of the ADS among them", "mean of a run", "per simulated hour",
+        f"mean of a run, {hours}", f"per hour, {hours}", f"runs with any, {hours}", "median time to the first",
     ]  # fmt: skip
     return f"""
 ## Distinct failures for which the ego answers

@@ -262,7 +262,6 @@ def _collision_times(axes: Axes, data: Data) -> None:
 
 
 def _first_failure(axes: Axes, data: Data) -> None:
-    last = 0.0
     for name in data.algorithms:
         runs, style = data.of(name), data.style(name)
         estimate = tables.survival_of(runs)
@@ -272,8 +271,7 @@ def _first_failure(axes: Axes, data: Data) -> None:
             hours, shares, where="post", color=style.colour, linestyle=style.line, marker=style.marker, markersize=4,
             label=name,
         )  # fmt: skip
-        last = max(last, float(estimate.times[-1]))
-    axes.set_xlim(0, last / SECONDS_PER_HOUR * 1.03)
+    axes.set_xlim(left=0)
     axes.set_ylim(0, 103)
     axes.set_xlabel("simulated time of a run [h]")
     axes.set_ylabel("runs without an ego-responsible failure [%]")

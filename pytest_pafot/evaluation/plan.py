@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import hashlib
 import importlib
 import json
 import math
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
@@ -23,6 +25,9 @@ Mode = Literal["collisions", "ego"]
 
 EXAMPLES = "example_ads"
 """The package of example policies: at the top of a clone, inside of this package where it is installed."""
+
+RUNS = "runs"
+"""Folder of the results of single runs."""
 
 
 class PlanError(ValueError):
@@ -130,6 +135,13 @@ def ads_factory(reference: str) -> Callable[..., Any]:
     try:
         factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
     except ModuleNotFoundError as error:
+        if len(parts) == 1 and EXAMPLES in (error.name or ""):
+            near = difflib.get_close_matches(reference, policies := _examples(), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise PlanError(
+                f"--ads: expected one of {', '.join(policies)}, or module:factory for a policy of your own, received "
+                f"{reference!r}{hint}"
+            ) from None
         raise PlanError(
             f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command where "
             f"the module is, or give module:factory"
@@ -149,6 +161,12 @@ def _imported(module_name: str) -> ModuleType:
         return importlib.import_module(f"pytest_pafot.{module_name}")
 
 
+def _examples() -> list[str]:
+    """Names of the example policies, without ``defects``, whose factory needs an argument."""
+    names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
+    return [name for name in names if name not in ("conftest", "defects") and not name.startswith("test_")]
+
+
 def world_of(plan: Plan) -> Highway | World:
     """The world of a plan."""
     return world_from_dict(dict(plan.world))
@@ -163,4 +181,4 @@ def versions() -> dict[str, str]:
 
 def file_name(algorithm: str, run: int) -> str:
     """Of the results of one run."""
-    return str(PurePath("runs") / f"{algorithm}-{run:03}.csv")
+    return str(PurePath(RUNS) / f"{algorithm}-{run:03}.csv")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from pytest_pafot.evaluation.plan import Plan, ads_factory, world_of
 from pytest_pafot.evaluation.rows import Row
+from pytest_pafot.evaluation.setup_fault import check_set_up
 from pytest_pafot.findings.finding import ads_failure, of_failure
 from pytest_pafot.findings.near_miss import near_misses
 from pytest_pafot.findings.responsibility import Fault, is_ego_responsible, position_rule
@@ -16,10 +17,10 @@ from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import Evaluation, algorithm_named, fitness_of, reads_near_misses, run_campaign
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.trace import AdsError, Outcome, Trace
 
 UNBOUNDED = 10**9
 """Generations of a run whose budget is a time."""
@@ -39,6 +40,7 @@ class Facts:
     position_responsibility: str
     signature: str | None
     fault: Fault | None
+    error: AdsError | None
 
 
 @dataclass(slots=True)
@@ -82,7 +84,11 @@ class Simulator:
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
-    """Simulate one run, row by row as its scenarios are evaluated."""
+    """Simulate one run, row by row as its scenarios are evaluated.
+
+    Raises:
+        PlanError: where the ADS fails alike at its first decision in the whole first generation.
+    """
     world, factory = world_of(plan), ads_factory(plan.ads)
     seed = plan.run_seed(algorithm, run)
     simulator = Simulator(
@@ -100,8 +106,14 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
         seed=seed,
         stop=lambda: simulator.seconds >= budget,
     )
+    first: list[Evaluation] = []
     for event in events:
+        if isinstance(event, GenerationFinished) and first:
+            check_set_up(world, factory, first[0].scenario, [each.note.error for each in first])
+            first.clear()
         if isinstance(event, Evaluated):
+            if event.generation == 0 and event.local_generation == 0:
+                first.append(event.evaluation)
             tick(max(event.generation / generations, simulator.seconds / budget))
             yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=simulator.seconds)
     tick(1.0)
@@ -148,6 +160,7 @@ def facts_of(trace: Trace) -> Facts:
         position_responsibility=position_rule(trace),
         signature=None if failure is None else signature_text(of_failure(run, failure)),
         fault=run.attribution.fault,
+        error=trace.error,
     )
 
 

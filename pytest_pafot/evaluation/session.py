@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from pytest_pafot.evaluation.plan import Plan, PlanError, file_name
+from pytest_pafot.evaluation.plan import RUNS, Plan, PlanError, file_name
 from pytest_pafot.evaluation.rows import text_of, write_whole
 from pytest_pafot.evaluation.running import Tick, run_rows
 from pytest_pafot.evaluation.workers import side_by_side
@@ -60,7 +60,8 @@ def claim(plan: Plan, folder: Path) -> None:
         PlanError: when it is of another one.
     """
     path = folder / QUESTION
-    if path.exists() and path.read_text(encoding="utf-8") != plan.question:
+    holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no run was finished is free.
+    if holds_results and path.exists() and path.read_text(encoding="utf-8") != plan.question:
         raise PlanError(
             f"--out: expected an empty folder or one of this comparison, received {folder}, whose {QUESTION} differs "
             "in the policy, the budget, the world, the seed or the versions; give another folder, or the same arguments"

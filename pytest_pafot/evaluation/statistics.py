@@ -105,11 +105,12 @@ def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
 def log_rank(
     first: Sequence[float], first_censored: Sequence[bool], second: Sequence[float], second_censored: Sequence[bool]
 ) -> float:
-    """The log-rank test, two-sided, of times that may be censored: p; 1 where there is no event at all."""
+    """The log-rank test, two-sided, of times that may be censored: p; 1 where no event tells the samples apart."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    result = stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
-    return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
+    with np.errstate(invalid="ignore", divide="ignore"):  # Where all have their events at once, the variance is 0.
+        result = stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
+    return float(result.pvalue) if np.isfinite(result.statistic) else 1.0
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

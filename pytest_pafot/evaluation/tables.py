@@ -133,6 +133,11 @@ def distinct_in_all(frame: pd.DataFrame, algorithm: str) -> int:
     return int(rows["signature"].nunique())
 
 
+def faults_in_all(frame: pd.DataFrame, algorithm: str) -> int:
+    """How many of them are faults of the ADS: exceptions and hangs."""
+    return distinct_in_all(frame[frame["outcome"].isin(FAULTS)], algorithm)
+
+
 def first_failures(runs: Sequence[Measures]) -> tuple[list[float], list[bool]]:
     """Times to the first failure of the ego [s], and whether they are only the end of a run without one."""
     is_censored = [not np.isfinite(each.first_failure) for each in runs]

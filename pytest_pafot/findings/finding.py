@@ -19,7 +19,7 @@ from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Outcome, Side
+from pytest_pafot.trace import AdsError, Outcome, Side
 
 MAX_MESSAGE = 300
 MAX_TRACEBACK = 8000
@@ -38,6 +38,9 @@ _TEMPORARY = re.compile(
 )
 _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]pytest-\d+)")
 _TOOK = re.compile(r"took [\d.]+ s")
+Cause = tuple[str, str]
+"""Of an exception: its class, and where it was raised."""
+
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
@@ -237,6 +240,13 @@ def ads_failure(run: Run) -> Failure | None:
             kind=SLOW_DECISION, message=f"a decision took {run.max_decision_time:.3f} s, allowed are {limit}"
         )
     return None
+
+
+def first_decision_cause(error: AdsError | None) -> Cause | None:
+    """What made an ADS fail at its first decision; None where it decided then, or hung."""
+    if error is None or error.tick > 0 or error.interrupted:
+        return None
+    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:

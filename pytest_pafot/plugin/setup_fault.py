@@ -6,14 +6,15 @@ A misspelt name in the test function, or an ADS that fails before it has seen an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
+from pytest_pafot.findings.finding import Cause, first_decision_cause
 from pytest_pafot.plugin.oracle import plain_failure
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.ads import is_vehicle_class
-from pytest_pafot.world.kernel.observation import Observation
+from pytest_pafot.world.first_decision import first_decision
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.run import Run
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 
 NOT_ASKED = ("npc", "invalid")
 """Verdicts on runs that the test function was not asked about."""
-
-Cause = tuple[str, str]
-"""Of an exception: its class, and where it was raised."""
 
 
 class SetupFaultError(Exception):
@@ -93,30 +91,15 @@ def given_in(bench: Bench, scenario: Scenario) -> str:
     """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
     if is_vehicle_class(bench.ads) or not isinstance(bench.world, (Highway, World)):
         return ""
-    seen: list[Any] = []
-    trace = bench.world.rollout(
-        scenario, lambda: seen.append
-    )  # returns None, so that the message says what is expected
-    if not seen or trace.error is None:
+    asked = first_decision(bench.world, scenario)
+    if asked is None:
         return ""
-    expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
-    if isinstance(seen[0], Observation):
-        return (
-            "The ADS was given a pafot.Observation (time, ego, others, lanes, lane_width, speed_limit, and .array of "
-            f"shape {seen[0].array.shape}), and must return {expected}. A policy of a highway-env environment needs "
-            'world=pafot.World("highway-v0", config=...).'
-        )
+    if asked.is_si:
+        return f'{asked.text} A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
     return (
-        f"The ADS was given {_described(seen[0])}, and must return {expected}. A policy needs the config= that it was "
-        "trained with; a planner in SI units needs pafot.Highway, which is there without world=."
+        f"{asked.text} A policy needs the config= that it was trained with; a planner in SI units needs pafot.Highway, "
+        "which is there without world=."
     )
-
-
-def _described(observation: Any) -> str:
-    shape = getattr(observation, "shape", None)
-    if shape is None:
-        return f"a {type(observation).__name__}"
-    return f"an array of shape {tuple(shape)} and type {observation.dtype}"
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:
@@ -129,10 +112,7 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     if failure is None or failure.kind == AssertionError.__name__:
         return None
     if verdict.is_ads:
-        error = run.ads_error
-        if error is None or error.tick > 0 or error.interrupted:
-            return None
-        return failure.kind, next((line for line in reversed(failure.traceback.splitlines()) if "File " in line), "")
+        return first_decision_cause(run.ads_error)
     if isinstance(exception, (AssertionError, pytest.fail.Exception)):
         return None
     return failure.kind, failure.assertion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -58,7 +59,9 @@ def algorithm_named(name: str, space: SearchSpace, **parameters: Any) -> Algorit
             library of the algorithm is not installed, in a message that tells how to install it.
     """
     if name not in CATALOGUE:
-        raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {name!r}")
+        near = difflib.get_close_matches(name, ALGORITHMS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {name!r}{hint}")
     algorithm = _class(name)
     known = [parameter for parameter in inspect.signature(algorithm).parameters if parameter != "space"]
     for parameter in parameters:
@@ -104,5 +107,5 @@ def _class(name: str) -> Any:
             raise
         raise ValueError(
             f"algorithm: expected {name!r} with the library {entry.library}, received an environment without it; "
-            f"run `pip install pytest-pafot[search]` or `pip install {entry.library}`"
+            f"run `pip install 'pytest-pafot[search]'` or `pip install {entry.library}`"
         ) from None

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from pytest_pafot.__main__ import main
@@ -144,7 +145,13 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--algorithms", "pafot,genetic"], "algorithm: expected one of distinct, pafot, .*, received 'genetic'"),
         (["--algorithms", ","], "--algorithms: expected one or more of distinct, .*, received none"),
         (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
-        (["--ads", "no_such_policy"], "--ads: expected a module that can be imported, received 'no_such_policy'"),
+        (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
+        (
+            ["--ads", "constant_speedd"],
+            "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, ppo, or module:factory "
+            "for a policy of your own, received 'constant_speedd'; did you mean 'constant_speed'",
+        ),
+        (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
         (["--ads", "example_ads.ppo:train_me"], "--ads: expected a factory in example_ads.ppo"),
         (["--ads", "a:b:c:d"], "--ads: expected the name of a module"),
         (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
@@ -183,7 +190,71 @@ def test_two_budgets_are_refused(tmp_path, capsys):
 def test_without_its_libraries_the_command_tells_how_to_install_them(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     assert compare(tmp_path / "out") == command.BAD_USE
-    assert "pip install pytest-pafot[compare]" in capsys.readouterr().err
+    assert "pip install 'pytest-pafot[compare]'" in capsys.readouterr().err
+
+
+def test_a_wrong_policy_is_told_before_libraries_that_are_missing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    assert compare(tmp_path / "out", "--ads", "constant_speedd") == command.BAD_USE
+    assert "did you mean 'constant_speed'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_path, capsys, workers):
+    """As one of an environment without --env; the folder is left free for the command that is right."""
+    arguments = ["--ads", "tests.evaluation.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
+    assert compare(tmp_path, *arguments) == command.BAD_USE
+    said = capsys.readouterr()
+    assert said.out == ""
+    for part in (
+        "received ValueError: unexpected shape ()\n",
+        'raise ValueError(f"unexpected shape {shape}")\n',
+        "So it was in all 4 runs of the first generation",
+        "The ADS was given a pafot.Observation (time, ego,",
+        "must return (acceleration [m/s^2], steering [rad]), two finite numbers. A policy of a highway-env environment "
+        "needs that environment, such as --env highway-v0.\n",
+    ):
+        assert part in said.err
+    assert not (tmp_path / "report.md").exists()
+    more = ["--env", "highway-v0", "--duration", "5", "--generations", "1", "--algorithms", "random"]
+    assert compare(tmp_path, *arguments, *more) == 0
+
+
+def of_an_environment():
+    def drive(observation):
+        shape = np.shape(observation)
+        if shape != (5, 5):
+            raise ValueError(f"unexpected shape {shape}")
+        return 1
+
+    return drive
+
+
+def test_a_planner_that_is_given_an_environment_is_told_to_leave_it_out(tmp_path, capsys):
+    assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == command.BAD_USE
+    error = capsys.readouterr().err
+    assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
+    assert "The ADS was given an array of shape (5, 5) and type float32" in error
+    assert "a planner in SI units needs the road that is there without --env.\n" in error
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_policy_that_raises_later_is_reported_as_a_fault_of_the_ads(tmp_path):
+    arguments = ["--ads", "tests.evaluation.test_command:raising_later", "--algorithms", "pafot,random"]
+    assert compare(tmp_path, *arguments) == 0
+    report = (tmp_path / "report.md").read_text()
+    head, _, *rows = tables_of(report)["Distinct failures for which the ego answers"]
+    assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
+    assert "What counts as a failure in the search: all collisions; and faults of the ADS" in report
+
+
+def raising_later():
+    def drive(observation):
+        if observation.time > 0.5:
+            raise RuntimeError("no plan")
+        return 0.0, 0.0
+
+    return drive
 
 
 def test_the_help_needs_no_library():

@@ -3,15 +3,17 @@
 import csv
 import io
 import json
+from itertools import count
 
 import pytest
 
 from pytest_pafot import Highway
-from pytest_pafot.evaluation.plan import Plan
+from pytest_pafot.evaluation.plan import Plan, PlanError
 from pytest_pafot.evaluation.rows import COLUMNS, text_of
 from pytest_pafot.evaluation.running import facts_of, run_rows
 from pytest_pafot.findings.responsibility import position_rule, rss_rule
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.searching import ALGORITHMS
 
 
 def again(row):
@@ -94,9 +96,40 @@ def test_an_ads_that_raises_is_a_failure_with_a_signature(quick):
 
 def raising():
     def drive(observation):
-        raise RuntimeError("no plan")
+        if observation.time > 0:
+            raise RuntimeError("no plan")
+        return 0.0, 0.0
 
     return drive
+
+
+@pytest.mark.parametrize("budget", [{"generations": 5}, {"generations": None, "seconds": 50.0}])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_ads_that_fails_at_its_first_decision_in_the_whole_first_generation_ends_the_run(quick, algorithm, budget):
+    """By simulated seconds too, of which none would ever pass."""
+    plan = quick(ads="tests.evaluation.test_running:failing_at_once", **budget)
+    with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
+        list(run_rows(plan, algorithm, 0))
+
+
+def failing_at_once():
+    def drive(observation):
+        raise RuntimeError("no model")
+
+    return drive
+
+
+def test_where_one_run_of_the_first_generation_was_driven_the_others_are_failures(quick, monkeypatch):
+    monkeypatch.setattr("tests.evaluation.test_running.MADE", count())
+    rows = list(run_rows(quick(ads="tests.evaluation.test_running:failing_but_once", generations=2), "random", 0))
+    assert [row.outcome for row in rows].count("ads_error") == len(rows) - 1
+
+
+MADE = count()
+
+
+def failing_but_once():
+    return failing_at_once() if next(MADE) else lambda observation: (-5.0, 0.0)
 
 
 def test_a_share_is_told_that_rises_to_one(quick):

@@ -114,6 +114,15 @@ class TestSurvival:
         z = (observed - expected) / math.sqrt(variance)
         assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * stats.norm.sf(abs(z)))
 
+    @pytest.mark.filterwarnings("error")
+    def test_where_all_failed_at_once_nothing_differs(self):
+        assert log_rank([6, 6], [False, False], [6, 6], [False, False]) == 1.0
+
+    @pytest.mark.filterwarnings("error")
+    def test_where_one_sample_is_gone_before_the_first_failure_of_the_other_nothing_differs(self):
+        """Shares of 49 runs are not exact, so that the difference is a tiny number over a variance of 0."""
+        assert log_rank([1.0] * 2, [True] * 2, [float(time) for time in range(2, 51)], [False] * 49) == 1.0
+
     def test_where_nobody_found_anything_nothing_differs(self):
         assert log_rank([5, 5], [True, True], [6, 6], [True, True]) == 1.0
 

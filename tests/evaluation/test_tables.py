@@ -97,6 +97,12 @@ def test_distinct_failures_of_all_runs_are_counted_once(frame):
     assert tables.distinct_in_all(data, "pafot") == 2
 
 
+def test_faults_of_the_ads_are_counted_among_them(frame):
+    raised = {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True}
+    data = frame(rows(hit(5.0, "ego", "a"), raised, raised), rows(raised, algorithm="random"))
+    assert [tables.distinct_in_all(data, "pafot"), tables.faults_in_all(data, "pafot")] == [2, 1]
+
+
 def test_a_signature_that_reads_like_nothing_or_a_number_stays_a_text(frame):
     data = frame(rows(hit(5.0, "ego", "null"), hit(5.0, "ego", "1"), {"scenario": "000012"}))
     assert data["signature"].tolist()[:2] == ["null", "1"]

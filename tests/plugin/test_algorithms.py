@@ -64,7 +64,7 @@ def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_in
     project.write(TEST.format("cma-es"))
     result = project.run()
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*pip install pytest-pafot?search?*"])
+    result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
 @pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])

@@ -26,6 +26,11 @@ def test_an_unknown_name_is_answered_with_those_that_exist():
         algorithm_named("genetic", SPACE)
 
 
+def test_a_name_that_nearly_exists_is_answered_with_the_near_one():
+    with pytest.raises(ValueError, match=r"received 'rand'; did you mean 'random'\?"):
+        algorithm_named("rand", SPACE)
+
+
 def test_an_unknown_parameter_is_answered_with_those_that_exist():
     with pytest.raises(ValueError, match="mutation_rate: expected a parameter of the algorithm 'random', which takes"):
         algorithm_named("random", SPACE, mutation_rate=0.5)
