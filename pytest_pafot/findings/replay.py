@@ -11,7 +11,7 @@ import numpy as np
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.trace import Collision, Y
+from pytest_pafot.trace import Collision, Outcome, Y
 
 Label = Literal["fixed", "still failing", "drifted"]
 
@@ -20,6 +20,9 @@ SAME_PLACE = 0.5
 
 SAME_TIME = 0.2
 """Two events are the same when they are no further apart than this [s]."""
+
+HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
+"""Outcomes that happen at the time of a run's event. That of any other is its most critical moment, not its end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +89,13 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     return "fixed" if is_same or not _has_ended_otherwise(run) else "drifted"
 
 
+def ending(run: Run) -> str:
+    """How a run ended: with an event at a time, or after a while in which there was none."""
+    if run.outcome in HAS_EVENT:
+        return f"{run.outcome} at {run.event_time:.1f} s"
+    return f"{run.outcome} {'for' if run.outcome is Outcome.SAFE else 'after'} {run.duration:.1f} s"
+
+
 def disagreement(first: Run, again: Run) -> str:
     """What differs between two runs of one scenario that were made by different means; empty where they agree.
 
@@ -94,7 +104,7 @@ def disagreement(first: Run, again: Run) -> str:
     some processors. Where nobody touched, every vehicle must be within half a metre of the other run's, always.
     """
     if first.outcome != again.outcome:
-        return f"{first.outcome} after {first.event_time:.1f} s, then {again.outcome} after {again.event_time:.1f} s"
+        return f"{ending(first)}, then {ending(again)}"
     if first.collision is not None and again.collision is not None:
         return _other_collision(first.collision, again.collision)
     if abs(first.duration - again.duration) > SAME_TIME + 1e-9:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import pytest
 
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.replay import Replayed, replay_label
+from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
 from pytest_pafot.findings.run import Run
 from pytest_pafot.plugin import messages, places, worlds
 from pytest_pafot.plugin.apart import tried_apart
@@ -51,7 +51,7 @@ def replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:  # Outside of the handler, so that the same is not shown twice.
         _conclude_lost(bench, saved, finding, lost)
-    detail = _detail(bench, finding, f"{run.outcome} at {run.event_time:.1f} s")
+    detail = _detail(bench, finding, _now(finding, run))
     _tell(bench, label, detail if label in ("drifted", FLAKY) else "")
     showing = showing_of(item, request.settings)
     if showing is not None:
@@ -169,6 +169,15 @@ def _conclude(bench: Bench, run: Run, verdict: Verdict, label: str, detail: str)
         pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing of the ADS")
 
 
+def _now(finding: Finding, run: Run) -> str:
+    """What happens now, beside what the file tells of the same outcome."""
+    return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
+
+
+def _event(outcome: Outcome, time: float) -> str:
+    return f"{outcome}{'' if outcome in HAS_EVENT else ' and most critical'} at {time:.1f} s"
+
+
 def _detail(bench: Bench, finding: Finding, now: str) -> str:
     """What differs from the file; ``now`` is what happens."""
     versions = bench.versions
@@ -178,7 +187,7 @@ def _detail(bench: Bench, finding: Finding, now: str) -> str:
         if versions.get(name) != version
     ]
     changed += worlds.changes(finding.world, bench.world)
-    then = f"{finding.expect.outcome} at {finding.expect.time:.1f} s"
+    then = _event(finding.expect.outcome, finding.expect.time)
     if finding.expect.failure == places.CRASH:
         then = "the process died"
     event = [] if then == now else [f"{then} in the file, {now} now"]

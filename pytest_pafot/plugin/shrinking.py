@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from pytest_pafot.findings.finding import Expect, Finding, Simplified, of_failure
+from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, Start, shrink, size_of
 from pytest_pafot.findings.signature import Failure
@@ -138,7 +139,7 @@ class Shrinking:
         """What differs from the finding, or in a further run by other means."""
         __tracebackhide__ = True
         if verdict.failure is None or of_failure(run, verdict.failure) != finding.signature:
-            return f"a later run of it ended otherwise: {run.outcome} after {run.event_time:.1f} s"
+            return f"a later run of it ended otherwise: {ending(run)}"
         return "" if run.scenario == finding.scenario else self.keeper.confirm(run)
 
     def _call_flaky(self, kept: Kept, differs: str) -> None:

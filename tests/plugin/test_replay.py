@@ -116,6 +116,27 @@ def test_a_replay_that_fails_at_another_time_is_drifted_and_fails(saved):
     result.stdout.fnmatch_lines(["replay: drifted, * at 99.5 s in the file, *"])
 
 
+def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
+    project.run("--pafot-shrink-rollouts=0", generations=5)
+    braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
+    project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
+    edited(project, "highway-env: ", "highway-env: 0.")
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines(["    collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
+
+
+def test_two_runs_in_which_nothing_happened_are_told_apart_by_their_most_critical_moment(project):
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert run.collision\n")
+    project.run("--pafot-shrink-rollouts=0")
+    head, _, tail = project.only_file.read_text().partition("time: ")
+    project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines(
+        ["*drifted, safe and most critical at 99.5 s in the file, safe and most critical at * s now"]
+    )
+
+
 def test_a_replay_uses_the_world_of_the_file(saved):
     edited(saved, "lanes: 4", "lanes: 3")
     saved.write(PASSES.replace("assert run.outcome", "assert len(run.trace.lanes) == 3"))
