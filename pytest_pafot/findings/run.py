@@ -275,7 +275,7 @@ class Run:
             return []
         sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
         if self.second_opinion != self.responsibility:
-            sentence += f"; by the NPC's position alone: {self.second_opinion}"
+            sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
         return wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
 
     def __repr__(self) -> str:
@@ -325,10 +325,13 @@ def _gene_table(trace: Trace) -> list[str]:
     """The Position-Instructions that the run started: a row per gene, a column per NPC, times in seconds."""
     scenario = trace.executed
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
-    wide = len(scenario.npcs) <= 2
+    reached = {1: "reached at ", 2: "reached "}.get(len(scenario.npcs), "")  # as many words as there is room for
     header = ["  from [s]", *(f"NPC {npc}" for npc in range(len(scenario.npcs)))]
     rows = [
-        [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, wide) for npc in range(len(scenario.npcs)))]
+        [
+            f"{gene * scenario.gene_seconds:10.1f}",
+            *(_gene(trace, npc, gene, reached) for npc in range(len(scenario.npcs))),
+        ]
         for gene in range(started)
     ]
     shown = rows[-MAX_GENE_ROWS:]
@@ -340,17 +343,18 @@ def _gene_table(trace: Trace) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def _gene(trace: Trace, npc: int, gene: int, wide: bool) -> str:
+def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
+    """One instruction; how an arrival is told is empty where there is no room for it."""
     chain = trace.chains[npc]
     if gene >= len(chain):
         return "-"
     instruction = chain[gene]
-    if not wide:
+    if not reached:
         return f"{instruction.target} {instruction.speed:.1f}"
     arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
     arrival = arrivals[gene] if gene < len(arrivals) else None
-    reached = "not reached" if arrival is None else f"at {arrival / trace.physics_hz:.1f}"
-    return f"{instruction.goal} {instruction.speed:.1f} m/s {reached}"
+    end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
+    return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
 
 
 def _ascii(line: str) -> str:

@@ -110,5 +110,5 @@ def test_a_run_tells_what_the_npcs_were_told():
         arrivals=((30, None),),
     )
     text = Run(trace).explain()
-    assert "lane left 22.0 m/s at 2.0" in text
+    assert "lane left 22.0 m/s reached at 2.0 s" in text
     assert "keep lane 8.0 m/s not reached" in text

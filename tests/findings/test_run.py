@@ -47,7 +47,7 @@ def test_without_a_collision_nobody_is_responsible():
 def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
     run = Run(replace(crash().trace, collision=collision_at(30, cell=Cell.LEFT, side="left")))
     assert (run.responsibility, run.second_opinion) == ("ego", "npc")
-    assert "by the NPC's position alone: npc" in run.explain()
+    assert "(the PAFOT authors' position rule says: npc)" in " ".join(run.explain().split())
     assert crash().second_opinion == "ego"
     assert "position" not in crash().explain()
     assert Run(closing()).second_opinion is None
@@ -130,8 +130,8 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
         "  hardest brake of the ego: 0.0 m/s^2",
         "  responsible: ego, because from 0.0 s it was closer than the 47.1 m that RSS demands behind NPC 0",
         "    and braked with 0.0 of 6.0 m/s^2",
-        "  from [s]  NPC 0                         NPC 1",
-        "       0.0  1 front-left 20.0 m/s at 0.8  2 front 20.0 m/s not reached",
+        "  from [s]  NPC 0                                NPC 1",
+        "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",
     ]
 
