@@ -108,9 +108,9 @@ def log_rank(
     """The log-rank test, two-sided, of times that may be censored: p; 1 where no event tells the samples apart."""
     if all(first_censored) and all(second_censored):
         return 1.0
-    with np.errstate(invalid="ignore", divide="ignore"):  # Where all have their events at once, the variance is 0.
+    with np.errstate(invalid="ignore"):  # Where all have their events at once, it is 0 over a variance of 0.
         result = stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
-    return float(result.pvalue) if np.isfinite(result.statistic) else 1.0
+    return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import pickle
 import sys
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -116,7 +117,9 @@ def _serve(line: Connection, work: Work, path: list[str]) -> None:
             except OSError:
                 raise
             except Exception as error:  # noqa: BLE001  (raised again in the parent)
-                line.send(_portable(error))
+                told = _portable(error)
+                told.add_note(f"In a worker:\n{traceback.format_exc()}")  # Its own traceback does not travel.
+                line.send(told)
             else:
                 line.send(None)
     except (EOFError, OSError, KeyboardInterrupt):

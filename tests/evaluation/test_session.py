@@ -164,8 +164,9 @@ class TestWorkers:
         assert sorted(side_by_side(_troublesome, [1, 2, 5, 6], 2, lambda share: None)) == [1, 2, 5, 6]
 
     def test_what_a_task_raises_is_raised(self):
-        with pytest.raises(ValueError, match="three"):
+        with pytest.raises(ValueError, match="three") as raised:
             list(side_by_side(_troublesome, [1, 3], 1, lambda share: None))
+        assert 'raise ValueError("three")' in raised.value.__notes__[0], "where it was raised is lost"
 
     def test_an_error_that_cannot_travel_is_told_in_words(self):
         with pytest.raises(RuntimeError, match="Unportable: four arguments"):
