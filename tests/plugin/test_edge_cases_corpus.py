@@ -377,12 +377,14 @@ def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
 
 
-def test_a_search_does_not_run_a_scenario_again_in_which_a_process_died(project):
+def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers_further_deaths(project):
     project.write(PASSES)
     project.leave_crash("test_it.py::test_lives")
     project.run().assert_outcomes(failed=2)
     project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
-    project.run("test_it.py::test_lives[search]").assert_outcomes(passed=1)
+    result = project.run("test_it.py::test_lives[search]")
+    result.assert_outcomes(failed=1)  # an ADS that ends all other processes: there is no valid run
+    result.stdout.fnmatch_lines([f"*known: 4 runs covered by saved-{project.only_id}*", "*note: ran as with *"])
 
 
 def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
