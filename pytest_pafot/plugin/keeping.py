@@ -19,6 +19,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import messages, places, worlds
 from pytest_pafot.plugin.bench import Bench
+from pytest_pafot.plugin.confirming import NOT_REPEATED
 from pytest_pafot.plugin.crew import Lost
 from pytest_pafot.plugin.failing import is_compact, summarise
 from pytest_pafot.plugin.oracle import Verdict, plain_failure
@@ -58,6 +59,11 @@ class Kept:
     origin: str
     file: Path | None = None
     content: str = ""
+
+    @property
+    def is_firm(self) -> bool:
+        """Whether its runs are expected to repeat, so that it can be shrunk."""
+        return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.failure == places.CRASH)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,6 +221,7 @@ class Keeper:
             content=kept.content,
             details=details,
             more=() if is_compact(config) else more,
+            advice=_advice(kept.find),
             width=width,
         )
         report = report_of(self.bench.item, kept.find, exception, section)
@@ -364,6 +371,17 @@ def collision_in_short(run: Run) -> str:
     place = f"on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else place
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
     return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}, {who} at fault"
+
+
+def _advice(find: terminal.Find) -> str:
+    """Why a find that does not repeat is as it was found, and what to do."""
+    if not find.is_flaky:
+        return ""
+    draws = (
+        "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (of "
+        "Stable-Baselines3: predict(..., deterministic=True))"
+    )
+    return f"what does not repeat is not shrunk{draws if find.difference == NOT_REPEATED else ''}"
 
 
 def _headline(lost: Lost) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from types import TracebackType
@@ -24,6 +24,7 @@ from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.hunt import Hunt, Stage
 from pytest_pafot.plugin.keeping import Keeper
 from pytest_pafot.plugin.lock_step import LockStep, noted
+from pytest_pafot.plugin.options import FULL, LOCAL, PROFILES
 from pytest_pafot.plugin.oracle import Verdict, no_skip, skips
 from pytest_pafot.plugin.paging import showing_of
 from pytest_pafot.plugin.replaying import replay_for_search
@@ -333,6 +334,7 @@ class Searching:
         finds = tuple(replace(find, repeats=hunt.repeats[find.id]) for find in keeper.finds)
         if reason == self.limit.flag:
             self.notes.append(f"cut by {reason}: the same seed may find other scenarios next time")
+        self.notes += self._left_undone(hunt, keeper, reason)
         return terminal.Search(
             node_id=self.bench.item.nodeid,
             algorithm=settings.algorithm,
@@ -360,6 +362,21 @@ class Searching:
             notes=tuple(self.notes),
             coverage=health.coverage.describe(float(self.bench.world.speed_limit)) if hunt.runs else "",
         )
+
+    def _left_undone(self, hunt: Hunt, keeper: Keeper, reason: str) -> Iterator[str]:
+        """What a longer search would do besides, and how to have it."""
+        settings = self.bench.request.settings
+        left = [kept for kept in keeper.kept.values() if kept.is_firm and kept.finding.shrunk is None]
+        if left and settings.shrink_rollouts and reason in ("interrupted", "error"):
+            what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
+            first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
+            yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
+        is_default = settings.profile == LOCAL and settings.generations == PROFILES[LOCAL]["generations"]
+        if is_default and reason == DONE and not hunt.verdicts["failed"] and not keeper.count:
+            yield (
+                f"{settings.generations} generations are a short search: "
+                f"--pafot-generations={PROFILES[FULL]['generations']} looks further"
+            )
 
     def _show(self, hunt: Hunt, search: terminal.Search) -> None:
         """Show the search on the page, unless it only replayed."""

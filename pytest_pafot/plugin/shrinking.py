@@ -15,7 +15,6 @@ from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval, Start, shrink, size_of
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.plugin import places
 from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.keeping import Keeper, Kept, what_happened
 from pytest_pafot.scenario import PositionInstruction, Scenario
@@ -62,10 +61,9 @@ class Shrinking:
         """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""
         __tracebackhide__ = True
         for kept in list(self.keeper.kept.values()):
-            is_firm = not (kept.find.is_flaky or kept.find.is_timed or kept.finding.expect.failure == places.CRASH)
-            if is_firm and self.is_over():
+            if kept.is_firm and self.is_over():
                 self.is_cut = True
-            elif is_firm:
+            elif kept.is_firm:
                 self._refine_firm(kept)
 
     def _refine_firm(self, kept: Kept) -> None:

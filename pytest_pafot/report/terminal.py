@@ -243,6 +243,7 @@ def find_section(
     content: str,
     details: Sequence[str] = (),
     more: Sequence[str] = (),
+    advice: str = "",
     width: int = WIDTH,
 ) -> str:
     """The section of a find's own report: what its failure's message does not say.
@@ -253,10 +254,11 @@ def find_section(
         content: of the file that could not be written, or empty.
         details: further lines, each with a title of up to ten letters.
         more: further ones, for those who ask for all.
+        advice: what follows from its remark, or empty.
         width: of the terminal.
     """
     lines = [*explanation.splitlines(), *details, *more]
-    lines += [f"note       {find.remark}"] if find.remark else []
+    lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
     fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.problem}"]), width)
     fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
     if content:

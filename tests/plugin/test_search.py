@@ -268,3 +268,26 @@ def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):
 def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project, fitness):
     project.write(f"@pafot.search(fitness={fitness})\ndef test_drive(run):\n    pass\n")
     project.run().assert_outcomes(passed=1)
+
+
+SHORT_SEARCH = "*note: 10 generations are a short search: --pafot-generations=100 looks further"
+KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
+
+
+def test_a_search_that_finds_nothing_in_the_few_generations_of_its_default_says_so(project):
+    project.write(KEEPS.replace("BOUND", "> 0"))
+    project.run(generations=None).stdout.fnmatch_lines([SHORT_SEARCH])
+
+
+@pytest.mark.parametrize(
+    ("bound", "options"),
+    [
+        ("< 1", ["--pafot-shrink-rollouts=0"]),
+        ("> 0", ["--pafot-generations=3"]),
+        ("> 0", ["--pafot-profile=ci", "--pafot-generations=10"]),
+        ("> 0", ["--pafot-max-time=0"]),
+    ],
+)
+def test_no_other_search_is_called_short(project, bound, options):
+    project.write(KEEPS.replace("BOUND", bound))
+    project.run(*options, generations=None).stdout.no_fnmatch_line("*short search*")

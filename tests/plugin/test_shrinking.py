@@ -133,6 +133,20 @@ def test_interrupted(run):
 """
 
 
+@pytest.mark.parametrize(("save", "first"), [("new", "delete what is saved of it and "), ("none", "")])
+@pytest.mark.parametrize("limit", [2, 4])
+def test_an_interrupted_search_tells_how_its_find_is_shrunk_after_all(project, save, first, limit):
+    source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
+    project.write(source.replace(", stop_after=1" if limit == 2 else "", ""))
+    result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
+    told = f"  note: ended before 1 new finding was shrunk: {first}search again with --pafot-seed=1"
+    result.stdout.fnmatch_lines(["*ended: interrupted", told])
+
+
+def test_a_search_that_is_through_leaves_nothing_to_shrink(collides):
+    run(collides).stdout.no_fnmatch_line("*ended before*")
+
+
 def test_an_interrupt_while_shrinking_loses_nothing(project):
     project.write(INTERRUPTED.replace("LIMIT", "4").replace("STOP", "raise KeyboardInterrupt"))
     result = run(project, no_reraise_ctrlc=True)
@@ -175,6 +189,12 @@ def test_brakes(run):
     )
     result = run(project)
     result.stdout.fnmatch_lines(["  * is flaky, so never called fixed: *", "*(flaky: running it*"])
+    result.stdout.fnmatch_lines(
+        [
+            "note       flaky: running it again gave another run; what does not repeat is not shrunk; the ADS probably "
+            "draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
+        ]
+    )
     finding = read(project.only_file)
     assert finding.flaky == "running it again gave another run"
     assert finding.shrunk is None
