@@ -21,7 +21,7 @@ from pytest_pafot.plugin.flights import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.oracle import Test, Verdict, bound_test, judge, no_skip, skips
 from pytest_pafot.plugin.places import corpus_root
-from pytest_pafot.plugin.request import Request, RequestError, build_world
+from pytest_pafot.plugin.request import Request, RequestError, build_world, hint_at_world
 from pytest_pafot.plugin.worlds import described
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Bench:
             RequestError: when a fixture gives something that cannot be used.
         """
         world = build_world(request, item.funcargs[WORLD_FIXTURE])
-        _check_world(item, request, world)
+        _check_world(request, world)
         folder = places.folder_of_item(item, request.settings.corpus, item.config.rootpath)
         sweep(folder)
         return cls(
@@ -149,9 +149,9 @@ class Bench:
         try:
             yield
         except (WorldError, AdsFactoryError, ScenarioError) as error:
-            raise RequestError(f"{self.item.name}: {error}") from None
+            raise RequestError(str(error)) from None
         except skips() as error:  # of the factory: what the ADS raises is in the trace
-            raise RequestError(f"{self.item.name}: {no_skip('the factory of the ADS', error)}") from None
+            raise RequestError(no_skip("the factory of the ADS", error)) from None
 
     def seen(self, trace: Trace, world: Any) -> Run:
         """The run that a trace from a world is the record of."""
@@ -241,7 +241,7 @@ def installed_versions() -> dict[str, str]:
     return versions
 
 
-def _check_world(item: pytest.Function, request: Request, world: Any) -> None:
+def _check_world(request: Request, world: Any) -> None:
     from pytest_pafot.world import Highway, World  # noqa: PLC0415
 
     if isinstance(world, (Highway, World)):  # whose attributes show when an environment is made
@@ -250,8 +250,9 @@ def _check_world(item: pytest.Function, request: Request, world: Any) -> None:
     if missing:
         origin = f"the fixture {WORLD_FIXTURE} to give" if request.world is None else "world= to be"
         raise RequestError(
-            f"{item.name}: expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
+            f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
             f"{', '.join(WORLD_ATTRIBUTES)}, received {world!r:.100}, which has no {', '.join(missing)}"
+            f"{hint_at_world(world)}"
         )
 
 
@@ -270,9 +271,13 @@ def _factory(item: pytest.Function, request: Request) -> Callable[[], Any]:
         return request.ads
     factory = item.funcargs[request.ads]
     if not callable(factory):
+        from pytest_pafot.world.ads import hint_at_object  # noqa: PLC0415
+
+        hint = hint_at_object(factory)
+        received = f"{factory!r:.100}{f'. {hint}' if hint else ''}"
         raise RequestError(
-            f"{item.name}: expected the fixture {request.ads!r} to give a factory, a function that makes a fresh ADS "
-            f"for each scenario such as `return lambda: MyPlanner()`, received {factory!r:.100}"
+            f"expected the fixture {request.ads!r} to give a factory, a function that makes a fresh ADS for each "
+            f"scenario such as `return lambda: MyPlanner()`, received {received}"
         )
     made: Callable[[], Any] = factory
     return made

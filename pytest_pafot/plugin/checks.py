@@ -9,6 +9,7 @@ import pytest
 
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, arguments_of
+from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.request import Request
@@ -55,7 +56,9 @@ class Checks:
         if isinstance(error, pytest.FixtureLookupError) and error.argname in (request.ads, DEFAULT_ADS):
             from pytest_pafot.plugin.refusals import missing_ads  # noqa: PLC0415
 
-            report.longrepr = missing_ads(item, str(error.argname))
+            told = getattr(report.longrepr, "errorstring", "")
+            available = told.partition("available fixtures: ")[2].partition("\n")[0].split(", ")
+            report.longrepr = missing_ads(str(error.argname), available, item.config.stash[SHARED].width)
         return report
 
 
@@ -64,7 +67,7 @@ def _refuse_raw_mark(item: pytest.Item) -> None:
     names = getattr(item, "fixturenames", ())
     if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in names:
         pytest.fail(
-            f"{item.name}: expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
+            f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
             f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and @pafot.search(...)",
             pytrace=False,
         )

@@ -84,7 +84,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     """
     for name, value in item.funcargs.items():
         if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
-            raise RequestError(f"{item.name}: {_no_collecting(f'the fixture {name!r}')}")
+            raise RequestError(_no_collecting(f"the fixture {name!r}"))
     names = inspect.signature(item.obj).parameters
     fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
 
@@ -93,12 +93,12 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
         result = item.obj(**{**fixed, arg: run})
         if result is not None:
             raise RequestError(
-                f"{item.name}: expected the test function to assert and to return None, received the return value "
+                "expected the test function to assert and to return None, received the return value "
                 f"{result!r:.60}; write `assert ...` in place of `return ...`"
             )
         check = sys.modules.get("pytest_check")
         if check is not None and check.any_failures():
-            raise RequestError(f"{item.name}: {_no_collecting('pytest-check')}")
+            raise RequestError(_no_collecting("pytest-check"))
 
     return test
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import sys
+from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import pytest
@@ -13,6 +16,7 @@ from pytest_pafot.plugin.marks import DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE
 from pytest_pafot.plugin.oracle import is_asynchronous
 from pytest_pafot.plugin.request import Request, RequestError, read_request
 from pytest_pafot.plugin.session import SEARCH_PART, SHARED
+from pytest_pafot.report.terminal import wrapped_to
 
 
 def checked(item: pytest.Item, arguments: dict[str, Any]) -> Request:
@@ -28,16 +32,20 @@ def checked(item: pytest.Item, arguments: dict[str, Any]) -> Request:
     return request
 
 
-def missing_ads(item: pytest.Item, name: str) -> str:
-    """What to do about a fixture that does not exist."""
-    return (
-        f"{item.name}: the fixture {name!r} that gives the ADS factory was not found.\n"
+def missing_ads(name: str, available: Sequence[str], width: int) -> str:
+    """What to do about a fixture that does not exist, in lines of a width but for those of code."""
+    near = difflib.get_close_matches(name, available, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    text = (
+        f"the fixture {name!r} that gives the ADS factory was not found{hint}\n"
         "Define it in the test file or in conftest.py:\n\n"
         "    @pytest.fixture\n"
         f"    def {name}():\n"
         "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
         'or name another fixture with @pafot.search(ads="..."), or give a factory with @pafot.search(ads=MyPlanner).'
     )
+    lines = [[line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines()]
+    return "\n".join(chain.from_iterable(lines))
 
 
 def _check_function(item: pytest.Item) -> None:
@@ -45,19 +53,19 @@ def _check_function(item: pytest.Item) -> None:
     unittest = sys.modules.get("unittest")
     if unittest is not None and inspect.isclass(cls) and issubclass(cls, unittest.TestCase):
         raise RequestError(
-            f"{item.name}: expected a plain test function or class, received a method of the unittest.TestCase "
+            "expected a plain test function or class, received a method of the unittest.TestCase "
             f"{cls.__name__}, which takes no fixtures; move the test out of it"
         )
     if not isinstance(item, pytest.Function):
-        raise RequestError(f"{item.name}: expected a test function, received {item!r}")
+        raise RequestError(f"expected a test function, received {item!r}")
     if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
         raise RequestError(
-            f"{item.name}: expected @pafot.search or @given, received both, which would each run the function many "
+            "expected @pafot.search or @given, received both, which would each run the function many "
             "times; use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
         )
     if is_asynchronous(item.obj):
         raise RequestError(
-            f"{item.name}: expected a plain function, received an async one, whose assertions would never run; "
+            "expected a plain function, received an async one, whose assertions would never run; "
             "write `def` in place of `async def`"
         )
 
@@ -71,12 +79,12 @@ def _check_parameter(item: pytest.Item, arg: str) -> None:
             else "correct @pafot.search(arg=...)"
         )
         raise RequestError(
-            f"{item.name}: expected a parameter {arg!r} that receives the simulated run, "
-            f"received the parameters ({', '.join(names)}); {hint}"
+            f"expected a parameter {arg!r} that receives the simulated run, received the parameters "
+            f"({', '.join(names)}); {hint}"
         )
     if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
         raise RequestError(
-            f"{item.name}: expected the parameter {arg!r} to be free for the simulated run, but the test is "
+            f"expected the parameter {arg!r} to be free for the simulated run, but the test is "
             "parametrised by it already; rename one of the two, with @pafot.search(arg=...)"
         )
 
@@ -86,6 +94,6 @@ def _check_fixtures(item: pytest.Item, request: Request) -> None:
     for name in (request.ads, WORLD_FIXTURE):
         if isinstance(name, str) and name not in names:
             raise RequestError(
-                f"{item.name}: expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
+                f"expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
                 f"which asks for it, and not with @pytest.mark.{SEARCH_MARK}"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -156,8 +157,10 @@ def _check_names(arguments: Mapping[str, Any]) -> None:
             "on the command line"
         )
     if unknown:
+        near = difflib.get_close_matches(unknown[0], known, n=1)
+        expected = f"did you mean {near[0]!r}? Expected" if near else "expected"
         raise RequestError(
-            f"@pafot.search({unknown[0]}=...): expected one of {', '.join(sorted(known))}, received {unknown[0]!r}"
+            f"@pafot.search({unknown[0]}=...): {expected} one of {', '.join(sorted(known))}, received {unknown[0]!r}"
         )
 
 
@@ -172,18 +175,31 @@ def _check_world(arguments: Mapping[str, Any]) -> None:
     if isinstance(world, type) or not callable(getattr(world, "rollout", None)):
         raise RequestError(
             f"@pafot.search(world=...): expected pafot.Highway(...) or pafot.World(...), received {world!r}"
+            f"{hint_at_world(world)}"
         )
+
+
+def hint_at_world(given: Any) -> str:
+    """The world that is meant by the id of an environment, or by an environment; empty for anything else."""
+    spec = getattr(given, "spec", None)  # of an environment that gymnasium made
+    env_id = given if isinstance(given, str) else getattr(spec, "id", None)
+    config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
+    return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""
 
 
 def _ads(value: object) -> str | Callable[[], Any]:
+    if callable(value) or (isinstance(value, str) and value.isidentifier()):
+        return value
+    from pytest_pafot.world.ads import hint_at_object  # noqa: PLC0415
+    from pytest_pafot.world.kernel.action import shown  # noqa: PLC0415
+
+    hint = hint_at_object(value)
     if isinstance(value, str):
-        return _identifier("ads", value)
-    if not callable(value):
-        raise RequestError(
-            "@pafot.search(ads=...): expected the name of a fixture or a factory such as `lambda: MyPlanner()`, "
-            f"received {value!r}"
-        )
-    return value
+        hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
+    raise RequestError(
+        "@pafot.search(ads=...): expected the name of a fixture or a factory such as `lambda: MyPlanner()`, "
+        f"received {shown(value)}{f'. {hint}' if hint else ''}"
+    )
 
 
 def _identifier(name: str, value: object) -> str:

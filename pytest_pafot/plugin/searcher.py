@@ -281,9 +281,9 @@ class Searching:
             followed = events if self.showing is None else self.showing.noted(events)
             hunt.follow(followed, lambda: self._tick(hunt, keeper))
         except FitnessError as error:
-            raise RequestError(f"{self.bench.item.name}: {error}") from None
+            raise RequestError(str(error)) from None
         except skips() as error:
-            raise RequestError(f"{self.bench.item.name}: {no_skip('the fitness', error)}") from None
+            raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if hunt.finished is None else reasons[hunt.finished.reason]
 
@@ -457,7 +457,7 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
         algorithm = algorithm_named(settings.algorithm, space, population=settings.population)
         check_road(settings.algorithm, bench.world)
     except ValueError as error:
-        raise RequestError(f"{bench.item.name}: {error}") from None
+        raise RequestError(str(error)) from None
     return algorithm
 
 

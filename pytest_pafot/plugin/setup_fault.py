@@ -29,8 +29,8 @@ NOT_ASKED = ("npc", "invalid")
 class SetupFaultError(Exception):
     """What all runs of the first generation ended in."""
 
-    def __init__(self, run: Run, verdict: Verdict, runs: int) -> None:
-        super().__init__(f"all {runs} runs of the first generation ended in {verdict.exception!r}")
+    def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
+        super().__init__(f"{runs} ended in {verdict.exception!r}")
         self.run = run
         self.verdict = verdict
         self.runs = runs
@@ -41,14 +41,13 @@ class SetupFaultError(Exception):
         if verdict.is_ads or verdict.exception is None:
             return plain_failure(
                 f"{verdict.exception}\n\n"
-                f"So it was in all {self.runs} runs of the first generation, before anything had happened in them: an "
-                "error of the set-up and no finding, so that nothing was saved. Correct the ADS, its factory, or the "
-                f"world= that it drives in, and search again.\n\n{given_in(bench, self.run.trace.scenario)}".rstrip()
+                f"So it was in {self.runs}, before anything had happened in them: an error of the set-up and no "
+                "finding, so that nothing was saved. Correct the ADS, its factory, or the world= that it drives in, "
+                f"and search again.\n\n{given_in(bench, self.run.trace.scenario)}".rstrip()
             )
         verdict.exception.add_note(
-            f"So it was in all {self.runs} runs of the first generation, whatever happened in them: an error of the "
-            "test function and no finding, so that nothing was saved. Correct the line, and search again; what shall "
-            "be a finding is asserted."
+            f"So it was in {self.runs}, whatever happened in them: an error of the test function and no finding, so "
+            "that nothing was saved. Correct the line, and search again; what shall be a finding is asserted."
         )
         return verdict.exception
 
@@ -61,16 +60,19 @@ class FirstGeneration:
         is_alike: whether all of them ended in the same exception; once they did not, that is settled.
         last: of them, with its verdict; None before the first.
         runs: their number.
+        unjudged: the number of other runs, which the test function was not asked about.
     """
 
     is_alike: bool = True
     last: tuple[Run, Verdict] | None = None
     runs: int = 0
+    unjudged: int = 0
     _cause: Cause | None = None
 
     def see(self, run: Run, verdict: Verdict) -> None:
         """Learn how a run ended."""
         if verdict.kind in NOT_ASKED:
+            self.unjudged += 1
             return
         cause = cause_of(run, verdict)
         self.is_alike &= cause is not None and self._cause in (None, cause)
@@ -83,7 +85,8 @@ class FirstGeneration:
             SetupFaultError: where all of its runs were alike.
         """
         if self.is_alike and self.last is not None:
-            raise SetupFaultError(*self.last, self.runs)
+            judged = " that were judged" if self.unjudged else ""
+            raise SetupFaultError(*self.last, f"all {self.runs} runs of the first generation{judged}")
         self.is_alike = False
 
 
@@ -97,8 +100,8 @@ def given_in(bench: Bench, scenario: Scenario) -> str:
     if asked.is_si:
         return f'{asked.text} A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
     return (
-        f"{asked.text} A policy needs the config= that it was trained with; a planner in SI units needs pafot.Highway, "
-        "which is there without world=."
+        f"{asked.text} A policy needs the config= and the wrappers= that it was trained with; a planner in SI units "
+        "needs pafot.Highway, which is there without world=."
     )
 
 

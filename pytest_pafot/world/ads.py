@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import sys
 from collections.abc import Callable, Sequence
 from types import FunctionType
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from highway_env.road.road import Road
 
     from pytest_pafot.world.vehicles import Car
+
+PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+"""The factory of an ADS that asks a trained model."""
 
 STARRED = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
@@ -86,12 +90,21 @@ def made(factory: AdsFactory, **arguments: Any) -> Any:
     if is_vehicle_class(factory):
         return factory
     if not callable(factory):
+        hint = hint_at_object(factory) or "Return one from the fixture, such as `return lambda: MyPlanner()`"
         raise AdsFactoryError(
-            f"ads: expected a factory, a callable that returns a fresh ADS for each scenario, received {factory!r}; "
-            "return a function or class from the fixture, such as `return lambda: MyPlanner()`"
+            "ads: expected a factory, a callable that returns a fresh ADS for each scenario, received "
+            f"{shown(factory)}. {hint}"
         )
     _check_call(factory, arguments)
-    ads = factory(**arguments)
+    try:
+        ads = factory(**arguments)
+    except TypeError as error:
+        if re.search(r"__init__\(\) missing .*'position'", str(error)):
+            error.add_note(
+                "To let a highway-env vehicle drive, give its class itself, as in `ads=MyVehicle`, without calling it: "
+                "each run puts a vehicle of its own on its road."
+            )
+        raise
     if is_vehicle_class(ads) or callable(ads):
         return ads
     raise AdsFactoryError(
@@ -100,14 +113,25 @@ def made(factory: AdsFactory, **arguments: Any) -> Any:
     )
 
 
+def hint_at_object(given: Any) -> str:
+    """What to write where an object cannot be called but has what an ADS is made of; empty for others."""
+    if is_vehicle_class(type(given)):
+        name = type(given).__name__
+        return f"Give the class itself, `{name}`, without calling it: each run puts a vehicle of its own on its road"
+    method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(given, name, None))), "")
+    if not method:
+        return ""
+    example = f", {PREDICTING}" if method == "predict" else ""
+    return f"It has a method {method!r}: let the factory return a function of the observation that calls it{example}"
+
+
 def _hint_at(made: Any) -> str:
     """What to write where a factory made something that does not drive."""
     if made is None:
         return "Is a `return` missing in it?"
-    method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(made, name, None))), "")
-    if method:
-        return f"It has a method {method!r}: let the factory return a function of the observation that calls it"
-    return "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
+    return hint_at_object(made) or (
+        "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
+    )
 
 
 def _takes_nothing(factory: AdsFactory) -> bool:
@@ -141,7 +165,7 @@ def _wrapped(factory: Any) -> str:
     if isinstance(given, type):
         return f"Give the arguments in a function, `lambda: {given.__name__}(...)`"
     if getattr(given, "__name__", "") == "predict":
-        return "Of a model, write `lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+        return f"Of a model, write {PREDICTING}"
     return (
         "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`, or "
         "`return lambda: MyPlanner()` in the fixture"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ LARGEST: Mapping[str, float] = MappingProxyType(
     }
 )
 """Options of highway-env's environments whose size is the size of the work, with the largest that takes seconds."""
+NESTED = ("observation_config", "observation_configs", "action_config")
+"""Options that are observations and actions themselves."""
 MOST_CELLS = 250_000
 """Of an occupancy grid."""
 
@@ -117,6 +120,31 @@ def sizes(place: str, config: Any) -> None:
             raise WorldError(f"{place}.{name}: expected {expected}, received {value!r}")
         sizes(f"{place}.{name}", value)
     _check_grid(place, config.get("grid_size", ((-27.5, 27.5), (-27.5, 27.5))), config.get("grid_step"))
+
+
+def known_options(place: str, given: Any, known: Collection[str]) -> None:
+    """Check the names of options that highway-env's observations and actions would pass over in silence.
+
+    Args:
+        place: of the options.
+        given: the options; those of observations and actions inside of others are checked, too.
+        known: names.
+
+    Raises:
+        WorldError: naming the option, and the one that is near.
+    """
+    if isinstance(given, list):
+        for index, inner in enumerate(given):
+            known_options(f"{place}[{index}]", inner, known)
+    if not isinstance(given, Mapping):
+        return
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(sorted(known))}"
+            raise WorldError(f"{place}: expected options of highway-env's own, received {name}{hint}")
+        if name in NESTED:
+            known_options(f"{place}.{name}", given[name], known)
 
 
 def _check_grid(place: str, size: Any, step: Any) -> None:

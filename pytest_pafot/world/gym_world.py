@@ -350,6 +350,7 @@ class World(References):
                 f"{self.env_id!r} ({type(plain).__name__})"
             )
         self._check_config(type(plain).default_config(), plain.config)
+        self._check_kinds(plain)
         if self.wrappers is None:
             wrapping.check_bare(env, self.env_id)
         return wrapping.put_on(env, self.wrappers or ())
@@ -375,6 +376,16 @@ class World(References):
                 f"config.controlled_vehicles: expected 1, the ego, received {config['controlled_vehicles']!r}; the "
                 "other vehicles are the NPCs"
             )
+
+    def _check_kinds(self, env: Any) -> None:
+        """Refuse misspelt options of highway-env's own observations and actions; what others take is not known."""
+        from highway_env.envs.common import action, observation  # noqa: PLC0415
+
+        given, default = self.config or {}, type(env).default_config()
+        for name, module in (("observation", observation), ("action", action)):
+            kind = getattr(env, f"{name}_type", None)
+            if name in given and type(kind).__module__ == module.__name__:
+                checks.known_options(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
 
     @cached_property
     def network(self) -> Any:
@@ -493,6 +504,18 @@ def _put_ego(env: Any, start: tuple[float, float, float], speed: float, route: t
     env.controlled_vehicles = [ego]
     env.road.vehicles = [ego]
     env.define_spaces()
+
+
+def _options(module: Any) -> set[str]:
+    """What any class of observations or actions of a module takes.
+
+    Each of them takes the options of all others, too, and highway-env's own configurations make use of that.
+    """
+    import inspect  # noqa: PLC0415
+
+    kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
+    taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
+    return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which none takes
 
 
 def _creator(entry_point: Any) -> Any:

@@ -83,7 +83,7 @@ def test_a_missing_parameter_is_one_clear_error_and_others_run(project):
     project.write("@pafot.search\ndef test_nothing():\n    pass\n\ndef test_other():\n    pass\n")
     result = project.run()
     result.assert_outcomes(errors=1, passed=1)
-    result.stdout.fnmatch_lines(["test_nothing: expected a parameter 'run'*name it, as in `def test_nothing(run)`"])
+    result.stdout.fnmatch_lines(["expected a parameter 'run'*name it, as in `def test_nothing(run)`"])
 
 
 def test_a_misspelt_arg_is_one_clear_error_and_not_a_missing_fixture(project):
@@ -223,6 +223,32 @@ def test_a_missing_ads_fixture_says_what_to_write(project):
     result = project.run()
     result.assert_outcomes(errors=1)
     result.stdout.fnmatch_lines(["*the fixture 'ads' that gives the ADS factory was not found*", "*    def ads():"])
+
+
+def test_a_missing_ads_fixture_comes_with_the_one_that_is_near_in_lines_of_the_terminal(project, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "70")
+    project.write("@pafot.search(ads='adss')\ndef test_drive(run):\n    pass\n")
+    project.run().stdout.fnmatch_lines(
+        [
+            "the fixture 'adss' that gives the ADS factory was not found; did you",
+            "  mean 'ads'[?]",
+            "    def adss():",
+            'or name another fixture with @pafot.search(ads="..."), or give a',
+            "  factory with @pafot.search(ads=MyPlanner).",
+        ]
+    )
+
+
+def test_the_line_of_the_summary_says_the_name_of_the_test_once(project):
+    project.write(
+        "@pafot.search(ads='tmp_path')\ndef test_drive(run):\n    pass\n\n@pafot.search\ndef test_other():\n    pass\n"
+    )
+    project.run().stdout.fnmatch_lines(
+        [
+            "FAILED test_it.py::test_drive[[]search[]] - expected the fixture 'tmp_path' to give a factory*",
+            "ERROR test_it.py::test_other - expected a parameter 'run'*",
+        ]
+    )
 
 
 def test_an_ads_fixture_that_is_no_factory_says_what_to_write(project):

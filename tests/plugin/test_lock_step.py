@@ -200,7 +200,7 @@ def test_short(run):
     )
     result = project.run(generations=3)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*test_short?search?: ads.batch: expected ? actions, one for each of ? observations*"])
+    result.stdout.fnmatch_lines(["*test_short* - ads.batch: expected ? actions, one for each of ? observations*"])
 
 
 DYING = """

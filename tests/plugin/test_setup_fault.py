@@ -5,6 +5,9 @@ import fnmatch
 import pytest
 
 from pytest_pafot.findings.corpus import read
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.plugin.setup_fault import FirstGeneration, SetupFaultError
 
 MISSPELT = """
 @pafot.search(SHORT, ARGUMENTS)
@@ -164,7 +167,10 @@ class TestNothingThatWasFoundIsLost:
 
 
 NEWCOMERS = """
+import gymnasium
+import highway_env
 import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
 
 class Planner:
     def __call__(self, observation):
@@ -181,6 +187,11 @@ class Model:
         return np.int64(1), None
 
 model = Model()
+
+@pytest.fixture
+def trained():
+    return model
+
 ten = pafot.World("highway-v0", duration=2.0, config={"observation": {"type": "Kinematics", "vehicles_count": 10}})
 five = pafot.World("highway-v0", duration=2.0)
 steering = pafot.World("highway-v0", duration=2.0, config={"action": {"type": "ContinuousAction"}})
@@ -196,8 +207,15 @@ def test_drive(run):
     pass
 """
 
-CONFIG = "A policy needs the config= that it was trained with; a planner in SI units needs pafot.Highway"
+CONFIG = (
+    "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs pafot.Highway"
+)
 NO_FACTORY = "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`"
+
+PREDICT = (
+    "It has a method 'predict': let the factory return a function of the observation that calls it, "
+    "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+)
 
 MESSAGES = {
     "Planner": ["expected keyword arguments only", "write the argument's name, as in @pafot.search(ads=Planner)"],
@@ -208,13 +226,22 @@ MESSAGES = {
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
-    "ads=lambda: model": ["It has a method 'predict': let the factory return a function of the observation"],
+    "ads=lambda: model": [PREDICT],
+    "ads=model": ["expected the name of a fixture or a factory such as `lambda: MyPlanner()`", PREDICT],
+    "ads='trained'": ["expected the fixture 'trained' to give a factory", PREDICT],
+    "ads='model.zip'": [
+        "received 'model.zip'. Load a model in the factory, as in `ads=lambda: MyPlanner('model.zip')`"
+    ],
+    "ads=Vehicle(None, [0, 0])": ["received Vehicle #*. Give the class itself, `Vehicle`, without calling it"],
+    "ads=lambda: Vehicle(None, [0, 0])": ["received Vehicle #*. Give the class itself, `Vehicle`, without calling it"],
+    "ads=lambda: Vehicle()": ["TypeError: *'road' and 'position'", "give its class itself, as in `ads=MyVehicle`"],
     "ads=Configured": ["Give the arguments in a function, `lambda: Configured(...)`"],
     "world=five, ads=model.predict": [
         "write `lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
     ],
     "world=five, ads=lambda: model.predict": [
-        "received (np.int64(1), None); (action, state) is what `model.predict` returns: take `model.predict(*)[0]`"
+        "received (np.int64(1), None); (action, state) is what `model.predict` returns: take "
+        "`model.predict(observation, deterministic=True)[0]`"
     ],
     "world=ten, ads=lambda: lambda seen: model.predict(seen)[0]": [
         "expected a shape of (5, 5), received (10, 5)",
@@ -241,6 +268,12 @@ MESSAGES = {
     "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "ads=lambda: in_turn": ["an ADS is an ordinary function, without `async` and `yield`"],
+    "world='highway-fast-v0'": ["received 'highway-fast-v0'; did you mean pafot.World('highway-fast-v0')?"],
+    "world=gymnasium.make('highway-fast-v0')": ["; did you mean pafot.World('highway-fast-v0')?"],
+    "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
+        "; did you mean pafot.World('highway-v0', config=...)?"
+    ],
+    "worlds=five": ["@pafot.search(worlds=...): did you mean 'world'? Expected one of ads, *, received 'worlds'"],
     "world=pafot.World('highway-v9')": [
         "expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"
     ],
@@ -260,6 +293,25 @@ def test_a_newcomer_reads_what_came_and_what_to_write(project, arguments):
 
 def as_pattern(text):
     return text.replace("[", "[[]").replace('"', "'")
+
+
+def test_a_world_from_a_fixture_is_doubted_like_that_of_the_mark(project):
+    project.write(
+        "@pytest.fixture\ndef pafot_world():\n    return 'highway-v0'\n\n"
+        "@pafot.search\ndef test_drive(run):\n    pass\n"
+    )
+    project.run().stdout.fnmatch_lines(
+        ['*expected the fixture pafot_world*; did you mean pafot.World("highway-v0")[?]']
+    )
+
+
+def test_runs_that_were_not_judged_are_not_said_to_have_been():
+    first, run = FirstGeneration(), None
+    broken = Verdict(kind="failed", exception=KeyError("x"), failure=Failure(kind="KeyError", assertion="run['x']"))
+    for verdict in (Verdict(kind="npc"), broken, Verdict(kind="invalid"), broken):
+        first.see(run, verdict)
+    with pytest.raises(SetupFaultError, match="all 2 runs of the first generation that were judged ended in"):
+        first.end()
 
 
 @pytest.mark.parametrize("mark", ["pytest.mark.pafot", "pytest.mark.pafot(ads=1)"])

@@ -6,9 +6,10 @@ import math
 import re
 
 import gymnasium
-import highway_env  # noqa: F401  (registers its environments)
+import highway_env
 import numpy as np
 import pytest
+from highway_env.envs.common import abstract, observation
 
 from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError
@@ -211,6 +212,60 @@ def test_an_environment_of_another_library_is_refused_by_its_class():
 def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
+         "config.observation: expected options of highway-env's own, received vehicle_count; did you mean 'v"),
+        ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
+        ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
+         "config.observation.observation_config: expected options of highway-env's own, received oder; did you"),
+        ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
+         "config.observation.observation_configs[0]: expected options of highway-env's own, received clips; did you"),
+        ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra; there are absolute, align_to"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
+         "config.action: expected options of highway-env's own, received target_speed; did you mean 'target_speeds'?"),
+        ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
+         "config.action.action_config: expected options of highway-env's own, received laterl; did you mean 'l"),
+    ],
+    ids=lambda value: str(value)[:60],
+)  # fmt: skip
+def test_a_misspelt_option_of_an_observation_or_action_is_named_which_highway_env_passes_over(config, message):
+    with raises(message):
+        World("highway-v0", config=config).check()
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
+        {"observation": {"type": "Kinematics", "flatten": False}},
+        {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
+    ],
+    ids=str,
+)
+def test_options_of_other_observations_and_actions_are_passed_over_as_in_highway_envs_own_configurations(config):
+    World("highway-v0", config=config).check()
+
+
+def test_what_observations_of_ones_own_and_environments_of_ones_own_take_is_theirs_to_say(monkeypatch):
+    class Own(highway_env.envs.HighwayEnv):
+        @classmethod
+        def default_config(cls):
+            return {**super().default_config(), "observation": {"type": "Kinematics", "seen_from": "above"}}
+
+    class Sight(observation.KinematicObservation):
+        pass
+
+    gymnasium.register("own-sight-v0", entry_point=Own)
+    try:
+        World("own-sight-v0", config={"observation": {"type": "Kinematics", "seen_from": "below"}}).check()
+        monkeypatch.setattr(abstract, "observation_factory", lambda env, config: Sight(env))
+        World("highway-v0", config={"observation": {"type": "Sight", "zebra": 1}}).check()
+    finally:
+        del gymnasium.registry["own-sight-v0"]
 
 
 def test_an_action_for_several_vehicles_has_no_ego():

@@ -89,7 +89,9 @@ def hint_at(action: Any) -> str:
     if action is None:
         return "is a `return` missing?"
     if type(action) is tuple and len(action) == 2 and (action[1] is None or isinstance(action[1], tuple)):
-        return "(action, state) is what `model.predict` returns: take `model.predict(observation)[0]`"
+        return (
+            "(action, state) is what `model.predict` returns: take `model.predict(observation, deterministic=True)[0]`"
+        )
     if inspect.iscoroutine(action) or inspect.isgenerator(action):
         if inspect.iscoroutine(action):
             action.close()  # else Python warns of it, too
