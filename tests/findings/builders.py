@@ -1,5 +1,6 @@
 """Findings for tests: one that is plain, and a strategy for ones that are nasty."""
 
+from functools import cache
 from typing import get_args
 
 from hypothesis import strategies as st
@@ -47,16 +48,19 @@ def plain_finding(**changes):
     return Finding(**(fields | changes))
 
 
+@cache  # hypothesis looks through a strategy once
 def texts(min_size=0):
     nasty = st.sampled_from([text for text in NASTY_TEXTS if len(text) >= min_size])
     printable = st.text(st.characters(codec="utf-8"), min_size=min_size, max_size=60)
     return st.one_of(nasty, printable, st.text("ab :#-'\"\n\t{[,]}&*!|>%@", min_size=min_size, max_size=30))
 
 
+@cache
 def keys():
     return texts().filter(lambda text: len(text) <= MAX_KEY)
 
 
+@cache
 def plain_data():
     floats = st.floats(allow_nan=False)
     scalars = st.one_of(st.none(), st.booleans(), st.integers(-(10**30), 10**30), floats, texts())
@@ -67,6 +71,7 @@ def plain_data():
     )
 
 
+@cache
 def plain_worlds():
     """Complete worlds of this package as a file may hold them, whatever their values are."""
 
@@ -76,6 +81,11 @@ def plain_worlds():
         return st.fixed_dictionaries({**values, "kind": st.just(kind)})
 
     return st.one_of([world(kind, keys) for kind, keys in WORLDS.items()])
+
+
+@cache
+def any_worlds():
+    return st.one_of(st.dictionaries(keys(), plain_data(), max_size=5), plain_worlds())
 
 
 @st.composite
@@ -134,7 +144,7 @@ def findings(draw):
         id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
         test=draw(texts(min_size=1).filter(str.strip)),
         scenario=scenario,
-        world=draw(st.one_of(st.dictionaries(keys(), plain_data(), max_size=5), plain_worlds())),
+        world=draw(any_worlds()),
         expect=draw(expectations(len(scenario.npcs))),
         found=Found(
             seed=draw(st.integers(0, 10**40)),
