@@ -156,7 +156,7 @@ def test_two_runs_that_differ_are_told_apart():
     hit = world.rollout(ends_otherwise, constant_speed)
     safe = world.rollout(ends_otherwise, lambda: lambda observation: (-3.0, 0.0))
     assert hit.outcome is Outcome.COLLISION
-    assert "collision after" in disagreement(Run(hit), Run(safe))
+    assert disagreement(Run(hit), Run(safe)) == "collision at 6.3 s, then safe for 10.0 s"
     slower = world.rollout(ends_otherwise, lambda: lambda observation: (-2.9, 0.0))
     assert "positions differ by more than 0.5 m from" in disagreement(Run(safe), Run(slower))
     later = world.rollout(Scenario(npcs=((PositionInstruction(1, 15.0), PositionInstruction(2, 0.0)),)), constant_speed)
