@@ -371,6 +371,9 @@ class World(References):
             near = difflib.get_close_matches(unknown[0], known, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(sorted(known))}"
             raise WorldError(f"config: expected options of {self.env_id}, received {', '.join(unknown)}{hint}")
+        for name, value in (self.config or {}).items():
+            if isinstance(value, str) and isinstance(known[name], (int, float)):  # it would fail once a run needs it
+                raise WorldError(f"config.{name}: expected a number such as {known[name]!r}, received {value!r}")
         if config.get("controlled_vehicles", 1) != 1:
             raise WorldError(
                 f"config.controlled_vehicles: expected 1, the ego, received {config['controlled_vehicles']!r}; the "

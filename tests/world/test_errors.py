@@ -206,6 +206,7 @@ def test_an_environment_of_another_library_is_refused_by_its_class():
         ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
         ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
         ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
+        ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
     ],
     ids=lambda value: str(value)[:40],
 )  # fmt: skip
