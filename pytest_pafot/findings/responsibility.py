@@ -235,8 +235,8 @@ class Conflict:
             gap, speed = self._along[self._start], self._towards()[0]
             return Verdict(
                 "npc",
-                f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s) {gap:.1f} m ahead, "
-                f"which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
+                f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s), {gap:.1f} m ahead "
+                f"of it, which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
             )
         if ego_moved and npc_moved:
             towards = self._towards()
@@ -281,7 +281,7 @@ class Conflict:
         if self._ego_is_behind or gap <= 0:
             where = f", {self._along_text()}"
         else:
-            where = f" {gap:.1f} m ahead, where RSS demands {self._safe_along[self._start]:.1f} m"
+            where = f", {gap:.1f} m ahead of it, where RSS demands {self._safe_along[self._start]:.1f} m"
         return Verdict("ego", f"{moved}{where}", "entered-lane")
 
     def _leaves_room(self) -> bool:

@@ -105,7 +105,8 @@ class TestCutIn:
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "ego"
-        assert "the ego moved sideways towards NPC 0 (1.0 m/s)" in found.reason
+        assert "the ego moved sideways towards NPC 0 (1.0 m/s), " in found.reason
+        assert " m ahead of it, where RSS demands " in found.reason
 
     def test_an_ego_that_cuts_in_with_room_for_the_one_behind_is_not(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
