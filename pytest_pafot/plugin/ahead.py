@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.crew import GRACE, Answer, Crew, Errand, Lost, ProcessLostError
+from pytest_pafot.plugin.crew import GRACE, Crew, Errand, Lost, trace_from
 from pytest_pafot.plugin.request import RequestError
 from pytest_pafot.plugin.session import is_worker
 
@@ -94,7 +94,8 @@ class Ahead:
         """
         __tracebackhide__ = True
         if self._crew is not None and self._crew.expects(scenario):
-            return self._made(self._crew.fetch(scenario), scenario, here)
+            made = trace_from(self._crew.fetch(scenario))
+            return here(scenario) if made is None else made
         if scenario not in self._coming:
             return here(scenario)
         self._coming.remove(scenario)
@@ -102,15 +103,6 @@ class Ahead:
         trace = here(scenario)
         self._measured(self.clock() - started)
         return trace
-
-    def _made(self, answer: Answer | Lost, scenario: Scenario, here: Callable[[Scenario], Trace]) -> Trace:
-        __tracebackhide__ = True
-        if isinstance(answer, Lost):
-            raise ProcessLostError(answer)
-        if answer.trace is None:
-            return here(scenario)
-        answer.echo.repeat()
-        return answer.trace
 
     def _reason(self) -> list[str]:
         """Why one process ran all scenarios, where that can be said and is not what was asked for."""
@@ -200,12 +192,8 @@ class Isolated:
         answer = crew.fetch(scenario)
         if crew.failure:
             raise RequestError(f"--pafot-isolate: expected processes to run the ADS in, received: {crew.failure}")
-        if isinstance(answer, Lost):
-            raise ProcessLostError(answer)
-        if answer.trace is None:
-            return here(scenario)
-        answer.echo.repeat()
-        return answer.trace
+        trace = trace_from(answer)
+        return here(scenario) if trace is None else trace
 
     def _hired(self) -> Crew:
         self._crew = self._crew or self.hire()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.plugin.ahead import METHOD, crew_for, hired
-from pytest_pafot.plugin.crew import Answer, Lost, ProcessLostError, ending
+from pytest_pafot.plugin.crew import Answer, Lost, ProcessLostError, ending, trace_from
 from pytest_pafot.plugin.echo import listening
 from pytest_pafot.plugin.flights import left_behind
 from pytest_pafot.plugin.request import RequestError
@@ -107,15 +107,12 @@ def tried_apart(bench: Bench, file: Path, scenario: Scenario, world: Any, owner:
         _try_in_session(bench, file, scenario, owner)
         return bench.tried(scenario, world, owner)
     answers, recovered = told
-    answer = recovered[0] if recovered else answers[scenario]
-    if isinstance(answer, Lost):
-        raise ProcessLostError(answer)
-    if answer.trace is None:  # It raised, or cannot be sent: that is to be seen here.
+    trace = trace_from(recovered[0] if recovered else answers[scenario])
+    if trace is None:  # It raised, or cannot be sent: that is to be seen here.
         return bench.tried(scenario, world, owner)
-    answer.echo.repeat()
     with bench.in_flight(world, owner) as flight:
         flight.record(scenario)
-        run = bench.seen(answer.trace, world)
+        run = bench.seen(trace, world)
         return run, bench.judge(run)
 
 
@@ -148,12 +145,9 @@ def replay_in_gym_apart(bench: Bench, world: Any, scenario: Scenario, ads: Calla
     with crew_for(replace(bench.errand, world=InGym(world)), 1) as crew:
         crew.expect([scenario])
         answer = crew.fetch(scenario)
-    if isinstance(answer, Lost):
-        raise ProcessLostError(answer)
-    if answer.trace is None:  # It raised, or cannot be sent: that is to be seen here.
-        return InGym(world).rollout(scenario, ads)
-    answer.echo.repeat()
-    return answer.trace
+    trace = trace_from(answer)
+    # It raised, or cannot be sent, where there is none: that is to be seen here.
+    return InGym(world).rollout(scenario, ads) if trace is None else trace
 
 
 def _try_in_session(bench: Bench, file: Path, scenario: Scenario, owner: str) -> None:

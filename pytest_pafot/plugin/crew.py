@@ -114,6 +114,20 @@ class ProcessLostError(Exception):
         self.lost = lost
 
 
+def trace_from(answer: Answer | Lost) -> Trace | None:
+    """The trace of an answer, once what was said in the run is said again here; None where it must run here.
+
+    Raises:
+        ProcessLostError: where the process that made it did not come back.
+    """
+    __tracebackhide__ = True
+    if isinstance(answer, Lost):
+        raise ProcessLostError(answer)
+    if answer.trace is not None:
+        answer.echo.repeat()
+    return answer.trace
+
+
 class Crew:
     """Up to so many processes, started as they are needed. To be used in a ``with`` statement.
 
