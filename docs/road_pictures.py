@@ -20,8 +20,8 @@ DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot import Run, World  # noqa: E402
+from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
-from pytest_pafot.findings.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.report.animation import FOOT, HEAD, PAPER, WIDTH, still  # noqa: E402
 from pytest_pafot.report.finding_views import finding_view  # noqa: E402

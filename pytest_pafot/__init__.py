@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import strategies as strategies
-    from pytest_pafot.findings.run import Run as Run
     from pytest_pafot.grid import Cell as Cell
     from pytest_pafot.plugin.marks import reject as reject
     from pytest_pafot.plugin.marks import search as search
+    from pytest_pafot.run import Run as Run
     from pytest_pafot.scenario import Chromosome as Chromosome
     from pytest_pafot.scenario import LaneInstruction as LaneInstruction
     from pytest_pafot.scenario import PositionInstruction as PositionInstruction
@@ -42,7 +42,7 @@ _HOMES = {
     "Observation": "world",
     "Outcome": "trace",
     "PositionInstruction": "scenario",
-    "Run": "findings.run",
+    "Run": "run",
     "Scenario": "scenario",
     "ScenarioError": "scenario",
     "Trace": "trace",

@@ -15,7 +15,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         the exit code.
     """
-    from pytest_pafot.evaluation import command  # noqa: PLC0415
+    from pytest_pafot.comparison import command  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(

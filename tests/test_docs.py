@@ -36,11 +36,11 @@ import highway_env.road.road  # noqa: F401  pytester forgets modules that a run 
 import pytest
 import yaml
 
-import pytest_pafot.plugin.replaying
-import pytest_pafot.plugin.searcher
+import pytest_pafot.campaign.replays
+import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
-import pytest_pafot.world.engine  # noqa: F401
-from pytest_pafot.findings.corpus import parsed
+import pytest_pafot.world.engines.object_engine  # noqa: F401
+from pytest_pafot.corpus.files import parsed
 from pytest_pafot.plugin.options import OPTIONS
 from pytest_pafot.world import Highway, from_dict
 

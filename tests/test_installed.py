@@ -52,7 +52,7 @@ def test_the_policies_that_the_documents_name_are_there_in_an_empty_folder(insta
     assert {"idm_mobil", "example_ads.defects:make:two-defects"} <= {*names}
     code = (
         "import sys, pytest_pafot\n"
-        "from pytest_pafot.evaluation.plan import ads_factory\n"
+        "from pytest_pafot.comparison.plan import ads_factory\n"
         "made = [ads_factory(name)() for name in sys.argv[1:]]\n"
         "print(len(made), pytest_pafot.__file__)"
     )

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
 
-from pytest_pafot.findings.manoeuvre import Manoeuvre, manoeuvre_before
-from pytest_pafot.findings.responsibility import Fault, Responsibility
-from pytest_pafot.findings.run import Run
+from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Outcome, Side
 
@@ -55,7 +55,7 @@ class Expect:
         message: first line of the exception's message, without addresses, process ids and temporary folders; empty
             where the assertion says it.
         outcome: how the run ended.
-        time: of the event [s], see :attr:`~pytest_pafot.findings.run.Run.event_time`.
+        time: of the event [s], see :attr:`~pytest_pafot.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
         side: of the ego that was hit; None without a collision.
         responsibility: who caused the collision.

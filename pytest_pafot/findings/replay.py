@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.findings.finding import Finding, of_failure
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.run import Run
 from pytest_pafot.trace import Collision, Outcome, Y
 
 Label = Literal["fixed", "still failing", "drifted"]

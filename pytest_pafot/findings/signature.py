@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from textwrap import dedent
 
-from pytest_pafot.findings.manoeuvre import Manoeuvre
-from pytest_pafot.findings.responsibility import Fault, Responsibility
+from pytest_pafot.attribution.manoeuvres import Manoeuvre
+from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome, Side
 

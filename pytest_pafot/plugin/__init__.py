@@ -13,8 +13,8 @@ from pytest_pafot.plugin.collection import Collection, accept_files
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import Unseen
 from pytest_pafot.plugin.options import add_options
-from pytest_pafot.plugin.paging import Pages
-from pytest_pafot.plugin.reporting import Reporter, WorkerReporter
+from pytest_pafot.plugin.report_pages import Pages
+from pytest_pafot.plugin.terminal_reporter import Reporter, WorkerReporter
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -51,9 +51,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Register what runs the items, where there are any."""
     if not any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK)):
         return
-    from pytest_pafot.plugin.checks import Checks  # noqa: PLC0415
     from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
-    from pytest_pafot.plugin.failing import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
+    from pytest_pafot.plugin.item_setup import Checks  # noqa: PLC0415
 
     for name, feature in (("checks", Checks()), ("execution", Execution()), ("failing", Failures())):
         if not session.config.pluginmanager.has_plugin(f"pafot-{name}"):

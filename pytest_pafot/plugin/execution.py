@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_pafot.plugin.checks import REQUEST
 from pytest_pafot.plugin.collection import is_search, saved_of
+from pytest_pafot.plugin.item_setup import REQUEST
 from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
-    from pytest_pafot.plugin.bench import Bench
+    from pytest_pafot.campaign.harness import Bench
     from pytest_pafot.plugin.request import Request
 
 
@@ -53,23 +53,23 @@ def item_seed(base_seed: int, base_id: str) -> int:
 
 def _run(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.plugin.bench import Bench  # noqa: PLC0415
-    from pytest_pafot.plugin.stuck import seen_to  # noqa: PLC0415
+    from pytest_pafot.campaign.harness import Bench  # noqa: PLC0415
+    from pytest_pafot.plugin.last_resort import seen_to  # noqa: PLC0415
 
     saved = saved_of(item)
     with seen_to(item):
         if saved is None:
             _search(Bench.of(item, request), request)
             return
-        from pytest_pafot.plugin.replaying import replay  # noqa: PLC0415
+        from pytest_pafot.campaign.replays import replay  # noqa: PLC0415
 
         replay(item, request, saved)
 
 
 def _search(bench: Bench, request: Request) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.plugin import places  # noqa: PLC0415
-    from pytest_pafot.plugin.searcher import AFTER_A_DEATH, Searching, isolated_after_a_death  # noqa: PLC0415
+    from pytest_pafot.plugin import saved_items as places  # noqa: PLC0415
+    from pytest_pafot.plugin.search_item import AFTER_A_DEATH, Searching, isolated_after_a_death  # noqa: PLC0415
 
     seed = item_seed(request.settings.seed, places.base_id(bench.item))
     chosen = isolated_after_a_death(bench)

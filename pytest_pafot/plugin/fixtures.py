@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin import places
+from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.options import BY_NAME, corpus_name
 
 if TYPE_CHECKING:
-    from pytest_pafot.findings.run import Run
-    from pytest_pafot.plugin.provided import Corpus, Simulate
+    from pytest_pafot.plugin.fixture_values import Corpus, Simulate
+    from pytest_pafot.run import Run
     from pytest_pafot.scenario import Scenario
 
 
@@ -31,10 +31,10 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
 
     It fails the test where the ADS raises, hangs or returns no action.
     """
+    from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
-    from pytest_pafot.findings.run import Run  # noqa: PLC0415
     from pytest_pafot.grid import Cell  # noqa: PLC0415
-    from pytest_pafot.plugin.oracle import ads_text  # noqa: PLC0415
+    from pytest_pafot.run import Run  # noqa: PLC0415
     from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
@@ -55,7 +55,7 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
 @pytest.fixture
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     """The saved scenarios of all tests of the module, to iterate over."""
-    from pytest_pafot.plugin.provided import Corpus  # noqa: PLC0415
+    from pytest_pafot.plugin.fixture_values import Corpus  # noqa: PLC0415
 
     corpus = corpus_name(request.config, arguments_of(request.node) or {}) or str(BY_NAME["corpus"].default)
     return Corpus(folder=places.folder_of_module(request.path, corpus, request.config.rootpath))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from pytest_pafot.plugin import places
+from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.session import Seen
 
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
@@ -60,7 +60,7 @@ def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
     top = rootpath if inside else folder.parents[2 + len(_relative_parts(directory, rootpath)) - 1]
     if any(each.is_symlink() for each in (folder, *folder.parents) if each != top and each.is_relative_to(top)):
         return []
-    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+    from pytest_pafot.corpus.layout import safe_name  # noqa: PLC0415
 
     def is_own(file: Path) -> bool:
         module, _, test = _test_of(file).partition("::")

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.verdict import is_asynchronous
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE
-from pytest_pafot.plugin.oracle import is_asynchronous
 from pytest_pafot.plugin.request import Request, RequestError, read_request
 from pytest_pafot.plugin.session import SEARCH_PART, SHARED
 from pytest_pafot.report.terminal import wrapped_to

@@ -190,7 +190,7 @@ def hint_at_world(given: Any) -> str:
 def _ads(value: object) -> str | Callable[[], Any]:
     if callable(value) or (isinstance(value, str) and value.isidentifier()):
         return value
-    from pytest_pafot.world.ads import hint_at_object  # noqa: PLC0415
+    from pytest_pafot.world.driving.ads import hint_at_object  # noqa: PLC0415
     from pytest_pafot.world.kernel.action import shown  # noqa: PLC0415
 
     hint = hint_at_object(value)
@@ -223,7 +223,7 @@ def _positive(name: str, value: object) -> float | None:
 
 
 def _fitness(value: object, algorithm: str) -> Any:
-    from pytest_pafot.searching.catalogue import fitness_of  # noqa: PLC0415
+    from pytest_pafot.searching.algorithms import fitness_of  # noqa: PLC0415
     from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
 
     if value is None:

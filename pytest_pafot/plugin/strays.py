@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pytest_pafot.plugin import places
+from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.orphans import named_test
 from pytest_pafot.plugin.session import Seen
 
@@ -30,7 +30,7 @@ def home(file: Path, seen: Seen, collected: set[Path], rootpath: Path) -> str:
     module, _, test = name.partition("::")
     if rootpath / module not in collected:
         return f"the folder of {name or 'its test'}"
-    from pytest_pafot.findings.names import safe_name  # noqa: PLC0415
+    from pytest_pafot.corpus.layout import safe_name  # noqa: PLC0415
 
     test_file = rootpath / module
     tail = (safe_name(test_file.stem), safe_name(test))

@@ -10,7 +10,6 @@ import numpy as np
 
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.run import Run
 from pytest_pafot.grid import cell_at
 from pytest_pafot.report.shapes import grid_views, lane_views
 from pytest_pafot.report.views import (
@@ -22,6 +21,7 @@ from pytest_pafot.report.views import (
     ShrinkView,
     VehicleView,
 )
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y
 

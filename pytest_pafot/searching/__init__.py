@@ -5,13 +5,13 @@ Nothing here simulates. How a scenario becomes an evaluation is given to :func:`
 
 from __future__ import annotations
 
+from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road, fitness_of, reads_near_misses
 from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
-from pytest_pafot.searching.campaign import Algorithm, Evaluate, SearchState, run_campaign
-from pytest_pafot.searching.catalogue import ALGORITHMS, algorithm_named, check_road, fitness_of, reads_near_misses
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.genetic import PafotSearch
 from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.loop import Algorithm, Evaluate, SearchState, run_campaign
 from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 

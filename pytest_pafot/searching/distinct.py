@@ -16,8 +16,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_pafot.findings.near_miss import NearMiss
-from pytest_pafot.findings.responsibility import Fault
+from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent

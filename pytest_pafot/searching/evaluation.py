@@ -9,9 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.criticality import sweep
-from pytest_pafot.findings.near_miss import NearMiss
-from pytest_pafot.findings.responsibility import Fault
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.searching.company import Company

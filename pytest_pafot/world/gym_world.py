@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world import checks
+from pytest_pafot.world import validation as checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.network_road import NetworkRoad
 from pytest_pafot.world.referable import References
-from pytest_pafot.world.road import StraightRoad
+from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.straight import StraightRoad
 
 if TYPE_CHECKING:
-    from pytest_pafot.world.ads import AdsFactory, EgoDriver
-    from pytest_pafot.world.batch import Stepped
-    from pytest_pafot.world.guard import HangGuard
-    from pytest_pafot.world.policy import Policy
-    from pytest_pafot.world.rules import Rules
+    from pytest_pafot.world.driving.ads import AdsFactory, EgoDriver
+    from pytest_pafot.world.driving.guard import HangGuard
+    from pytest_pafot.world.driving.policy import Policy
+    from pytest_pafot.world.engines.lock_step import Stepped
+    from pytest_pafot.world.run_config import Rules
 
 
 LONGEST_RUN = 60.0
@@ -151,16 +151,16 @@ class World(References):
             WorldError: when the environment cannot be used.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from pytest_pafot.world.ads import SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
-        from pytest_pafot.world.engine import run  # noqa: PLC0415
-        from pytest_pafot.world.policy import Policy, View  # noqa: PLC0415
+        from pytest_pafot.world.driving.ads import SelfDriving, is_vehicle_class, made, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.driving.policy import Policy, View  # noqa: PLC0415
+        from pytest_pafot.world.engines.object_engine import run  # noqa: PLC0415
 
         self.check()
         checks.fits(scenario, self.rules)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads_factory = _once(made(ads_factory))
         if self.wrappers is not None or self._steps_itself(is_vehicle_class(ads_factory)):
-            from pytest_pafot.world.confirm import replay_in_gym  # noqa: PLC0415
+            from pytest_pafot.world.engines.gym_replay import replay_in_gym  # noqa: PLC0415
 
             return replay_in_gym(self, scenario, ads_factory)
         env = self._env_of(scenario)
@@ -184,7 +184,8 @@ class World(References):
 
         Args:
             scenarios: to run; checked against this world.
-            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.batch` on what an ADS with ``batch`` promises.
+            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
+                promises.
 
         Raises:
             ScenarioError: when a scenario does not fit this world.
@@ -193,7 +194,7 @@ class World(References):
             WorldError: when the environment cannot be used.
             Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
         """
-        from pytest_pafot.world.batch import rollouts  # noqa: PLC0415
+        from pytest_pafot.world.engines.lock_step import rollouts  # noqa: PLC0415
 
         self.check()
         for scenario in scenarios:
@@ -209,8 +210,8 @@ class World(References):
 
     def _stepped(self, scenario: Scenario, guard: HangGuard) -> Stepped:
         """Begin a run that is given its actions."""
-        from pytest_pafot.world.engine import SteppedRun  # noqa: PLC0415
-        from pytest_pafot.world.policy import Policy  # noqa: PLC0415
+        from pytest_pafot.world.driving.policy import Policy  # noqa: PLC0415
+        from pytest_pafot.world.engines.object_engine import SteppedRun  # noqa: PLC0415
 
         env = self._env_of(scenario)
 
@@ -224,7 +225,7 @@ class World(References):
         """The environment of one run, without vehicles; runs may nest and share no state."""
         from highway_env.road.road import Road  # noqa: PLC0415  (a second of imports, paid by the first run)
 
-        from pytest_pafot.world.policy import moved  # noqa: PLC0415
+        from pytest_pafot.world.driving.policy import moved  # noqa: PLC0415
 
         env = copy.copy(self._env)
         env.np_random = _generator(scenario.seed)
@@ -275,7 +276,7 @@ class World(References):
     @property
     def wrapper_names(self) -> list[str]:
         """The classes of the wrappers, from the inside out, those of the registration included."""
-        from pytest_pafot.world import wrapping  # noqa: PLC0415
+        from pytest_pafot.world import wrappers as wrapping  # noqa: PLC0415
 
         return wrapping.names(self._outer)
 
@@ -318,7 +319,7 @@ class World(References):
         import highway_env  # noqa: F401, PLC0415  (registers its environments)
         from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415
 
-        from pytest_pafot.world import wrapping  # noqa: PLC0415
+        from pytest_pafot.world import wrappers as wrapping  # noqa: PLC0415
 
         if self.env_id not in gymnasium.registry:
             known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
@@ -393,7 +394,7 @@ class World(References):
     @cached_property
     def network(self) -> Any:
         """The road as highway-env has it."""
-        from pytest_pafot.world.vehicles import ParallelLanes, SearchedLanes  # noqa: PLC0415
+        from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes  # noqa: PLC0415
 
         if isinstance(self.road, StraightRoad):
             return ParallelLanes(self._plain_network)
@@ -406,8 +407,8 @@ class World(References):
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        from pytest_pafot.world.rules import Rules  # noqa: PLC0415
-        from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
+        from pytest_pafot.world.driving.vehicles import straight_road  # noqa: PLC0415
+        from pytest_pafot.world.run_config import Rules  # noqa: PLC0415
 
         config = self._env.config
         physics_hz, ads_hz = (
@@ -449,7 +450,7 @@ class World(References):
         At most as wanted, as the environment's own episodes, and as the ego needs at its first speed to the end of the
         road.
         """
-        from pytest_pafot.world.survey import survey  # noqa: PLC0415
+        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415
 
         most = min(wanted, self._longest)
         road = survey(self._env, self.env_id, self.limits, ahead=most * checks.TOP_SPEED)
@@ -460,7 +461,7 @@ class World(References):
 
 def _once(ads: Any) -> AdsFactory:
     """A factory of what has been made already."""
-    from pytest_pafot.world.ads import is_vehicle_class  # noqa: PLC0415
+    from pytest_pafot.world.driving.ads import is_vehicle_class  # noqa: PLC0415
 
     if is_vehicle_class(ads):
         made: AdsFactory = ads
@@ -477,7 +478,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
 
     import gymnasium  # noqa: PLC0415
 
-    from pytest_pafot.world.vehicles import straight_road  # noqa: PLC0415
+    from pytest_pafot.world.driving.vehicles import straight_road  # noqa: PLC0415
 
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
@@ -498,7 +499,7 @@ def _made(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
 
 def _put_ego(env: Any, start: tuple[float, float, float], speed: float, route: tuple[Any, ...] | None) -> None:
     """The environment's own ego at a start, on a route."""
-    from pytest_pafot.world.ads import follow  # noqa: PLC0415
+    from pytest_pafot.world.driving.ads import follow  # noqa: PLC0415
 
     x, y, heading = start
     ego = env.action_type.vehicle_class(env.road, [x, y], heading, speed)

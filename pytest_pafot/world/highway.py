@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world import checks
+from pytest_pafot.world import validation as checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.referable import References
-from pytest_pafot.world.road import StraightRoad
+from pytest_pafot.world.roads.straight import StraightRoad
 
 if TYPE_CHECKING:
-    from pytest_pafot.world.ads import AdsFactory
-    from pytest_pafot.world.rules import Rules
+    from pytest_pafot.world.driving.ads import AdsFactory
+    from pytest_pafot.world.run_config import Rules
 
 LANE_WIDTH = 4.0
 """highway-env's [m]."""
@@ -107,8 +107,8 @@ class Highway(References):
             WorldError: for decisions in the place of a vehicle class, which returns none.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from pytest_pafot.world.ads import made  # noqa: PLC0415
-        from pytest_pafot.world.engines import simulate  # noqa: PLC0415
+        from pytest_pafot.world.driving.ads import made  # noqa: PLC0415
+        from pytest_pafot.world.engines.choice import simulate  # noqa: PLC0415
 
         self._check(scenario, ads_factory)
         return simulate(self, self.rules, scenario, made(ads_factory), decisions)
@@ -118,7 +118,8 @@ class Highway(References):
 
         Args:
             scenarios: to run; checked against this world.
-            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.batch` on what an ADS with ``batch`` promises.
+            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
+                promises.
 
         Raises:
             ScenarioError: when a scenario does not fit this world.
@@ -126,8 +127,8 @@ class Highway(References):
                 each observation.
             Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
         """
-        from pytest_pafot.world.batch import rollouts  # noqa: PLC0415
-        from pytest_pafot.world.engines import stepped  # noqa: PLC0415
+        from pytest_pafot.world.engines.choice import stepped  # noqa: PLC0415
+        from pytest_pafot.world.engines.lock_step import rollouts  # noqa: PLC0415
 
         for scenario in scenarios:
             self._check(scenario, ads_factory)
@@ -135,7 +136,7 @@ class Highway(References):
 
     def _check(self, scenario: Scenario, ads_factory: AdsFactory) -> None:
         """Refuse what cannot run here."""
-        from pytest_pafot.world.ads import is_vehicle_class, wants_env  # noqa: PLC0415
+        from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env  # noqa: PLC0415
 
         checks.fits(scenario, self.rules)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
@@ -153,7 +154,7 @@ class Highway(References):
     @cached_property
     def network(self) -> Any:
         """The road as highway-env has it."""
-        from pytest_pafot.world.vehicles import ParallelLanes, straight_network  # noqa: PLC0415
+        from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415
 
         lane = self.road.lanes[0]
         return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
@@ -161,7 +162,7 @@ class Highway(References):
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        from pytest_pafot.world.rules import Rules  # noqa: PLC0415
+        from pytest_pafot.world.run_config import Rules  # noqa: PLC0415
 
         return Rules(
             road=self.road,

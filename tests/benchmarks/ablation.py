@@ -19,9 +19,9 @@ from typing import Any
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
+from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.responsibility import is_ego_responsible, rss_rule
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import is_ego_responsible, rss_rule
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import Weights, resolve

@@ -101,7 +101,7 @@ MEDDLES = {
     "gc.disable": "import gc; gc.disable()",
     "little recursion": "sys.setrecursionlimit(60)",
     "empties the folder": "import shutil; shutil.rmtree('pafot_corpus', ignore_errors=True)",
-    "empties sys.modules": "sys.modules.pop('pytest_pafot.findings.run', None)",
+    "empties sys.modules": "sys.modules.pop('pytest_pafot.run', None)",
     "forks": "os.fork() or os._exit(0)",
 }
 FACTORY = {

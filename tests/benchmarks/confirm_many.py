@@ -22,7 +22,7 @@ from pytest_pafot import Highway, Run, World
 from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.trace import Outcome, Trace
-from pytest_pafot.world.confirm import replay_in_gym
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
 
 
 @dataclass

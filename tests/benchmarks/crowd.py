@@ -5,13 +5,13 @@ from __future__ import annotations
 from array import array
 
 from pytest_pafot import Scenario
-from pytest_pafot.world.guard import HangGuard
+from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.loop import Loop, PlannerPilot
 from pytest_pafot.world.kernel.observation import COLUMNS, Scene
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.road import StraightRoad
+from pytest_pafot.world.roads.straight import StraightRoad
 
 SECONDS, HZ, SPACING = 60, 15, 30.0
 

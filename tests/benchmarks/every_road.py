@@ -28,7 +28,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
-from pytest_pafot.world.confirm import replay_in_gym
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support import world_cases
 from tests.support.road_cases import ENVIRONMENTS, space_of, violations
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Scenario
-from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import is_ego_responsible
+from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.operators import mutate

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pytest_pafot import Highway, Outcome, Run, Scenario
-from pytest_pafot.findings.responsibility import is_ego_responsible
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.searching import Evaluation, PafotSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.world.references import REFERENCES, Driver
+from pytest_pafot.world.reference_drivers import REFERENCES, Driver
 
 
 @dataclass

@@ -21,9 +21,9 @@ from types import MappingProxyType
 
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
+from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.near_miss import near_misses
-from pytest_pafot.findings.responsibility import Fault, is_ego_responsible
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, algorithm_named, run_campaign
 from pytest_pafot.searching.events import GenerationFinished

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, Observation, Scenario
-from pytest_pafot.plugin.ahead import METHOD, Ahead, hired
-from pytest_pafot.plugin.crew import Errand
+from pytest_pafot.execution.prefetch import METHOD, Ahead, hired
+from pytest_pafot.execution.worker_pool import Errand
 from pytest_pafot.searching import SearchSpace, algorithm_named, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event

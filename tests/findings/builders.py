@@ -5,9 +5,9 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
+from pytest_pafot.attribution.manoeuvres import Manoeuvre
+from pytest_pafot.corpus.schema import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found, Simplified
-from pytest_pafot.findings.formats import LIMITS, WORLDS
-from pytest_pafot.findings.manoeuvre import Manoeuvre
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario

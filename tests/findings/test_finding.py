@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import Run
 from pytest_pafot.trace import AdsError, Outcome
 from tests.findings.builders import plain_finding
 from tests.support.traces import trace_of, vehicle

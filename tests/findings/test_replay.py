@@ -4,9 +4,9 @@ import pytest
 
 from pytest_pafot.findings.finding import Finding, Found, of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import Run
 from pytest_pafot.trace import AdsError, Outcome
 from tests.support.traces import collision_at, trace_of, vehicle
 

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import Run
 from pytest_pafot.trace import AdsError, Outcome
 from tests.support.traces import collision_at, trace_of, vehicle
 

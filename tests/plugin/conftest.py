@@ -6,11 +6,11 @@ from pathlib import Path
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
 import pytest
 
-import pytest_pafot.plugin.replaying
-import pytest_pafot.plugin.searcher
+import pytest_pafot.campaign.replays
+import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
-import pytest_pafot.world.engine
-from pytest_pafot.findings.inflight import InFlight
+import pytest_pafot.world.engines.object_engine
+from pytest_pafot.execution.crash_records import InFlight
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway

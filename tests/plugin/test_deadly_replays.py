@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.plugin.ahead
+import pytest_pafot.execution.prefetch
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by signals")
 
@@ -38,9 +38,9 @@ def ads():
 """With an ADS that ends every process, that of the session too."""
 
 SPAWNS = """
-import pytest_pafot.plugin.apart
+import pytest_pafot.execution.separate_process
 
-pytest_pafot.plugin.apart.METHOD = "spawn"
+pytest_pafot.execution.separate_process.METHOD = "spawn"
 """
 """As on a platform where processes cannot be forked."""
 
@@ -168,7 +168,7 @@ def test_what_is_printed_in_the_other_process_is_captured_once(crash):
 
 @forks
 def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
     crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))"))
@@ -184,7 +184,7 @@ def test_a_hang_replays_in_a_session_that_ends_where_nothing_is_forked(crash):
         "swallow()\n\ndef swallow():\n    try:\n        __import__('time').sleep(60)\n    finally:\n        swallow()"
     )
     hangs = DIES.replace("faulthandler.disable()", "").replace("os.kill(os.getpid(), signal.SIGSEGV)", swallow)
-    impatient = "import pytest_pafot.plugin.stuck\n\npytest_pafot.plugin.stuck.GRACE = 0.3\n"
+    impatient = "import pytest_pafot.plugin.last_resort\n\npytest_pafot.plugin.last_resort.GRACE = 0.3\n"
     crash.pytester.makeconftest(hangs + SPAWNS + impatient)
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)

@@ -5,7 +5,7 @@ import textwrap
 
 import pytest
 
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.corpus.files import read
 
 VEHICLES = {
     "mark": """

@@ -3,7 +3,7 @@
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.corpus.files import read
 from pytest_pafot.plugin.marks import Rejected
 
 

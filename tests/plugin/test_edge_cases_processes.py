@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.corpus.files import read
 from tests.plugin.test_report_page import data_of
 
 pytest.importorskip("xdist")

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from pytest_pafot.campaign.search import Hunt, Stage
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.execution.worker_pool import Lost, ProcessLostError
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.plugin.crew import Lost, ProcessLostError
 from pytest_pafot.plugin.execution import item_seed
-from pytest_pafot.plugin.hunt import Hunt, Stage
-from pytest_pafot.plugin.oracle import Verdict
+from pytest_pafot.run import Run
 from pytest_pafot.searching import SearchSpace, run_campaign, sample
 from pytest_pafot.searching.random_search import RandomSearch
 from pytest_pafot.trace import Lane, Outcome, Trace

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-import pytest_pafot.plugin.ahead
-import pytest_pafot.plugin.apart
-from pytest_pafot.findings.corpus import read
+import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.separate_process
+from pytest_pafot.corpus.files import read
 from tests.plugin.test_workers import forget, summary
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -192,7 +192,7 @@ def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
 
 
 def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pickled(isolated, monkeypatch):
-    for module in (pytest_pafot.plugin.ahead, pytest_pafot.plugin.apart):
+    for module in (pytest_pafot.execution.prefetch, pytest_pafot.execution.separate_process):
         monkeypatch.setattr(module, "METHOD", "spawn")
     project = isolated()
     result, contents = session(project, "--pafot-isolate", generations=1)

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from pytest_pafot.plugin.lock_step import LockStep
-from tests.plugin.test_ahead import Session, ahead_of
+from pytest_pafot.execution.together import LockStep
+from tests.execution.test_prefetch import Session, ahead_of
 from tests.support.errands import scenario, trace_of
 
 PLANNERS = """
@@ -224,7 +224,9 @@ def test_dies(run):
 def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_process_can_be_forked(
     project, alone, expected
 ):
-    project.pytester.makeconftest("import pytest_pafot.plugin.apart\npytest_pafot.plugin.apart.METHOD = 'spawn'\n")
+    project.pytester.makeconftest(
+        "import pytest_pafot.execution.separate_process\npytest_pafot.execution.separate_process.METHOD = 'spawn'\n"
+    )
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
     assert project.run(subprocess=True, generations=3).ret == 9
     project.write((PLANNERS + DYING).replace("HOW", alone))

@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.corpus.files import read
 
 OWN = """
 class Ring:

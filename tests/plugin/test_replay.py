@@ -2,7 +2,7 @@
 
 import pytest
 
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.corpus.files import read
 
 KNOWN = """
 @pafot.search(SHORT, npcs=1)

@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-import pytest_pafot.plugin.showing
+import pytest_pafot.plugin.page_messages
 import pytest_pafot.report.folder
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
-from pytest_pafot.findings.corpus import read
-from pytest_pafot.plugin import paging
-from pytest_pafot.world.references import REFERENCES
+from pytest_pafot.corpus.files import read
+from pytest_pafot.plugin import report_pages as paging
+from pytest_pafot.world.reference_drivers import REFERENCES
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
@@ -317,7 +317,7 @@ atexit.register(dump)
     names = set(json.loads((project.path / "modules.json").read_text()))
     own = {name for name in names if name.startswith("pytest_pafot.report")}
     assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal"}
-    assert "pytest_pafot.plugin.showing" not in names
+    assert "pytest_pafot.plugin.page_messages" not in names
 
 
 def rows_of(project, *options, **more):

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.plugin.resuming import Resuming
+from pytest_pafot.execution.known_decisions import Resuming
 
 PLANNERS = """
 class Planner:

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-import pytest_pafot.plugin.ahead
-import pytest_pafot.plugin.apart
-from pytest_pafot.findings.corpus import read
+import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.separate_process
+from pytest_pafot.corpus.files import read
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway
@@ -140,7 +140,7 @@ def test_a_death_in_the_test_function_comes_again(project):
 
 @forks
 def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
     write(project, "sum(range(10**12))")
     project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
     result = replayed(project)
@@ -150,7 +150,7 @@ def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, mo
 
 
 def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.plugin.apart, "METHOD", "spawn")
+    monkeypatch.setattr(pytest_pafot.execution.separate_process, "METHOD", "spawn")
     write(project, "None")
     project.leave_behind(OWNER)
     result = replayed(project)

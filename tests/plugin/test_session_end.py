@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot.plugin.flights
+import pytest_pafot.plugin.crash_folder
 import pytest_pafot.plugin.orphans
-import pytest_pafot.plugin.paging
-import pytest_pafot.plugin.reporting
+import pytest_pafot.plugin.report_pages
+import pytest_pafot.plugin.terminal_reporter
 import pytest_pafot.report.terminal
 
 FAILS = """
@@ -28,9 +28,13 @@ def is_whole(result):
 @pytest.mark.parametrize(
     ("owner", "name", "expected"),
     [
-        (pytest_pafot.plugin.flights, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
+        (pytest_pafot.plugin.crash_folder, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
         (pytest_pafot.plugin.orphans, "prune", "problem: --pafot-prune: ValueError: a fault"),
-        (pytest_pafot.plugin.paging, "_written", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        (
+            pytest_pafot.plugin.report_pages,
+            "_written",
+            "problem: --pafot-report=x.html: not written: ValueError: a fault",
+        ),
         (pytest_pafot.report.terminal, "session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
     ids=["records", "prune", "report", "summary"],
@@ -61,7 +65,7 @@ def test_fails(run):
     assert not run
 """
     )
-    monkeypatch.setattr(pytest_pafot.plugin.reporting, "_phase", lambda report, when: 1 / 0)
+    monkeypatch.setattr(pytest_pafot.plugin.terminal_reporter, "_phase", lambda report, when: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = " ".join(result.stdout.str().split())
@@ -121,7 +125,7 @@ def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr(pytest_pafot.plugin.paging, "_written", interrupted)
+    monkeypatch.setattr(pytest_pafot.plugin.report_pages, "_written", interrupted)
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])

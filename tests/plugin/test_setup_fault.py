@@ -4,10 +4,10 @@ import fnmatch
 
 import pytest
 
-from pytest_pafot.findings.corpus import read
+from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.corpus.files import read
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.plugin.oracle import Verdict
-from pytest_pafot.plugin.setup_fault import FirstGeneration, SetupFaultError
 
 MISSPELT = """
 @pafot.search(SHORT, ARGUMENTS)

@@ -2,12 +2,12 @@
 
 import pytest
 
-import pytest_pafot.plugin.shrinking
-import pytest_pafot.world.confirm  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
-from pytest_pafot.findings.corpus import read
-from pytest_pafot.findings.run import Run
+import pytest_pafot.campaign.simplification
+import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
+from pytest_pafot.campaign.simplification import starts_of
+from pytest_pafot.corpus.files import read
 from pytest_pafot.findings.shrink import sort_key
-from pytest_pafot.plugin.shrinking import starts_of
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
 
@@ -210,7 +210,7 @@ def ads():
     while frame is not None:
         names.append(frame.f_globals["__name__"])
         frame = frame.f_back
-    brake = 0.0 if "pytest_pafot.world.confirm" in names else -3.0
+    brake = 0.0 if "pytest_pafot.world.engines.gym_replay" in names else -3.0
     return lambda observation: (brake, 0.0)
 
 @pafot.search(SHORT, ads=ads, stop_after=1)

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-import pytest_pafot.plugin.ahead
-from pytest_pafot.findings.corpus import read
+import pytest_pafot.execution.prefetch
+from pytest_pafot.corpus.files import read
 from pytest_pafot.trace import Outcome
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -206,7 +206,7 @@ def test_a_worker_whose_decision_hangs_interrupts_it(dear):
 
 
 def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scenario_is_a_hang(dear, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.plugin.ahead, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "sum(range(10**12))")
     project = dear("hangs", hangs + IMPATIENT)
     result, contents = session(project, 2, generations=4)

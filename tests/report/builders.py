@@ -9,17 +9,17 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.findings.emit import text_of
+from pytest_pafot.corpus.text import text_of
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.run import Run
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.report.campaign_views import campaign_view
 from pytest_pafot.report.finding_views import finding_view
 from pytest_pafot.report.views import Report
-from pytest_pafot.searching.campaign import run_campaign
+from pytest_pafot.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.genetic import PafotSearch
+from pytest_pafot.searching.loop import run_campaign
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pytest_pafot.corpus.text import text_of
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.findings.emit import text_of
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.finding_views import finding_view, frame_ticks, shrink_view

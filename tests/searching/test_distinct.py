@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.near_miss import NearMiss
+from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.grid import Cell
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
 from pytest_pafot.searching.distinct import NO_IMPACT, niche

@@ -9,7 +9,7 @@ import pytest
 
 from pytest_pafot.grid import Cell, is_adjacent
 from pytest_pafot.searching import Evaluation, SearchSpace, algorithm_named, run_campaign
-from pytest_pafot.searching.catalogue import CATALOGUE
+from pytest_pafot.searching.algorithms import CATALOGUE
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
 from pytest_pafot.trace import Collision, Outcome
 

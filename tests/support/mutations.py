@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 
+from pytest_pafot.corpus.schema import upgraded
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.formats import upgraded
 from pytest_pafot.scenario import Scenario
 
 LOOKALIKES = {"a": "\u0430", "e": "\u0435", "o": "\u043e", "p": "\u0440", "c": "\u0441", "i": "\u0456", "1": "\uff11",

@@ -9,7 +9,7 @@ from pytest_pafot import Highway, Outcome, World
 from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
-from pytest_pafot.world.batch import batching_ads
+from pytest_pafot.world.engines.lock_step import batching_ads
 
 HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
 ENVIRONMENT = World("highway-v0", duration=12.0)

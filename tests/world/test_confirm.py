@@ -9,11 +9,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.findings.run import Run
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
-from pytest_pafot.world.confirm import StockVehicle, replay_in_gym
+from pytest_pafot.world.engines.gym_replay import StockVehicle, replay_in_gym
 from tests.support.world_cases import EGOS, constant_speed, random_scenario
 
 
@@ -139,7 +139,7 @@ def test_an_ads_that_raises_raises_there_too():
 
 def test_it_is_the_environments_own_road_and_vehicles_that_drive(monkeypatch):
     """Nothing of this package's physics takes part: break it, and the run in the environment stays as it is."""
-    from pytest_pafot.world.vehicles import Car
+    from pytest_pafot.world.driving.vehicles import Car
 
     world, (scenario,) = Highway(), scenarios(4, 1)
     before = replay_in_gym(world, scenario, constant_speed)

@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 
 from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World, WorldError
-from pytest_pafot.world import engines, from_dict, kernel
+from pytest_pafot.world import from_dict, kernel
+from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.engines import choice as engines
 from pytest_pafot.world.kernel import bodies
-from pytest_pafot.world.modelled import CONSTANTS, idm_model
 from tests.support.c_library import c_library
 from tests.support.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
 
@@ -87,7 +88,7 @@ def test_interpreted_and_compiled_the_kernel_gives_the_same_traces():
 
 
 def test_the_kernel_knows_highway_envs_vehicles():
-    from pytest_pafot.world.rules import NPC_LENGTH, NPC_WIDTH
+    from pytest_pafot.world.run_config import NPC_LENGTH, NPC_WIDTH
 
     assert (Vehicle.LENGTH, Vehicle.WIDTH) == (NPC_LENGTH, NPC_WIDTH)
     body = bodies.Body(5.0, 2.0)

@@ -16,12 +16,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.findings.run import Run
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import sample
 from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.world import NpcLimits, World, WorldError
-from pytest_pafot.world.confirm import replay_in_gym
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.road_cases import ENVIRONMENTS, off_lanes, space_of, violations
 
 

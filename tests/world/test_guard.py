@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from pytest_pafot.world import guard
-from pytest_pafot.world.guard import AdsHang, HangGuard
+from pytest_pafot.world.driving import guard
+from pytest_pafot.world.driving.guard import AdsHang, HangGuard
 
 
 @pytest.fixture
@@ -162,7 +162,7 @@ def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(w
 def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
     code = """
 import faulthandler, os, sys
-from pytest_pafot.world.guard import HangGuard, LastResort, last_resort
+from pytest_pafot.world.driving.guard import HangGuard, LastResort, last_resort
 with last_resort(LastResort(end=lambda: None, grace=5.0, file=2)), HangGuard(30.0):
     child = os.fork()
     if not child:

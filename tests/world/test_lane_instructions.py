@@ -11,7 +11,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import LaneInstruction, Scenario
 from pytest_pafot.trace import LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway
-from pytest_pafot.world.confirm import replay_in_gym
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.world_cases import EGOS, constant_speed, violations
 
 

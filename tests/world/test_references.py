@@ -7,7 +7,7 @@ import pytest
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
-from pytest_pafot.world.references import (
+from pytest_pafot.world.reference_drivers import (
     HARD_BRAKING,
     REFERENCES,
     CarefulHuman,

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
+from pytest_pafot.world.driving.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
 from tests.support.world_cases import LENGTH, WIDTH, chains
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)

@@ -30,7 +30,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.confirm import replay_in_gym
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.gym_loop import Replayed, StateLog
 
 SCENARIO = Scenario(

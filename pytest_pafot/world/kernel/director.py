@@ -16,8 +16,8 @@ from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, followin
 from pytest_pafot.world.limits import NpcLimits
 
 if TYPE_CHECKING:
-    from pytest_pafot.world.network_road import NetworkRoad
-    from pytest_pafot.world.road import StraightRoad
+    from pytest_pafot.world.roads.network import NetworkRoad
+    from pytest_pafot.world.roads.straight import StraightRoad
 
 ARRIVED_LATERAL = 0.5
 """How near to the cell's centre an NPC has arrived, across the lane [m]; along it, half the cell's length."""

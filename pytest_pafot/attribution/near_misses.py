@@ -1,0 +1,82 @@
+"""What the ego nearly had to answer for: the dangers of a run, judged as the collisions that they almost were.
+
+Collisions that the ego answers for are rare in the runs of a good policy, and those of NPCs are not. A search that is
+to find the rare ones needs to know which runs come near to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_pafot.attribution.responsibility import Conflict, Fault, Scene
+from pytest_pafot.criticality import Encounters
+from pytest_pafot.trace import FloatArray, Trace
+
+NEAR_SECONDS = 1.5
+"""The time to contact at which half of its risk is reached [s]: between normal and critical (van der Horst 1990)."""
+NEAR_METRES = 1.0
+"""The gap at which half of its risk is reached [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearMiss:
+    """A danger that no impact ended, though the ego would have answered for it.
+
+    Attributes:
+        fault: of the ego, had they touched then.
+        npc: the other vehicle.
+        tick: of the greatest severity.
+        severity: mean of the risks of the time to contact and of the gap of the boxes, 0 to 1.
+    """
+
+    fault: Fault
+    npc: int
+    tick: int
+    severity: float
+
+
+def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
+    """The worst near-miss of each fault, in the order of the faults' names.
+
+    A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by the rules 3 and 4
+    of :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego's front had touched the NPC when the
+    danger was most severe. The danger that ended in the impact of the run is none of these.
+    """
+    worst: dict[Fault, NearMiss] = {}
+    for each in _all(trace):
+        if each.fault not in worst or each.severity > worst[each.fault].severity:
+            worst[each.fault] = each
+    return tuple(worst[fault] for fault in sorted(worst))
+
+
+def _all(trace: Trace) -> Iterator[NearMiss]:
+    scene = Scene(trace)
+    is_dangerous = scene.is_close & scene.is_beside
+    if not is_dangerous.any():
+        return
+    severity = _severity(Encounters(trace))
+    for npc in range(len(trace.scenario.npcs)):
+        for start, end in _stretches(is_dangerous[:, npc]):
+            is_impact = trace.collision is not None and trace.collision.npc == npc and end == len(is_dangerous)
+            if is_impact:
+                continue
+            tick = start + int(np.argmax(severity[start:end, npc]))
+            verdict = Conflict(scene, npc, start, tick, by_ego_front=True).verdict
+            if verdict.fault is not None:
+                yield NearMiss(fault=verdict.fault, npc=npc, tick=tick, severity=float(severity[tick, npc]))
+
+
+def _severity(encounters: Encounters) -> FloatArray:
+    by_time = 1 / (1 + encounters.ttc.T / NEAR_SECONDS)
+    by_gap = 1 / (1 + encounters.gap.T / NEAR_METRES)
+    mean: FloatArray = (by_time + by_gap) / 2
+    return mean
+
+
+def _stretches(holds: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[tuple[int, int]]:
+    """First tick and the tick after the last of each stretch in which a condition holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

@@ -1,0 +1,1 @@
+"""One search, from its replays to its findings."""

@@ -1,0 +1,121 @@
+"""A fault of the set-up: every run of the first generation ends in the same exception, whatever happens in it.
+
+A misspelt name in the test function, or an ADS that fails before it has seen anything, says nothing of any scenario.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.campaign.verdict import plain_failure
+from pytest_pafot.findings.finding import Cause, first_decision_cause
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.first_decision import first_decision
+
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.harness import Bench
+    from pytest_pafot.campaign.verdict import Verdict
+    from pytest_pafot.run import Run
+    from pytest_pafot.scenario import Scenario
+
+NOT_ASKED = ("npc", "invalid")
+"""Verdicts on runs that the test function was not asked about."""
+
+
+class SetupFaultError(Exception):
+    """What all runs of the first generation ended in."""
+
+    def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
+        super().__init__(f"{runs} ended in {verdict.exception!r}")
+        self.run = run
+        self.verdict = verdict
+        self.runs = runs
+
+    def shown(self, bench: Bench) -> BaseException:
+        """The exception for the item: what was raised and where, why it is no finding, and what to do."""
+        verdict = self.verdict
+        if verdict.is_ads or verdict.exception is None:
+            return plain_failure(
+                f"{verdict.exception}\n\n"
+                f"So it was in {self.runs}, before anything had happened in them: an error of the set-up and no "
+                "finding, so that nothing was saved. Correct the ADS, its factory, or the world= that it drives in, "
+                f"and search again.\n\n{given_in(bench, self.run.trace.scenario)}".rstrip()
+            )
+        verdict.exception.add_note(
+            f"So it was in {self.runs}, whatever happened in them: an error of the test function and no finding, so "
+            "that nothing was saved. Correct the line, and search again; what shall be a finding is asserted."
+        )
+        return verdict.exception
+
+
+@dataclass(slots=True)
+class FirstGeneration:
+    """What the runs so far have in common.
+
+    Attributes:
+        is_alike: whether all of them ended in the same exception; once they did not, that is settled.
+        last: of them, with its verdict; None before the first.
+        runs: their number.
+        unjudged: the number of other runs, which the test function was not asked about.
+    """
+
+    is_alike: bool = True
+    last: tuple[Run, Verdict] | None = None
+    runs: int = 0
+    unjudged: int = 0
+    _cause: Cause | None = None
+
+    def see(self, run: Run, verdict: Verdict) -> None:
+        """Learn how a run ended."""
+        if verdict.kind in NOT_ASKED:
+            self.unjudged += 1
+            return
+        cause = cause_of(run, verdict)
+        self.is_alike &= cause is not None and self._cause in (None, cause)
+        self._cause, self.last, self.runs = cause, (run, verdict), self.runs + 1
+
+    def end(self) -> None:
+        """The generation is over.
+
+        Raises:
+            SetupFaultError: where all of its runs were alike.
+        """
+        if self.is_alike and self.last is not None:
+            judged = " that were judged" if self.unjudged else ""
+            raise SetupFaultError(*self.last, f"all {self.runs} runs of the first generation{judged}")
+        self.is_alike = False
+
+
+def given_in(bench: Bench, scenario: Scenario) -> str:
+    """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
+    if is_vehicle_class(bench.ads) or not isinstance(bench.world, (Highway, World)):
+        return ""
+    asked = first_decision(bench.world, scenario)
+    if asked is None:
+        return ""
+    if asked.is_si:
+        return f'{asked.text} A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
+    return (
+        f"{asked.text} A policy needs the config= and the wrappers= that it was trained with; a planner in SI units "
+        "needs pafot.Highway, which is there without world=."
+    )
+
+
+def cause_of(run: Run, verdict: Verdict) -> Cause | None:
+    """What a failure comes from, where it can be a fault of the set-up; None else.
+
+    It never is where something was asserted, nor where an ADS failed after its first decision or hung in it: that can
+    be the doing of a scenario, or of the machine.
+    """
+    failure, exception = verdict.failure, verdict.exception
+    if failure is None or failure.kind == AssertionError.__name__:
+        return None
+    if verdict.is_ads:
+        return first_decision_cause(run.ads_error)
+    if isinstance(exception, (AssertionError, pytest.fail.Exception)):
+        return None
+    return failure.kind, failure.assertion

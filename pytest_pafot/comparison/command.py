@@ -1,0 +1,208 @@
+"""``python -m pytest_pafot compare``: runs a comparison and writes its report."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.comparison.plan import Plan, PlanError, checked, world_of
+from pytest_pafot.comparison.processes import WorkerDied
+from pytest_pafot.comparison.tasks import run_all
+from pytest_pafot.scenario import ScenarioError
+from pytest_pafot.searching.algorithms import ALGORITHMS
+from pytest_pafot.searching.space import space_on
+from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
+
+LIBRARIES = ("matplotlib", "pandas", "scipy")
+
+START = "; where the road is not straight, the environment's"
+
+BAD_USE = 2
+"""Exit code for wrong arguments, as argparse has it."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    parser.add_argument(
+        "--algorithms",
+        default="pafot,av-fuzzer,random",
+        metavar="A,B,...",
+        help=f"of {', '.join(ALGORITHMS)}; the first is compared with each other one (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--ads",
+        required=True,
+        metavar="ADS",
+        help="the policy: a module of example_ads, module:factory, or module:factory:argument",
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where results and report go")
+    parser.add_argument("--runs", type=int, default=10, metavar="N", help="of each algorithm (default: %(default)s)")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--generations", type=int, metavar="N", help="of each run (default: 100)")
+    budget.add_argument("--seconds", type=float, metavar="S", help="simulated time of each run, instead of generations")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="base seed (default: %(default)s)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument(
+        "--blame",
+        choices=("any", "ego"),
+        default="any",
+        help="ego: search for collisions that the ego is responsible for (default: %(default)s, as the paper)",
+    )
+    parser.add_argument("--fitness", help="of all algorithms: default, paper or av-fuzzer (default: each one's own)")
+    parser.add_argument("--population", type=int, metavar="N", help="scenarios of a generation (default: 4)")
+    _add_world_arguments(parser)
+
+
+def _add_world_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
+    parser.add_argument("--lanes", type=int, metavar="N", help="3 to 6 (default: 4)")
+    parser.add_argument("--speed-limit", type=float, metavar="V", help="[m/s] (default: 26.8)")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="of a scenario [s] (default: 60, or the environment's)"
+    )
+    parser.add_argument("--clearance", type=float, metavar="D", help="of the grid [m]; 0 is the paper's (default: 3)")
+    parser.add_argument("--npcs", type=int, metavar="N", help="1 to 8 (default: 2)")
+    parser.add_argument("--genes", type=int, metavar="N", help="of each NPC (default: as a scenario lasts)")
+    parser.add_argument(
+        "--gene-seconds", type=float, metavar="S", help="[s] (default: 10; where the road is not straight, about 10)"
+    )
+    parser.add_argument("--ego-lane", type=int, metavar="N", help=f"from 0 at the left (default: 1{START})")
+    parser.add_argument("--ego-speed", type=float, metavar="V", help=f"[m/s] (default: 22{START})")
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Run the comparison and write its report.
+
+    Args:
+        arguments: parsed.
+        command: as it was given, for the report.
+
+    Returns:
+        the exit code.
+    """
+    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    try:
+        plan = checked(plan_of(arguments))
+        workers = _workers(arguments.workers)
+        _check_libraries()  # What is wrong on the command line is told before anything is installed for it.
+        folder = Path(arguments.out)
+        results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+    except (PlanError, WorldError, AdsFactoryError, ScenarioError, WorkerDied) as error:
+        sys.stderr.write(f"compare: {error}\n")
+        return BAD_USE
+    except KeyboardInterrupt:
+        sys.stderr.write("\ncompare: interrupted; what is finished is kept, the same command goes on with the rest\n")
+        return 130
+    write_report(plan, folder, results, command)
+    sys.stdout.write(f"{folder / 'report.md'}\n")
+    return 0
+
+
+def plan_of(arguments: argparse.Namespace) -> Plan:
+    """The plan of parsed arguments.
+
+    Raises:
+        PlanError: for a value that no world or space takes.
+        WorldError: for an environment that cannot be used.
+    """
+    world = _world(arguments)
+    if isinstance(world, World):
+        world.check()
+    given = ((name, getattr(arguments, name)) for name in ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed"))
+    try:
+        space = space_on(world, {name: value for name, value in given if value is not None})
+    except WorldError:
+        raise
+    except ValueError as error:
+        raise PlanError(str(error)) from None
+    generations = None if arguments.seconds is not None else arguments.generations
+    if arguments.seconds is None and generations is None:
+        generations = 100
+    return Plan(
+        ads=arguments.ads,
+        algorithms=tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip()),
+        runs=arguments.runs,
+        generations=generations,
+        seconds=arguments.seconds,
+        seed=arguments.seed,
+        blame=arguments.blame,
+        fitness=arguments.fitness,
+        parameters={} if arguments.population is None else {"population": arguments.population},
+        world=world.to_dict(),
+        space=asdict(space),
+    )
+
+
+def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]) -> None:
+    """Figures, and the report that shows them."""
+    from pytest_pafot.comparison import figures, markdown, tables  # noqa: PLC0415
+    from pytest_pafot.comparison.paper import PAPER_GENERATIONS  # noqa: PLC0415
+    from pytest_pafot.comparison.rows import write_whole  # noqa: PLC0415
+
+    frame = tables.read(results)
+    seconds = tables.horizon(frame)
+    whole = tables.measured(frame)
+    longest = float(world_of(plan).longest_run)
+    data = figures.Data(
+        frame=frame,
+        runs=whole,
+        algorithms=plan.algorithms,
+        longest=longest,
+        has_papers_size=plan.generations == PAPER_GENERATIONS,
+    )
+    titles = figures.draw_all(data, folder / "figures")
+    material = markdown.Material(
+        plan=plan,
+        command=command,
+        frame=frame,
+        whole=whole,
+        equal=tables.measured(frame, seconds),
+        horizon=seconds,
+        longest=longest,
+        wall_seconds=markdown.wall_seconds(folder),
+        figures=titles,
+    )
+    write_whole(folder / "report.md", markdown.report(material))
+
+
+def _world(arguments: argparse.Namespace) -> Highway | World:
+    given: dict[str, Any] = {
+        name: value
+        for name in ("lanes", "speed_limit", "duration", "clearance")
+        if (value := getattr(arguments, name)) is not None
+    }
+    if arguments.env is None:
+        return Highway(**given)
+    for name in ("lanes", "speed_limit"):
+        if name in given:
+            raise PlanError(
+                f"--{name.replace('_', '-')}: expected no such option with --env, whose environment has its own road, "
+                f"received {given[name]!r}"
+            )
+    return replace(World(arguments.env), **given)
+
+
+def _workers(given: int | None) -> int:
+    if given is not None and given < 1:
+        raise PlanError(f"--workers: expected at least 1, received {given}")
+    if given is not None:
+        return given
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_libraries() -> None:
+    for name in LIBRARIES:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
+            raise PlanError(
+                f"expected the library {name} for the report, received an environment without it; "
+                "run `pip install 'pytest-pafot[compare]'`"
+            ) from None

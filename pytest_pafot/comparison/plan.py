@@ -1,0 +1,184 @@
+"""What is compared: algorithms, a budget, a policy and the world in which it drives."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import hashlib
+import importlib
+import json
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import PurePath
+from types import ModuleType
+from typing import Any, Literal
+
+from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road
+from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world import from_dict as world_from_dict
+
+Mode = Literal["collisions", "ego"]
+
+EXAMPLES = "example_ads"
+"""The package of example policies: at the top of a clone, inside of this package where it is installed."""
+
+RUNS = "runs"
+"""Folder of the results of single runs."""
+
+
+class PlanError(ValueError):
+    """A comparison that cannot be made; the message says what was expected and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A comparison. Every (algorithm, run) is a function of this value alone.
+
+    Attributes:
+        ads: the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``.
+        algorithms: names.
+        runs: of each algorithm.
+        generations: of the main search; None where the budget is a time.
+        seconds: simulated time of each run, at the end of which the last scenario is finished; None for generations.
+        seed: from which the seeds of all runs follow.
+        blame: ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible
+            for, and steers the default fitness towards them.
+        fitness: of all algorithms; None for each one's own.
+        parameters: of the algorithms, such as ``{"population": 8}``; each must take all of them.
+        world: as a corpus file has it.
+        space: fields of :class:`~pytest_pafot.searching.space.SearchSpace`.
+    """
+
+    ads: str
+    algorithms: tuple[str, ...]
+    runs: int = 10
+    generations: int | None = 100
+    seconds: float | None = None
+    seed: int = 0
+    blame: str = "any"
+    fitness: str | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())
+    space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))
+
+    @property
+    def question(self) -> str:
+        """All but which algorithms and how many runs, as canonical text: results of equal questions go together."""
+        plain = asdict(replace(self, algorithms=(), runs=1))
+        return json.dumps({"plan": plain, "versions": versions()}, indent=1, sort_keys=True) + "\n"
+
+    @property
+    def tasks(self) -> tuple[tuple[str, int], ...]:
+        """(algorithm, run) in the order in which they are started: run by run, so that a part is balanced."""
+        return tuple((algorithm, run) for run in range(self.runs) for algorithm in self.algorithms)
+
+    def run_seed(self, algorithm: str, run: int) -> int:
+        """The seed of one run; runs of different algorithms are independent samples."""
+        text = f"{self.seed}/{algorithm}/{run}"
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
+
+
+def checked(plan: Plan) -> Plan:
+    """The plan, if it can be run.
+
+    Raises:
+        PlanError: naming the first thing that is wrong.
+    """
+    if not plan.algorithms:
+        raise PlanError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
+    repeated = {name for name in plan.algorithms if plan.algorithms.count(name) > 1}
+    if repeated:
+        raise PlanError(f"--algorithms: expected each name once, received {', '.join(sorted(repeated))} again")
+    if (plan.generations is None) == (plan.seconds is None):
+        raise PlanError("--generations, --seconds: expected one budget, received both or none")
+    for name, value in (("--runs", plan.runs), ("--generations", plan.generations)):
+        if value is not None and value < 1:
+            raise PlanError(f"{name}: expected a whole number, at least 1, received {value}")
+    if plan.seconds is not None and not 0 < plan.seconds < math.inf:
+        raise PlanError(f"--seconds: expected simulated seconds, more than 0, received {plan.seconds:g}")
+    if plan.seed < 0:
+        raise PlanError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
+    _check_searches(plan)
+    ads_factory(plan.ads)
+    return plan
+
+
+def _check_searches(plan: Plan) -> None:
+    try:
+        space = SearchSpace(**plan.space)
+        for name in plan.algorithms:
+            algorithm_named(name, space, **plan.parameters)
+            check_road(name, world_of(plan))
+        if plan.fitness is not None:
+            resolve(plan.fitness)
+    except ValueError as error:
+        raise PlanError(str(error)) from None
+
+
+def ads_factory(reference: str) -> Callable[..., Any]:
+    """The factory that a name stands for.
+
+    Raises:
+        PlanError: when there is none.
+    """
+    parts = reference.split(":")
+    if len(parts) > 3 or not all(parts):
+        raise PlanError(
+            f"--ads: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
+            f"received {reference!r}"
+        )
+    module_name = parts[0] if len(parts) > 1 else f"{EXAMPLES}.{parts[0]}"
+    try:
+        factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
+    except ModuleNotFoundError as error:
+        if len(parts) == 1 and EXAMPLES in (error.name or ""):
+            near = difflib.get_close_matches(reference, policies := _examples(), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise PlanError(
+                f"--ads: expected one of {', '.join(policies)}, or module:factory for a policy of your own, received "
+                f"{reference!r}{hint}"
+            ) from None
+        raise PlanError(
+            f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command where "
+            f"the module is, or give module:factory"
+        ) from None
+    if not callable(factory):
+        raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which is none")
+    return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
+
+
+def _imported(module_name: str) -> ModuleType:
+    """The module; one of the examples comes from the clone in which the command runs, or as it was installed."""
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name != EXAMPLES:
+            raise
+        return importlib.import_module(f"pytest_pafot.{module_name}")
+
+
+def _examples() -> list[str]:
+    """Names of the example policies, without ``defects``, whose factory needs an argument."""
+    names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
+    return [name for name in names if name not in ("conftest", "defects") and not name.startswith("test_")]
+
+
+def world_of(plan: Plan) -> Highway | World:
+    """The world of a plan."""
+    return world_from_dict(dict(plan.world))
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that results depend on."""
+    from importlib import metadata  # noqa: PLC0415
+
+    return {name: metadata.version(name) for name in ("pytest-pafot", "highway-env", "numpy")}
+
+
+def file_name(algorithm: str, run: int) -> str:
+    """Of the results of one run."""
+    return str(PurePath(RUNS) / f"{algorithm}-{run:03}.csv")

@@ -1,0 +1,175 @@
+"""The runs of a comparison, in one process or several, resumable at every finished run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from pytest_pafot.comparison.plan import RUNS, Plan, PlanError, file_name
+from pytest_pafot.comparison.processes import side_by_side
+from pytest_pafot.comparison.rows import text_of, write_whole
+from pytest_pafot.comparison.simulation import Tick, run_rows
+
+QUESTION = "comparison.json"
+RESULTS = "results.csv"
+TIME = ".seconds"
+"""Ending of the file with the wall-clock time of a run, the only thing that is not reproducible."""
+
+POLL_SECONDS = 0.5
+TOLD_EVERY = 10.0
+"""How often progress is told where it cannot be rewritten in place [s]."""
+
+Task = tuple[str, int]
+
+
+def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
+    """Run what is not finished yet, and put all results of the plan together.
+
+    Args:
+        plan: checked.
+        folder: one comparison; what is there of it is kept.
+        workers: processes; 1 runs everything in this one.
+        told: progress, with the time that is left.
+        clock: seconds since any moment.
+
+    Returns:
+        the file with all rows, by algorithm and run in the order of the plan.
+
+    Raises:
+        PlanError: when the folder holds another comparison.
+    """
+    claim(plan, folder)
+    left = [task for task in plan.tasks if not (folder / file_name(*task)).exists()]
+    progress = Progress(total=len(plan.tasks), done=len(plan.tasks) - len(left), told=told, clock=clock)
+    for task in _done(plan, folder, left, progress, workers):
+        progress.finished(task)
+    progress.close()
+    parts = [(folder / file_name(*task)).read_text(encoding="utf-8") for task in sorted(plan.tasks, key=_order(plan))]
+    header = parts[0].partition("\n")[0] + "\n"
+    write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
+    return folder / RESULTS
+
+
+def claim(plan: Plan, folder: Path) -> None:
+    """Make the folder one of this comparison.
+
+    Raises:
+        PlanError: when it is of another one.
+    """
+    path = folder / QUESTION
+    holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no run was finished is free.
+    if holds_results and path.exists() and path.read_text(encoding="utf-8") != plan.question:
+        raise PlanError(
+            f"--out: expected an empty folder or one of this comparison, received {folder}, whose {QUESTION} differs "
+            "in the policy, the budget, the world, the seed or the versions; give another folder, or the same arguments"
+        )
+    write_whole(path, plan.question)
+
+
+@dataclass(slots=True)
+class Progress:
+    """Tells how far the runs are and how long they will take.
+
+    Attributes:
+        total, done: runs.
+        told: where to.
+        clock: seconds since any moment.
+    """
+
+    total: int
+    done: int
+    told: TextIO
+    clock: Callable[[], float]
+    started: float = 0.0
+    told_at: float = float("-inf")
+    first_done: int = 0
+
+    def __post_init__(self) -> None:
+        self.started, self.first_done = self.clock(), self.done
+
+    def tick(self, shares: float) -> None:
+        """Told the sum of the shares of the runs that are going on."""
+        now = self.clock()
+        is_terminal = self.told.isatty()
+        if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
+            return
+        self.told_at = now
+        self.told.write(f"\r{self.line(shares, now)}\x1b[K" if is_terminal else f"{self.line(shares, now)}\n")
+        self.told.flush()
+
+    def line(self, shares: float, now: float) -> str:
+        """``compare: 12 of 30 runs, 43 %, 6 min left``."""
+        share = (self.done + shares) / max(self.total, 1)
+        gained = self.done - self.first_done + shares
+        missing = self.total - self.done - shares
+        left = "" if gained <= 0.02 else f", {_duration((now - self.started) / gained * missing)} left"
+        return f"compare: {self.done} of {self.total} runs, {share:.0%}{left}".replace("%", " %")
+
+    def finished(self, task: Task) -> None:
+        """One more run."""
+        self.done += 1
+        if not self.told.isatty():
+            spent = _duration(self.clock() - self.started)
+            self.told.write(f"compare: {self.done} of {self.total} runs, {task[0]} run {task[1]} done after {spent}\n")
+            self.told.flush()
+
+    def close(self) -> None:
+        """End the line that was rewritten."""
+        if self.told.isatty():
+            self.told.write("\r\x1b[K")
+            self.told.flush()
+
+
+def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:
+    """Each task when its results are written."""
+    work = Runner(plan, folder)
+    if workers > 1:
+        yield from side_by_side(work, tasks, workers, progress.tick)
+        return
+    for task in tasks:
+        work(task, progress.tick)
+        yield task
+
+
+@dataclass(frozen=True, slots=True)
+class Runner:
+    """Runs one task and writes its results; a value, so that it travels to workers."""
+
+    plan: Plan
+    folder: Path
+
+    def __call__(self, task: Task, tick: Tick) -> None:
+        """Simulate, then write all rows at once, and beside them the wall-clock time."""
+        started = time.perf_counter()
+        told = _Sparse(tick)
+        path = self.folder / file_name(*task)
+        text = text_of(run_rows(self.plan, *task, told))
+        write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.1f}\n")
+        write_whole(path, text)
+
+
+@dataclass(slots=True)
+class _Sparse:
+    """Passes on every hundredth, so that telling costs nothing."""
+
+    tick: Tick
+    last: float = -1.0
+
+    def __call__(self, share: float) -> None:
+        if share - self.last >= 0.01:
+            self.last = share
+            self.tick(share)
+
+
+def _order(plan: Plan) -> Callable[[Task], tuple[int, int]]:
+    places = {name: place for place, name in enumerate(plan.algorithms)}
+    return lambda task: (places[task[0]], task[1])
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

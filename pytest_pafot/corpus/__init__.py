@@ -1,0 +1,1 @@
+"""Saved scenarios as files: the only room that knows yaml."""

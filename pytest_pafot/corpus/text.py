@@ -1,0 +1,208 @@
+"""The text of a corpus file: for people to read, and for version control to compare line by line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields
+from enum import Enum
+from typing import Any
+
+import yaml
+
+from pytest_pafot.corpus.schema import VERSION
+from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.scenario import PositionInstruction, Scenario
+
+WIDTH = 120
+COMMENT_COLUMN = 34
+DEFAULT_GENE_SECONDS = 10.0
+
+_SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
+_BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
+_TRUTHS = frozenset("yYnN")  # for YAML 1.1, but not for PyYAML
+_RESOLVER: Any = yaml.resolver.Resolver()
+
+
+def text_of(finding: Finding) -> str:
+    """The file's whole text, with LF line ends."""
+    found = finding.found
+    lines = [
+        f"{f'pafot: {VERSION}':30}# format version",
+        f"test: {_block_scalar(finding.test)}",
+        *_flow_lines("world", finding.world),
+        *_scenario_lines("scenario", finding.scenario),
+        *_expect_lines(finding.expect),
+        *_flow_lines(
+            "found",
+            {
+                "seed": found.seed,
+                "generation": found.generation,
+                "algorithm": found.algorithm,
+                "versions": found.versions,
+            },
+        ),
+        *([] if finding.original is None else _scenario_lines("original", finding.original)),
+        *([] if finding.shrunk is None else _flow_lines("shrunk", asdict(finding.shrunk))),
+        *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
+        '# xfail: "reason"' if finding.xfail is None else f"xfail: {_quoted(finding.xfail)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
+    yield f"{key}:"
+    yield f"  seed: {scenario.seed}"
+    yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"
+    if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
+        yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
+    yield "  npcs:"
+    for chain in scenario.npcs:
+        for gene, instruction in enumerate(chain):
+            bullet = "    - - " if gene == 0 else "      - "
+            if isinstance(instruction, PositionInstruction):
+                entry = f"{bullet}{{cell: {instruction.target}, speed: {_number(instruction.speed)}}}"
+                yield f"{entry:{COMMENT_COLUMN}}# {instruction.cell.label}"
+            else:
+                yield f"{bullet}{{lane: {instruction.target}, speed: {_number(instruction.speed)}}}"
+
+
+def _expect_lines(expect: Expect) -> Iterator[str]:
+    """One flow mapping; a block of lines where a text has several lines itself."""
+    entries = _present(expect)
+    if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
+        yield from _flow_lines("expect", entries)
+        return
+    yield "expect:"
+    for key, value in entries.items():
+        yield from _block_entry(key, value)
+
+
+def _present(expect: Expect) -> dict[str, Any]:
+    order = ["failure", "assertion", "message", "outcome", "time", "npc", "cell", "side", "responsibility"]
+    order += [field.name for field in fields(expect) if field.name not in order and field.name != "traceback"]
+    entries = {name: getattr(expect, name) for name in [*order, "traceback"]}
+    return {name: value for name, value in entries.items() if value not in (None, "", ()) or name == "failure"}
+
+
+def _block_entry(key: str, value: object) -> Iterator[str]:
+    if isinstance(value, str) and _fits_literal(value):
+        body = value.removesuffix("\n")
+        yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
+        yield from (f"    {line}" if line else "" for line in body.split("\n"))
+    else:
+        yield f"  {key}: {_flow(value)}"
+
+
+def _fits_literal(text: str) -> bool:
+    """Whether a literal block gives the text back: printable lines, the first and the last with a beginning."""
+    lines = text.removesuffix("\n").split("\n")
+    is_plain = all(line.replace("\t", "").isprintable() for line in lines)
+    return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
+
+
+def _flow_lines(key: str, value: Mapping[str, Any]) -> list[str]:
+    """``key: {...}``, filled up to the width; what does not fit into a line goes on under its own first entry."""
+    return _hanging(f"{key}: ", value, "", 0)
+
+
+def _hanging(head: str, value: Any, tail: str, column: int) -> list[str]:
+    """Lines of a head, a mapping or list, and a tail.
+
+    Args:
+        head: what stands before the value, such as its key.
+        value: the mapping or list.
+        tail: what stands after it.
+        column: in which the head begins; whoever calls puts the first line there.
+    """
+    if not value:
+        return [head + _flow(value) + tail]
+    is_mapping = isinstance(value, Mapping)
+    entries = list(value.items()) if is_mapping else [(None, each) for each in value]
+    opening, closing = "{}" if is_mapping else "[]"
+    lines, inner, is_broken = [head + opening], column + len(head) + 1, False
+    for index, (key, each) in enumerate(entries):
+        start = "" if key is None else f"{_scalar(key)}: "
+        end = closing + tail if index == len(entries) - 1 else ","
+        whole = start + _flow(each) + end
+        is_whole = inner + len(whole) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
+        first, *others = [whole] if is_whole else _hanging(start, each, end, inner)
+        at = len(lines[-1]) + (column if len(lines) == 1 else 0)
+        if index == 0:
+            lines[-1] += first
+        elif is_whole and not is_broken and at + 1 + len(first) <= WIDTH:
+            lines[-1] += f" {first}"
+        else:
+            lines.append(" " * inner + first)
+        lines += others
+        is_broken = bool(others)
+    return lines
+
+
+def _flow(value: object) -> str:
+    """A value in flow style, on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_scalar(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return _scalar(value)
+
+
+def _scalar(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(int(value))
+    if isinstance(value, float):
+        return _number(value)
+    text = str(value.value if isinstance(value, Enum) else value)
+    return text if _is_plain(text, "") else _quoted(text)
+
+
+def _block_scalar(text: str) -> str:
+    """A text on a line of its own, where brackets and ``::`` need no quotes."""
+    return text if _is_plain(text, ":[],") else _quoted(text)
+
+
+def _is_plain(text: str, also: str) -> bool:
+    """Whether a text needs no quotes: YAML 1.1 and 1.2 read it as that very text, inside brackets too.
+
+    Args:
+        text: the text.
+        also: characters that may occur beside the usual ones; YAML gives them no meaning outside brackets.
+    """
+    if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
+        return False
+    is_bounded = not text.endswith((" ", ":")) and ": " not in text and text not in _TRUTHS
+    tag = _RESOLVER.resolve(yaml.ScalarNode, text, (True, False))
+    return is_bounded and bool(tag == "tag:yaml.org,2002:str")
+
+
+def _number(value: float) -> str:
+    text = float.__repr__(value)
+    if text in ("inf", "-inf"):
+        return text.replace("inf", ".inf")
+    mantissa, exponent, power = text.partition("e")
+    return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
+
+
+def _quoted(text: str) -> str:
+    """In double quotes, with everything escaped that is not printable.
+
+    A lone surrogate, which no text file can hold, becomes the replacement character.
+    """
+    return '"' + "".join(map(_escaped, text)) + '"'
+
+
+def _escaped(character: str) -> str:
+    if character in '"\\':
+        return "\\" + character
+    if character.isprintable():
+        return character
+    if "\ud800" <= character <= "\udfff":
+        return "\ufffd"
+    short = {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(character)
+    code = ord(character)
+    return short or (f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" if code < 65536 else f"\\U{code:08x}")

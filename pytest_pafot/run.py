@@ -1,0 +1,363 @@
+"""One simulated run as the user's test function sees it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_pafot import criticality
+from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
+from pytest_pafot.grid import Cell, cell_at
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import (
+    ACROSS,
+    ALONG,
+    HEADING,
+    LANE,
+    STRETCH,
+    AdsError,
+    Collision,
+    FloatArray,
+    Outcome,
+    Trace,
+    X,
+    Y,
+)
+
+LINE_LENGTH = 99
+_DEPARTURES = {
+    Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
+    Outcome.LEFT_ROUTE: ", when the ego left its route",
+}
+MAX_GENE_ROWS = 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """An NPC at one tick.
+
+    Attributes:
+        npc: index in the scenario.
+        tick: physics tick.
+        time: of that tick [s].
+        cell: that the NPC's centre is in, or the last one before where it is in the ego's own; None if it never
+            was in another.
+    """
+
+    npc: int
+    tick: int
+    time: float
+    cell: Cell | None
+
+
+class NoReferenceDriversError(RuntimeError):
+    """The run does not know its world, so that no reference driver can be tried in it."""
+
+
+Prevent = Callable[[Scenario], tuple[str, ...]]
+"""Names of the reference drivers that survive a scenario."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """What happened in one run: a view of its trace, whose measures are computed when first asked for.
+
+    Attributes:
+        trace: the record, tick by tick.
+        decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
+        prevent: tries the reference drivers in the world of this run; see :attr:`preventable_by`.
+    """
+
+    trace: Trace
+    decision_limit: float | None = field(default=None, kw_only=True)
+    prevent: Prevent | None = field(default=None, kw_only=True)
+
+    if not TYPE_CHECKING:  # type checkers know every name
+
+        def __getattr__(self, name: str) -> Any:
+            """Only called for what there is not: name what is near."""
+            __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+            if hasattr(type(self), name):
+                return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
+            known = [each for each in dir(self) if not each.startswith("_")]
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
+            raise AttributeError(f"a run has no attribute {name!r}; {hint}")
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario as driven; running it again gives this run again."""
+        return self.trace.executed
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return self.trace.outcome
+
+    @property
+    def collision(self) -> Collision | None:
+        """The ego's collision, or None."""
+        return self.trace.collision
+
+    @property
+    def ads_error(self) -> AdsError | None:
+        """What the ADS did instead of returning an action, or None."""
+        return self.trace.error
+
+    @property
+    def off_road(self) -> bool:
+        """Whether the ego's centre was off the road at some tick."""
+        return self.trace.off_road_tick is not None
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.trace.duration
+
+    @property
+    def max_decision_time(self) -> float:
+        """Longest decision of the ADS in wall-clock time [s]; not reproducible."""
+        return self.trace.max_decision_seconds
+
+    @property
+    def too_slow(self) -> bool:
+        """Whether a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
+        return self.decision_limit is not None and self.max_decision_time > self.decision_limit
+
+    @cached_property
+    def _encounters(self) -> criticality.Encounters:
+        return criticality.Encounters(self.trace)
+
+    @cached_property
+    def mettc(self) -> float:
+        """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none."""
+        return self._encounters.mettc
+
+    @cached_property
+    def min_ttc(self) -> float:
+        """Least constant-velocity time to contact of the boxes [s]; lower is worse, inf if there is none."""
+        return self._encounters.min_ttc
+
+    @cached_property
+    def min_distance(self) -> float:
+        """Least distance between the boxes [m]; lower is worse, 0 at contact."""
+        return self._encounters.min_gap
+
+    @cached_property
+    def min_centre_distance(self) -> float:
+        """The paper's minimum distance, between centres [m]; lower is worse."""
+        return self._encounters.min_centre_distance
+
+    @cached_property
+    def hardest_brake(self) -> float:
+        """The ego's largest deceleration [m/s^2], positive; higher is worse."""
+        return criticality.hardest_brake(self.trace)
+
+    @cached_property
+    def attribution(self) -> Attribution:
+        """Who caused the collision, since when it was dangerous, and why."""
+        return rss_rule(self.trace)
+
+    @property
+    def responsibility(self) -> str | None:
+        """Who caused the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
+        verdict = self.attribution.responsibility
+        return None if verdict == "none" else verdict
+
+    @property
+    def second_opinion(self) -> str | None:
+        """Who caused it by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
+        verdict = position_rule(self.trace)
+        return None if verdict == "none" else verdict
+
+    @cached_property
+    def preventable_by(self) -> tuple[str, ...]:
+        """Names of the reference drivers that survive the same scenario in the ego's place; simulated when asked for.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.prevent is None:
+            raise NoReferenceDriversError(
+                "run.preventable_by: expected a run that knows its world, such as a search or pafot_simulate gives, "
+                "received one that was made of a trace alone; use Run(trace, prevent=world.preventable_by)"
+            )
+        return self.prevent(self.scenario)
+
+    @cached_property
+    def worst_ttc(self) -> Moment | None:
+        """When and where the time to contact was least; None where it never was finite."""
+        return _at_minimum(self.trace, self._encounters.ttc)
+
+    @cached_property
+    def closest_approach(self) -> Moment | None:
+        """When and where the boxes were closest."""
+        return _at_minimum(self.trace, self._encounters.gap)
+
+    @property
+    def closest_time(self) -> float:
+        """When the boxes were closest [s]."""
+        return self.duration if self.closest_approach is None else self.closest_approach.time
+
+    @cached_property
+    def event_time(self) -> float:
+        """When the thing happened that the run is about [s].
+
+        Of the collision, the ADS's error or the departure from the road; else of the least time to contact; else
+        of the closest approach.
+        """
+        if self.collision is not None:
+            return self.collision.time
+        if self.ads_error is not None:
+            return self.ads_error.tick / self.trace.physics_hz
+        if self.trace.off_road_tick is not None:
+            return self.trace.off_road_tick / self.trace.physics_hz
+        return self.worst_ttc.time if self.worst_ttc is not None else self.closest_time
+
+    @property
+    def event_npc(self) -> int | None:
+        """The NPC that collided, or the one with the least time to contact; None if there is none."""
+        if self.collision is not None:
+            return self.collision.npc
+        return None if self.worst_ttc is None else self.worst_ttc.npc
+
+    @property
+    def event_cell(self) -> Cell | None:
+        """The cell that :attr:`event_npc` was in at that moment."""
+        if self.collision is not None:
+            return self.collision.cell
+        return None if self.worst_ttc is None else self.worst_ttc.cell
+
+    def explain(self) -> str:
+        """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
+        lines = [self._headline(), *self._measures(), *self._responsibility_line(), *_gene_table(self.trace)]
+        lines.append(f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}")
+        return "\n".join(_ascii(line) for line in lines)
+
+    def _headline(self) -> str:
+        hit = self.collision
+        if hit is not None:
+            return (
+                f"collision after {hit.time:.1f} s: NPC {hit.npc} in cell {int(hit.cell)} ({hit.cell.label}) "
+                f"against the ego's {hit.side}"
+            )
+        if self.ads_error is not None:
+            kind = "ADS hangs" if self.outcome is Outcome.HANG else "ADS error"
+            return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
+        if self.outcome is Outcome.INVALID:
+            return f"invalid after {self.duration:.1f} s: two NPCs touched"
+        if self.off_road:
+            return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s"
+        return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
+
+    def _measures(self) -> list[str]:
+        brake = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
+        if self.collision is not None:
+            hit = self.collision
+            speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
+            return [f"  at the impact: {speeds}", f"  {brake}"]
+        lines = []
+        if self.worst_ttc is not None:
+            worst = self.worst_ttc
+            place = "" if worst.cell is None else f" in cell {int(worst.cell)} ({worst.cell.label})"
+            lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
+        lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
+        return lines
+
+    def _responsibility_line(self) -> list[str]:
+        if self.responsibility is None:
+            return []
+        sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
+        if self.second_opinion != self.responsibility:
+            sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
+        return wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
+
+    def __repr__(self) -> str:
+        return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
+
+
+def _at_minimum(trace: Trace, measure: FloatArray) -> Moment | None:
+    """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
+    values = np.where(np.isnan(measure), np.inf, measure).T
+    if values.size == 0 or not np.isfinite(values.min()):
+        return None
+    tick, npc = divmod(int(values.argmin()), values.shape[1])
+    return Moment(npc=npc, tick=tick, time=tick / trace.physics_hz, cell=_cell_until(trace, npc, tick))
+
+
+def _cell_until(trace: Trace, npc: int, tick: int) -> Cell | None:
+    """The last cell up to a tick that was not the ego's own, in the frame of the ego's lane."""
+    for row in range(tick, -1, -1):
+        cell = _cell_now(trace, npc, row)
+        if cell is not None:
+            return cell
+    return None
+
+
+def _cell_now(trace: Trace, npc: int, tick: int) -> Cell | None:
+    if trace.track is not None:
+        return _cell_on_track(trace, npc, tick)
+    ego, other = trace.ego[tick], trace.npcs[tick, npc]
+    lane = trace.lanes[int(ego[LANE])] if 0 <= ego[LANE] < len(trace.lanes) else None
+    heading = float(ego[HEADING]) if lane is None else lane.heading
+    width = trace.lanes[0].width if lane is None else lane.width
+    dx, dy = float(other[X] - ego[X]), float(other[Y] - ego[Y])
+    ahead = dx * np.cos(heading) + dy * np.sin(heading)
+    right = dy * np.cos(heading) - dx * np.sin(heading)
+    return cell_at(float(ahead), float(right), float(trace.sizes[0, 0]), width)
+
+
+def _cell_on_track(trace: Trace, npc: int, tick: int) -> Cell | None:
+    """The same on a road that is not straight."""
+    ego, other = trace.track_of(0)[tick], trace.track_of(npc + 1)[tick]
+    ahead = (other[ALONG] - ego[ALONG]) * (other[STRETCH] + ego[STRETCH]) / 2
+    width = trace.lanes[max(int(trace.ego[tick, LANE]), 0)].width
+    return cell_at(float(ahead), float(other[ACROSS] - ego[ACROSS]), float(trace.sizes[0, 0]), width)
+
+
+def _gene_table(trace: Trace) -> list[str]:
+    """The Position-Instructions that the run started: a row per gene, a column per NPC, times in seconds."""
+    scenario = trace.executed
+    started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
+    reached = {1: "reached at ", 2: "reached "}.get(len(scenario.npcs), "")  # as many words as there is room for
+    header = ["  from [s]", *(f"NPC {npc}" for npc in range(len(scenario.npcs)))]
+    rows = [
+        [
+            f"{gene * scenario.gene_seconds:10.1f}",
+            *(_gene(trace, npc, gene, reached) for npc in range(len(scenario.npcs))),
+        ]
+        for gene in range(started)
+    ]
+    shown = rows[-MAX_GENE_ROWS:]
+    widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
+    skipped = len(rows) - len(shown)
+    if skipped:
+        lines[0] += f"  ({skipped} earlier)"
+    return [line.rstrip() for line in lines]
+
+
+def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
+    """One instruction; how an arrival is told is empty where there is no room for it."""
+    chain = trace.chains[npc]
+    if gene >= len(chain):
+        return "-"
+    instruction = chain[gene]
+    if not reached:
+        return f"{instruction.target} {instruction.speed:.1f}"
+    arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+    arrival = arrivals[gene] if gene < len(arrivals) else None
+    end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
+    return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+
+
+def _ascii(line: str) -> str:
+    text = " ".join(line.splitlines()).encode("ascii", "backslashreplace").decode("ascii")
+    text = "".join(character if character.isprintable() else "?" for character in text)
+    return text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..."

@@ -1,0 +1,1 @@
+"""Who drives: kinds of ADS, the guard of their decisions, vehicles, drivers of NPCs."""

@@ -1,0 +1,163 @@
+"""Who drives where on roads of any shape: the director with lanes that bend, begin and end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director, Npc
+from pytest_pafot.world.kernel.driver import following_speed, gap_speed
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.roads.network import NetworkRoad
+
+LOOK_AHEAD = 3.0
+"""For how long a lane must go on to be entered, and from how long before its end on it is left [s]."""
+HEADING_SHARE = 0.9
+"""Share of the largest angle to a lane that is used to the lane that an NPC steers to: the one beside it, in which it
+still is, does not point exactly the same way where bends begin and end."""
+CHANGING_SHARE = 0.3
+"""Share of the lateral acceleration that following a bend may take of an NPC that speeds up while it changes lanes."""
+BETWEEN_LANES = 0.5
+"""How far from the centre of the lane that it steers to an NPC still changes lanes [m]."""
+
+
+class NetworkDirector(Director):
+    """Drives the NPCs of one run on a :class:`NetworkRoad`.
+
+    What differs from a straight road: a lane is only entered where it goes on, and left before it ends; the speed is
+    at most what bends and ends ahead leave; steering follows the lane; an NPC behind the ego that has no lane to pass
+    in follows it; steps on the ring skip cells that do not exist. Bodies have the position across the road in the
+    measure of lanes, and the heading to the ego's way; an NPC's course is a direction in the world.
+
+    Args:
+        scenario: of Position-Instructions.
+        road: on which all drive.
+        limits: of every NPC.
+        start_cells: the cells in which an NPC may start.
+        common: as for :class:`Director`.
+    """
+
+    def __init__(
+        self, scenario: Scenario, road: NetworkRoad, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
+    ) -> None:
+        narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
+        super().__init__(scenario, road, narrower, **common)
+        self.skips = True
+        self._network = road
+        self._start_cells = start_cells
+        self._jerk = limits.jerk
+        self._lateral = limits.lateral_acceleration
+        self._dt = 1 / common["physics_hz"]
+
+    @property
+    def executed(self) -> Scenario:
+        """The scenario as driven, where it can be written so; else as requested.
+
+        A chain of a scenario steps from cell to neighbouring cell. Where cells were skipped, no chain says so, and the
+        scenario stays what it was, which gives the same run again as well.
+        """
+        return self._scenario if self.driven else super().executed
+
+    @property
+    def driven(self) -> tuple[tuple[Cell, ...], ...]:
+        """Per NPC and started gene, the cell that it drove to, where cells were skipped; else nothing."""
+        cells = tuple(tuple(npc.executed) for npc in self.npcs)
+        written = super().executed.positions
+        is_written = all(
+            [gene.cell for gene in chain[: len(row)]] == list(row) for chain, row in zip(written, cells, strict=True)
+        )
+        return () if is_written else cells
+
+    def _first_existing(self) -> frozenset[Cell]:
+        return self._start_cells
+
+    def _existing(self, ego: Body) -> frozenset[Cell]:
+        return self._network.cells(ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego))
+
+    def _stretch(self, body: Body) -> float:
+        """Metres driven per metre of the way, in the lane of a vehicle."""
+        across, _, _ = self._network.lane_at(body.lane, body.x)
+        return self._network.stretch(body.x, across)
+
+    def _control(self, npc: Npc, ego: Body) -> None:
+        goal, wanted = self._aim(npc, ego)
+        npc.heading_for = goal
+        wanted = self._following(npc, wanted)
+        gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
+        for lane in (npc.lane, goal):
+            wanted = min(wanted, self._network.speed_at(lane, npc.x) - gained)
+        wanted = min(wanted, max(npc.speed, self._changing_speed(npc, goal)))
+        npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
+        npc.acceleration = npc.asked
+        self._steer(npc, goal)
+
+    def _changing_speed(self, npc: Npc, goal: int) -> float:
+        """Up to which an NPC speeds up now [m/s]: turned outwards in a bend, it must still be able to turn back."""
+        if abs(npc.y - self._network.centre(goal)) <= BETWEEN_LANES:
+            return math.inf
+        return math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
+
+    def _sharpest(self, npc: Npc, goal: int) -> float:
+        """Curvature of the sharpest bend of a lane that an NPC meets in a lane change [1/m]."""
+        return self._network.columns[goal].sharpest[self._network.point(npc.x)]
+
+    def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
+        """The lane to steer to, and the speed that the instruction asks for."""
+        target_lane = ego.lane + npc.column
+        stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
+        target = ego.x + npc.target / ego_stretch
+        distance = (target - npc.x) * stretch
+        if npc.kept_lane < 0:
+            exists = self._network.exists(target_lane, target)
+            self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
+        if npc.kept_lane >= 0:
+            return self._next_lane(npc, npc.kept_lane, ego), npc.kept_speed
+        goal = self._next_lane(npc, target_lane, ego)
+        wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
+        if goal != npc.lane:
+            wanted = min(wanted, self._network.speed_at(goal, npc.x))
+        wanted = self._creeping(npc, goal, wanted)
+        if npc.lane == goal == ego.lane and npc.x < ego.x < target:
+            gap = (ego.x - npc.x) * stretch - self._row
+            wanted = min(wanted, following_speed(gap, ego.speed, npc.speed))
+        return goal, wanted
+
+    def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
+        """One step nearer to the target where that lane goes on; out of a lane that ends."""
+        wanted = self._step(npc, target_lane, ego)
+        if wanted != npc.lane or self._goes_on(npc.lane, npc):
+            return wanted
+        for side in sorted((npc.lane - 1, npc.lane + 1), key=lambda each: abs(each - ego.lane)):
+            if self._goes_on(side, npc):
+                return self._step(npc, side, ego)
+        return npc.lane
+
+    def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
+        step = super()._next_lane(npc, target_lane, ego)
+        is_slow_enough = npc.speed <= self._network.speed_at(step, npc.x)
+        return step if self._goes_on(step, npc) and is_slow_enough else npc.lane
+
+    def _goes_on(self, lane: int, npc: Npc) -> bool:
+        """Whether a lane is there for an NPC, from its rear to where it is some seconds later."""
+        rear, later = npc.x - self._length, npc.x + self._length + LOOK_AHEAD * npc.speed
+        return self._network.continues(lane, max(rear, 0.0), later)
+
+    def _steer(self, npc: Npc, goal: int) -> None:
+        network, driver = self._network, self._driver
+        across, direction, lean = network.lane_at(goal, npc.x)
+        reach = npc.speed * self._dt / network.stretch(npc.x, across)
+        _, later_direction, later_lean = network.lane_at(goal, npc.x + reach)
+        npc.steering = driver.steering_in_bend(
+            npc.y - network.centre(goal),
+            network.heading_at(npc.x) + npc.heading - direction,
+            npc.course - direction if self._tick else 0.0,
+            npc.speed,
+            lean,
+            later_direction + later_lean - direction - lean,
+            self._sharpest(npc, goal),
+        )
+        npc.course = driver.course + direction

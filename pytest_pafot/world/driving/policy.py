@@ -1,0 +1,162 @@
+"""ADSs that speak an environment's own language, and the view of it that planners inside it get."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.road.road import Road
+from highway_env.utils import class_from_path
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.world.driving.kinematics import observer
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
+
+
+class Policy:
+    """Kinds (b) and (d): a callable from the environment's observation to its action.
+
+    Args:
+        ads: the callable.
+        env: the environment of this run; its road and ego are those of the run.
+        every: physics ticks per decision.
+        view: of kind (d), shown to the planner before each decision.
+    """
+
+    def __init__(self, ads: Any, env: Any, every: int, view: View | None = None) -> None:
+        check_action_space(env.action_space)
+        self.vehicle = env.vehicle
+        self.every = every
+        self._ads = ads
+        self._env = env
+        self._observe = observer(env)
+        self._view = view
+
+    def decide(self, tick: int) -> Any:
+        """Observe, ask, check and apply."""
+        return self.apply(self._ads(self.observe(tick)))
+
+    def observe(self, tick: int) -> Any:
+        """What the ADS sees."""
+        env = self._env
+        env.steps = tick
+        env.time = tick / env.config["simulation_frequency"]
+        if self._view is not None:
+            self._view.show(tick)
+        return self._observe()
+
+    def apply(self, action: Any) -> Any:
+        """Check an action, apply it, and return it as checked."""
+        checked = checked_action(action, self._env.action_space)
+        self._env.action_type.act(checked)
+        return checked
+
+    def actuate(self) -> None:
+        """Low-level control of highway-env's controlled vehicles."""
+        self.vehicle.act()
+
+
+def check_action_space(space: Any) -> None:
+    """Refuse actions that are not for one vehicle.
+
+    Raises:
+        WorldError: with the space.
+    """
+    if not isinstance(space, (spaces.Discrete, spaces.Box)):
+        raise WorldError(
+            f"config.action: expected a discrete or continuous action for one vehicle, received the space "
+            f"{space}; multi-agent actions have no single ego"
+        )
+
+
+def checked_action(action: Any, space: Any) -> Any:
+    """An action as the space has it: an int, or a float array of its shape.
+
+    Raises:
+        BadAction: when it is none, or not finite.
+    """
+    if isinstance(space, spaces.Discrete):
+        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
+        try:
+            array = np.asarray(action)
+        except (TypeError, ValueError):  # such as rows of different lengths
+            raise _bad(expected, action) from None
+        if array.size != 1 or array.dtype.kind not in "iu" or not space.contains(int(array.reshape(()))):
+            raise _bad(expected, action, _hint_at_choice(array, space))
+        return int(array.reshape(()))
+    expected = f"expected finite numbers of shape {space.shape}"
+    try:
+        given = np.asarray(action)
+    except (TypeError, ValueError):
+        raise _bad(expected, action) from None
+    if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
+        raise _bad(expected, action)
+    return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
+
+
+def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
+    hint = hint_at(action) or hint
+    return BadAction(f"{expected}, received {shown(action)}{f'; {hint}' if hint else ''}")
+
+
+def _hint_at_choice(array: Any, space: Any) -> str:
+    """What an array probably is that should have been the number of an action."""
+    if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
+        return "planners in SI units drive in pafot.Highway, that is without world="
+    if array.dtype.kind == "f" and array.size == space.n:
+        return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
+    if array.dtype.kind == "f" and array.size == 1:
+        return "return `int(...)` of it"
+    return ""
+
+
+def moved(objects: Sequence[Any], road: Road) -> list[Any]:
+    """Copies of a road's fixed objects on another road."""
+    copies = [copy.copy(each) for each in objects]
+    for each in copies:
+        each.road = road
+    return copies
+
+
+class View:
+    """An environment for a planner to copy and simulate in, in step with the run but blind to the NPCs' genes.
+
+    The ego is a copy of the run's; every other vehicle is one of the environment's own traffic class, at the same
+    state and with the wish to keep its speed, which is all that an observer can know.
+    """
+
+    def __init__(self, env: Any, run_env: Any) -> None:
+        self.env = env
+        self._run_env = run_env
+        self._traffic = class_from_path(env.config["other_vehicles_type"])
+        self.show(0)
+
+    def show(self, tick: int) -> None:
+        """Bring the view up to the run's state."""
+        source, env = self._run_env, self.env
+        road = Road(
+            source.road.network,
+            np_random=np.random.default_rng(tick),
+            neighbour_vehicles_connected_lanes=source.road.neighbour_vehicles_connected_lanes,
+        )
+        ego = copy.copy(source.vehicle)
+        ego.road = road
+        ego.position = np.array(source.vehicle.position)
+        ego.action = dict(source.vehicle.action)
+        ego.check_collisions = True
+        road.objects = moved(source.road.objects, road)
+        road.vehicles = [ego, *(self._stranger(road, other) for other in source.road.vehicles[1:])]
+        env.road = road
+        env.controlled_vehicles = [ego]
+        env.np_random = road.np_random
+        env.steps, env.time, env.done = source.steps, source.time, False
+        env.define_spaces()
+        env.action_space.seed(tick)  # planners sample from it
+        env.observation_space.seed(tick)
+
+    def _stranger(self, road: Road, other: Vehicle) -> Vehicle:
+        return self._traffic(road, np.array(other.position), float(other.heading), float(other.speed))

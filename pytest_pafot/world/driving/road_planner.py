@@ -1,0 +1,78 @@
+"""Reference drivers on roads of any shape: they see the road as if it were straight, and steer along its bends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from highway_env.road.road import Road
+
+from pytest_pafot.world.driving.ads import Planner
+from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.roads.network import NetworkRoad, Spot
+
+
+class RoadPlanner(Planner):
+    """A callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]), with the road straightened out.
+
+    Positions are along the ego's way and in the measure of lanes, distances as they are driven, headings to the lane.
+    The steering is that beside what following the lane takes.
+
+    Args:
+        ads: the callable.
+        road: highway-env's, with its vehicles.
+        network: along which they drive.
+        ego: the vehicle that it drives.
+        physics_hz: ticks per second; it decides at each.
+        starts: where along the road vehicles start [m].
+    """
+
+    def __init__(
+        self,
+        ads: Callable[[Observation], Any],
+        road: Road,
+        network: NetworkRoad,
+        ego: Car,
+        physics_hz: int,
+        starts: Sequence[float],
+    ) -> None:
+        super().__init__(ads, road, network, ego, physics_hz, 1)
+        self._network = network
+        self._starts = starts
+        self._places: list[float] = []
+        self._lean = 0.0
+
+    def decide(self, tick: int) -> tuple[float, float]:
+        """Observe, ask, check and apply, with the steering that the bend takes."""
+        action = super().decide(tick)
+        along_the_lane = math.atan(2 * math.tan(-self._lean))
+        self.vehicle.control(self.vehicle.acceleration, self.vehicle.steering + along_the_lane)
+        return action
+
+    def observe(self, tick: int) -> Observation:
+        """The scene as it is now."""
+        network, vehicles = self._network, self._road.vehicles
+        near = self._places or [self._started(vehicle) for vehicle in vehicles]
+        spots = [network.spot(v.x, v.y, v.heading, place) for v, place in zip(vehicles, near, strict=True)]
+        self._places = [spot.along for spot in spots]
+        own = spots[0]
+        self._lean = network.lane_at(own.lane, own.along)[2]
+        states = [self._state(vehicle, spot, own) for vehicle, spot in zip(vehicles, spots, strict=True)]
+        lanes, width, limit = len(network.columns), network.lane_width, network.speed_limit
+        return Observation(tick / self._physics_hz, states[0], tuple(states[1:]), lanes, width, limit)
+
+    def _state(self, vehicle: Car, spot: Spot, own: Spot) -> VehicleState:
+        network = self._network
+        stretch = (network.stretch(spot.along, spot.across) + network.stretch(own.along, own.across)) / 2
+        _, direction, lean = network.lane_at(spot.lane, spot.along)
+        heading = spot.angle + network.heading_at(spot.along) - direction - lean
+        x = own.along + (spot.along - own.along) * stretch
+        y = network.in_lanes(spot)
+        return VehicleState(x, y, heading, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)
+
+    def _started(self, vehicle: Car) -> float:
+        """Of all places where vehicles start, the nearest to one."""
+        at = (vehicle.x, vehicle.y)
+        return min(self._starts, key=lambda along: math.dist(at, self._network.reference(along)[:2]))

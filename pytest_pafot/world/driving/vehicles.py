@@ -1,0 +1,222 @@
+"""highway-env's road and vehicles, trimmed to what a run needs.
+
+The vehicles are real subclasses, so that highway-env's own drivers see them as their kind. What differs is
+cost: the state is plain floats instead of arrays, and the lane search knows that lanes are parallel. The
+equations are highway-env's, operation by operation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.trace import Lane
+from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.roads.straight import StraightRoad, parallel_along_x
+
+BOX_STEP = 1.0
+"""Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""
+ROUNDING = 1e-6
+"""Far more than the rounding errors of a distance [m]."""
+
+
+class ParallelLanes(RoadNetwork):  # type: ignore[misc]
+    """A road network of parallel straight lanes along x, with a lane search that costs a few additions."""
+
+    def __init__(self, network: RoadNetwork) -> None:
+        super().__init__()
+        self.graph = network.graph
+        ((self._start, ends),) = self.graph.items()
+        ((self._end, lanes),) = ends.items()
+        first = lanes[0]
+        self._x, self._y = float(first.start[0]), float(first.start[1])
+        self._grid = Lanes(len(lanes), float(first.width), float(first.length))
+
+    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
+        """As highway-env's: least lateral distance plus angle, the first of equals."""
+        return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
+
+    def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
+        """The same for plain floats."""
+        return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
+
+
+class SearchedLanes(RoadNetwork):  # type: ignore[misc]
+    """Any road network, with highway-env's own lane search, but only among the lanes that are near enough.
+
+    highway-env's distance of a vehicle to a lane is no less than that to a box around the lane, so that whatever lane
+    is further than that from one whose distance is known need not be asked.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        super().__init__()
+        self.graph = network.graph
+        self._lanes = list(network.lanes_dict().items())
+        boxes = np.array([_box(lane) for _, lane in self._lanes])
+        self._low, self._high, self._share = boxes[:, :2], boxes[:, 2:4], boxes[:, 4]
+
+    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
+        """As highway-env's: least lateral distance plus angle, the first of equals."""
+        aside = np.maximum(np.maximum(self._low - position, position - self._high), 0.0)
+        away = np.hypot(aside[:, 0], aside[:, 1])
+        first = int(away.argmin())
+        enough = self._lanes[first][1].distance_with_heading(position, heading) + ROUNDING
+        near = np.flatnonzero(~(self._share * away > enough))  # all, where a position is no number
+        distances = [self._lanes[each][1].distance_with_heading(position, heading) for each in near]
+        index: tuple[str, str, int] = self._lanes[near[int(np.argmin(distances))]][0]
+        return index
+
+    def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
+        """highway-env's index of the closest lane."""
+        index: tuple[str, str, int] = self.get_closest_lane_index(np.array([x, y]), heading)
+        return index
+
+
+def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
+    """Around a lane: least x and y, largest x and y [m]; and which share of the way there a distance is, at least.
+
+    How far a vehicle is beyond an end counts along the lane, or along the axis of a lane that swings to and fro: such a
+    line is longer than its axis. Nothing is known of the distances of other classes of lanes.
+    """
+    share = 0.0
+    if type(lane) in (StraightLane, CircularLane):
+        share = 1.0
+    elif type(lane) is SineLane:
+        share = 1.0 / math.hypot(1.0, lane.amplitude * lane.pulsation)
+    count = math.ceil(lane.length / BOX_STEP / (share or 1.0)) + 1
+    places = np.linspace(0.0, lane.length, max(2, count))
+    points = np.array([lane.position(float(place), 0) for place in places])
+    low, high = points.min(axis=0) - BOX_STEP, points.max(axis=0) + BOX_STEP
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1]), share
+
+
+class Car(Vehicle):  # type: ignore[misc]
+    """A vehicle whose controls are set from outside and held until they are set again.
+
+    ``target_speed`` is its own speed: highway-env's IDM takes it for the speed that a follower wants to keep,
+    which is all that an observer can know of an NPC.
+    """
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+    def __init__(self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0) -> None:
+        self._position: Any = None
+        self._lane_index: tuple[str, str, int] | None = None
+        super().__init__(road, position, heading, speed)
+        self.check_collisions = False
+
+    @property
+    def position(self) -> Any:
+        """World coordinates [m], an array made on demand."""
+        if self._position is None:
+            self._position = np.array([self.x, self.y])
+        return self._position
+
+    @position.setter
+    def position(self, value: Any) -> None:
+        self.x, self.y = float(value[0]), float(value[1])
+        self._position = None
+
+    @property
+    def lane_index(self) -> tuple[str, str, int]:
+        """highway-env's index of the closest lane, searched on demand."""
+        if self._lane_index is None:
+            self._lane_index = self.road.network.closest(self.x, self.y, self.heading)
+        return self._lane_index
+
+    @lane_index.setter
+    def lane_index(self, value: tuple[str, str, int] | None) -> None:
+        self._lane_index = value
+
+    @property
+    def lane(self) -> StraightLane:
+        """The closest lane."""
+        return self.road.network.get_lane(self.lane_index)
+
+    @lane.setter
+    def lane(self, value: StraightLane) -> None:
+        """highway-env sets it together with the index, from which it follows."""
+
+    @property
+    def target_speed(self) -> float:
+        """What an observer assumes that it wants to drive [m/s]."""
+        return float(self.speed)
+
+    def control(self, acceleration: float, steering: float) -> None:
+        """Set acceleration [m/s^2] and steering angle [rad]."""
+        self.acceleration = acceleration
+        self.steering = steering
+
+    @property
+    def action(self) -> dict[str, float]:
+        """The controls as highway-env writes them."""
+        return {"steering": self.steering, "acceleration": self.acceleration}
+
+    @action.setter
+    def action(self, value: dict[str, float]) -> None:
+        self.steering, self.acceleration = float(value["steering"]), float(value["acceleration"])
+
+    def act(self, action: Any = None) -> None:
+        """Hold the controls, or take new ones (highway-env's own predictions do)."""
+        if action:
+            self.action = action
+
+    def step(self, dt: float) -> None:
+        """highway-env's kinematic bicycle model, one explicit Euler step of ``dt`` seconds."""
+        speed: float = self.speed
+        acceleration = self.acceleration
+        if speed > self.MAX_SPEED:
+            acceleration = min(acceleration, 1.0 * (self.MAX_SPEED - speed))
+        elif speed < self.MIN_SPEED:
+            acceleration = max(acceleration, 1.0 * (self.MIN_SPEED - speed))
+        self.acceleration = acceleration
+        slip = math.atan(1 / 2 * math.tan(self.steering))
+        course = self.heading + slip
+        self.x += speed * math.cos(course) * dt
+        self.y += speed * math.sin(course) * dt
+        self.heading += speed * math.sin(slip) / (self.LENGTH / 2) * dt
+        self.speed = speed + acceleration * dt
+        self._position = self._lane_index = None
+
+
+def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:
+    """A highway-env network of parallel straight lanes between nodes "0" and "1", widths in metres."""
+    network = RoadNetwork()
+    stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
+    for index, lane in enumerate(stock.lanes_list()):
+        y = index * lane_width
+        network.add_lane(
+            "0",
+            "1",
+            StraightLane([0.0, y], [length, y], width=lane_width, line_types=lane.line_types, speed_limit=speed_limit),
+        )
+    return network
+
+
+def straight_road(network: RoadNetwork) -> StraightRoad | None:
+    """The road of a network, if it is one straight road along the x axis."""
+    lanes = network.lanes_list()
+    segments = [(start, end) for start, ends in network.graph.items() for end in ends]
+    values = tuple(
+        Lane(
+            x=float(lane.start[0]),
+            y=float(lane.start[1]),
+            heading=float(lane.heading),
+            length=float(lane.length),
+            width=float(lane.width),
+            speed_limit=float(lane.speed_limit),
+        )
+        for lane in lanes
+        if type(lane) is StraightLane and lane.speed_limit is not None
+    )
+    if len(segments) != 1 or len(values) != len(lanes) or not parallel_along_x(values):
+        return None
+    return StraightRoad(values)

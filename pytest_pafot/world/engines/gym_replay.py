@@ -1,0 +1,317 @@
+"""A run a second time, by other means: ``env.step`` of the plain registered highway-env environment.
+
+A find rests on this package's own road, vehicles and loop. Here the same scenario is driven by highway-env's own: the
+environment that ``gymnasium.make`` gives, its road and vehicle classes as they are, its observation, its action types
+and its division of decisions into frames. Of this package there are only what belongs to the question: the NPCs'
+driver, called from the road's ``act``; the contact oracle, called after each of the road's steps; and the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, follow, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.failure import UNFIT, let_through
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
+from pytest_pafot.world.engines.object_engine import Traffic, decide, stepped
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.gym_world import World, vehicle_classes_kept
+from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.run_config import Rules
+
+TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
+"""What highway-env's intersections call after each step."""
+
+
+class StockVehicle(Vehicle):  # type: ignore[misc]
+    """highway-env's vehicle with names for its state; its physics, lane search and shape are untouched.
+
+    ``target_speed`` is what highway-env's IDM assumes of a vehicle ahead: that it likes its speed.
+    """
+
+    @property
+    def x(self) -> float:
+        """[m]."""
+        return float(self.position[0])
+
+    @property
+    def y(self) -> float:
+        """[m]."""
+        return float(self.position[1])
+
+    @property
+    def target_speed(self) -> float:
+        """[m/s]."""
+        return float(self.speed)
+
+    @property
+    def acceleration(self) -> float:
+        """[m/s^2]."""
+        return float(self.action["acceleration"])
+
+    @acceleration.setter
+    def acceleration(self, value: float) -> None:
+        self.control(value, self.steering)
+
+    @property
+    def steering(self) -> float:
+        """[rad]."""
+        return float(self.action["steering"])
+
+    def control(self, acceleration: float, steering: float) -> None:
+        """What the vehicle's own ``act`` does with an action."""
+        super().act({"steering": steering, "acceleration": acceleration})
+
+
+class StockPolicy:
+    """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action.
+
+    Wrappers stand between the two. What one of them raises is raised in the decision that would have seen its result.
+
+    Args:
+        ads: the callable.
+        outer: the environment in its wrappers, if it has any.
+        every: physics ticks per decision.
+        view: of kind (d), shown to the planner before each decision.
+    """
+
+    def __init__(self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None) -> None:
+        check_action_space(outer.action_space)
+        self.vehicle = outer.unwrapped.vehicle
+        self.every = every
+        self.failure: BaseException | None = None
+        self._seen: Any = None
+        self._action: Any = None
+        self._ads = ads
+        self._outer = outer
+        self._view = view
+
+    def begin(self, seed: int) -> None:
+        """See what a reset returns, which leaves everybody in the places of the scenario.
+
+        Raises:
+            WorldError: where a reset of the environment's own adds vehicles.
+        """
+        plain = self._outer.unwrapped
+        vehicles = list(plain.road.vehicles)
+        if type(plain).reset is AbstractEnv.reset:
+            plain.reset = lambda **_: _scene(plain)
+        plain._reset = lambda: None
+        plain.action_space.seed(seed)
+        if self._outer is plain:
+            self._seen, _ = plain.reset(seed=seed)
+        else:
+            self._through_wrappers(lambda: self._outer.reset(seed=seed))
+        plain.road.np_random = plain.np_random
+        if plain.road.vehicles != vehicles:
+            raise WorldError(
+                f"env_id: expected an environment that makes its vehicles in `_reset`, received "
+                f"{type(plain).__name__}, whose `reset` adds others after that; make them in `_reset`"
+            )
+
+    def decide(self, tick: int) -> Any:
+        """Ask and check; the environment applies the action."""
+        if self.failure is not None:
+            raise self.failure
+        if self._view is not None:
+            self._view.show(tick)
+        self._action = checked_action(self._ads(self._seen), self._outer.action_space)
+        return self._action
+
+    def step(self) -> None:
+        """The environment's, with what was decided."""
+        if self._outer is self._outer.unwrapped:
+            self._seen, *_ = self._outer.step(self._action)
+        else:
+            self._through_wrappers(lambda: self._outer.step(self._action))
+
+    def _through_wrappers(self, call: Callable[[], tuple[Any, ...]]) -> None:
+        try:
+            self._seen, *_ = call()
+        except UNFIT as error:
+            let_through(error)
+            self.failure = error
+
+    def actuate(self) -> None:
+        """Low-level control of highway-env's controlled vehicles."""
+        self.vehicle.act()
+
+
+def _scene(env: Any) -> tuple[Any, dict[str, Any]]:
+    """What highway-env's own reset returns of a scene that stands."""
+    seen = env.observation_type.observe()
+    return seen, env._info(seen, env.action_space.sample())
+
+
+Driver = Planner | SelfDriving | StockPolicy
+
+
+def replay_in_gym(world: Highway | World, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-env's own environment.
+
+    Args:
+        world: whose environment is made; a Highway is highway-v0 with its lanes, length and speed limit.
+        scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
+        ads_factory: called once, gives the ADS.
+    """
+    rules = world.rules
+    outer = _environment(world)
+    env = outer.unwrapped
+    env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
+    driver = _driver(world, outer, scenario, ads_factory)
+    guard = HangGuard(rules.hang_limit)
+    loop = _Loop(rules, scenario, env, driver, guard)
+    with guard:
+        return loop.run()
+
+
+class _Loop:
+    """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
+
+    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver, guard: HangGuard) -> None:
+        def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
+            vehicle = StockVehicle(env.road, [x, y], heading, speed)
+            vehicle.check_collisions = False
+            return vehicle
+
+        self._env, self._driver, self._guard = env, driver, guard
+        self._traffic = Traffic(rules, scenario, driver, npc)
+        env.road.vehicles = self._traffic.vehicles
+        self._ticks = self._left = rules.ticks(scenario)
+        self._ended: Trace | None = None
+        self._road_step = env.road.step
+        env.road.act, env.road.step = self._act, self._step
+
+    def __deepcopy__(self, memo: object) -> _Loop:
+        """Itself: highway-env copies vehicles to look ahead, with their road and all that hangs on it."""
+        return self
+
+    def run(self) -> Trace:
+        """Decide and step until the run ends."""
+        driver, record, guard = self._driver, self._traffic.record, self._guard
+        if isinstance(driver, StockPolicy):
+            driver.begin(record.scenario.seed)
+        while self._left > 0:
+            tick = record.tick
+            error = decide(driver, tick, record, guard)
+            if error is not None:
+                return record.trace(error=error)
+            if isinstance(driver, StockPolicy):
+                driver.step()
+            else:
+                AbstractEnv.step(self._env, None)  # The driver has set the ego's controls; the environment leaves them.
+            if self._ended is not None:
+                return self._ended
+            if record.tick == tick and getattr(driver, "failure", None) is None:
+                raise WorldError(
+                    f"wrappers: expected that a step through them steps the environment, received one that did not, "
+                    f"at {tick / record.rules.physics_hz:.1f} s; leave out what ends or resets episodes"
+                )
+        return record.trace()
+
+    def _act(self) -> None:
+        """In the place of ``Road.act``, which asks each vehicle in turn: the ego, then the NPCs."""
+        self._driver.actuate()
+        if not self._is_over:
+            self._traffic.command()
+
+    def _step(self, dt: float) -> None:
+        """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
+        record = self._traffic.record
+        error = stepped(record.tick, self._guard, lambda: self._road_step(dt))
+        if not self._is_over:
+            self._left -= 1
+            self._ended = self._traffic.note() if error is None else record.trace(error=error)
+
+    @property
+    def _is_over(self) -> bool:
+        return self._ended is not None or self._left == 0
+
+
+def _environment(world: Highway | World) -> Any:
+    """The environment in its wrappers, itself after its reset, without traffic, on the world's road."""
+    if isinstance(world, World):
+        outer = world.make()
+    else:
+        config = {
+            "lanes_count": world.lanes,
+            "vehicles_count": 0,
+            "simulation_frequency": world.physics_hz,
+            "policy_frequency": world.ads_hz,
+            "action": {"type": "ContinuousAction"},
+        }
+        outer = gymnasium.make("highway-v0", config=config, disable_env_checker=True)
+    env = outer.unwrapped
+    with vehicle_classes_kept():
+        env.reset(seed=0)
+    for name in TRAFFIC_HOOKS:
+        if hasattr(env, name):
+            setattr(env, name, _no_traffic)
+    if isinstance(world, Highway):
+        lane = world.road.lanes[0]
+        env.road.network = RoadNetwork.straight_road_network(
+            world.lanes, length=lane.length, speed_limit=lane.speed_limit
+        )
+    return outer
+
+
+def _driver(world: Highway | World, outer: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
+    """The ego at its start, in one of highway-env's vehicle classes, and who drives it."""
+    rules, env = world.rules, outer.unwrapped
+    start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
+    every = rules.physics_hz // rules.ads_hz
+    route = world.route if isinstance(world, World) else None
+    is_policy = isinstance(world, World) and not is_vehicle_class(ads_factory)
+    vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
+    _put_ego(env, vehicle_class(env.road, [x, y], heading, scenario.ego_speed))
+    follow(env.vehicle, route)
+    view = None
+    if isinstance(world, World) and is_policy and wants_env(ads_factory):
+        if world.wrappers is not None:
+            raise WorldError(
+                f"wrappers: expected none for a factory with a parameter `env`, received "
+                f"{', '.join(world.wrapper_names) or 'an empty list'}; a planner that simulates inside of the "
+                f"environment knows it as it is, and decides in its own actions"
+            )
+        view = View(world._make_env(), env)
+    ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
+    if is_policy and not is_vehicle_class(ads):
+        is_wrapped = isinstance(world, World) and world.wrappers is not None
+        return StockPolicy(ads, outer if is_wrapped else env, every, view)
+    driver: Driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
+    if is_vehicle_class(ads):
+        env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
+        driver = SelfDriving(ads, env.road, start, scenario.ego_speed, route)
+        _put_ego(env, driver.vehicle)
+    env.observation_type.observe = env._reward = env._info = _unseen
+    return driver
+
+
+def _put_ego(env: Any, ego: Vehicle) -> None:
+    ego.check_collisions = False
+    env.road.vehicles = [ego]
+    env.controlled_vehicles = [ego]
+    env.define_spaces()
+
+
+def _unseen(*_: Any) -> None:
+    """In the place of what nobody looks at when no policy drives.
+
+    Observations, which would cost more than all the rest; rewards, which some environments have only for egos of
+    their own.
+    """
+
+
+def _no_traffic(*_: Any, **__: Any) -> None:
+    """In the place of what adds random traffic in the middle of an episode, and takes it away again."""

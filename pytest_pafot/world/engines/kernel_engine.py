@@ -1,0 +1,116 @@
+"""One run by the kernel: a straight road that starts at the origin, and an ego that it can drive or ask."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.driving.failure import UNFIT, error_of
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.idm_model import IdmModel
+from pytest_pafot.world.engines.record import Record
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.idm import IdmEgo
+from pytest_pafot.world.kernel.loop import GivenPilot, Loop, PlannerPilot, SelfPilot
+from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Scene
+from pytest_pafot.world.run_config import NPC_LENGTH, NPC_WIDTH, Rules, start_positions
+
+
+def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], decisions: Sequence[Any] = ()) -> Trace:
+    """Simulate one scenario with a callable from an observation to (acceleration [m/s^2], steering [rad]).
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        ads: fresh.
+        decisions: the first ones of the run, which the ADS is not asked for.
+    """
+    ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
+    ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+    record, loop = _prepared(rules, scenario, ego)
+    scene = _scene(rules, record)
+    every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
+    with HangGuard(rules.hang_limit) as guard:
+        pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt, decisions=decisions)
+        error = loop.run(pilot, rules.ticks(scenario))
+    record.actions, record.slowest = pilot.actions, pilot.slowest
+    return _finished(record, loop, error)
+
+
+class SteppedRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.Stepped`.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        guard: of the decisions.
+    """
+
+    def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard) -> None:
+        ego = Body(NPC_LENGTH, NPC_WIDTH)
+        ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+        self.trace: Trace | None = None
+        self._record, self._loop = _prepared(rules, scenario, ego)
+        self._scene = _scene(rules, self._record)
+        self._pilot = GivenPilot(ego, every=rules.physics_hz // rules.ads_hz, dt=1 / rules.physics_hz)
+        self._ticks = rules.ticks(scenario)
+        self._guard = guard
+
+    def observe(self) -> Observation:
+        """What the ADS sees now."""
+        return self._scene.observation(self._loop.tick)
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Drive with a decision that took so long, up to the next one or the end."""
+        loop, record, error = self._loop, self._record, None
+        try:
+            self._pilot.take(action, seconds)
+        except UNFIT as unfit:
+            error = error_of(unfit, loop.tick, self._guard)
+        else:
+            loop.run(self._pilot, min(loop.tick + self._pilot.every, self._ticks))
+        if error is None and loop.tick < self._ticks and not (loop.ego_touched or loop.npcs_touched):
+            return
+        record.actions, record.slowest = self._pilot.actions, self._pilot.slowest
+        self.trace = _finished(record, loop, error)
+
+
+def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
+    """Simulate one scenario with highway-env's IDM+MOBIL as the ego.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        model: its constants.
+    """
+    road = rules.straight
+    ego = IdmEgo(model.constants, road.grid, road.speed_limit)
+    ego.start(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)
+    record, loop = _prepared(rules, scenario, ego)
+    loop.run(SelfPilot(ego, list(record.director.npcs)), rules.ticks(scenario))
+    return _finished(record, loop, None)
+
+
+def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop]:
+    """Everybody at the start."""
+    director: Director = rules.director(scenario, ego.length)
+    _, *starts = start_positions(rules, scenario, director.first_cells(), ego.length)
+    for npc, (x, y, heading) in zip(director.npcs, starts, strict=True):
+        npc.place(x, y, heading, scenario.ego_speed)
+    sizes = [(body.length, body.width) for body in (ego, *director.npcs)]
+    rows = array("d", bytes(8 * (rules.ticks(scenario) + 1) * len(sizes) * COLUMNS))
+    record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows)
+    return record, Loop(ego, director, rules.straight.grid, rows, 1 / rules.physics_hz)
+
+
+def _scene(rules: Rules, record: Record) -> Scene:
+    return Scene(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
+
+
+def _finished(record: Record, loop: Loop, error: Any) -> Trace:
+    record.tick = loop.tick
+    return record.trace(touched=loop.ego_touched, invalid=loop.npcs_touched, error=error)

@@ -1,0 +1,120 @@
+"""Runs in lock step: an ADS with a method ``batch`` decides for all of them at once.
+
+``batch(observations) -> actions`` gets the observations of the runs that still go on, at one decision tick, and
+returns one action for each in the same order. One fresh ADS serves all runs of a batch, so that it may not remember
+anything from one decision to the next, and an action may depend on its own observation alone. Then the runs are those
+of the same ADS asked one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.failure import UNFIT, let_through
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.errors import AdsFactoryError
+from pytest_pafot.world.kernel.action import shown
+
+
+class Stepped(Protocol):
+    """A run that goes from one decision to the next.
+
+    Attributes:
+        trace: once the run is over.
+    """
+
+    trace: Trace | None
+
+    def observe(self) -> Any:
+        """What the ADS sees now."""
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Drive with a decision that took so long, up to the next one or the end."""
+
+
+def batching_ads(factory: AdsFactory) -> Any:
+    """A fresh ADS that decides for many runs at once; None where the factory gives another.
+
+    Raises:
+        AdsFactoryError: when the factory gives nothing that drives.
+    """
+    if is_vehicle_class(factory) or wants_env(factory):
+        return None
+    ads = made(factory)
+    return ads if not is_vehicle_class(ads) and callable(getattr(ads, "batch", None)) else None
+
+
+def rollouts(
+    scenarios: Sequence[Scenario],
+    factory: AdsFactory,
+    start: Callable[[Scenario, HangGuard], Stepped],
+    rollout: Callable[[Scenario, AdsFactory], Trace],
+    hang_limit: float,
+) -> list[Trace]:
+    """Simulate scenarios, in lock step where the ADS has a method ``batch`` and that works, else one by one.
+
+    Where ``batch`` raises or hangs, all runs are repeated one by one, so that the error is that of its own run.
+
+    Args:
+        scenarios: checked against the world.
+        factory: of the ADS.
+        start: begins a run in lock step.
+        rollout: simulates one by one.
+        hang_limit: longest decision for one run [s]; one for many may take as many times as long.
+
+    Raises:
+        AdsFactoryError: when the factory gives nothing that drives, or ``batch`` not one action for each run.
+    """
+    ads = batching_ads(factory) if len(scenarios) > 1 else None
+    if ads is not None:
+        with HangGuard(hang_limit * len(scenarios)) as guard:
+            runs = [start(scenario, guard) for scenario in scenarios]
+            traces = _in_lock_step(runs, ads.batch, guard)
+        if traces is not None:
+            return traces
+    return [rollout(scenario, factory) for scenario in scenarios]
+
+
+def _in_lock_step(runs: Sequence[Stepped], batch: Callable[[list[Any]], Any], guard: HangGuard) -> list[Trace] | None:
+    """The traces of all runs; None where ``batch`` raised or hung."""
+    live = [run for run in runs if run.trace is None]
+    while live:
+        observations = [run.observe() for run in live]
+        started = guard.clock()
+        try:
+            try:
+                guard.decision_starts()
+                actions = _listed(batch(observations))
+            finally:
+                guard.decision_ends()
+        except UNFIT as error:
+            guard.decision_ends()
+            let_through(error)
+            return None  # nothing is lost: whoever is at fault raises again by itself
+        seconds = (guard.clock() - started) / len(live)
+        for run, action in zip(live, _one_each(actions, len(live)), strict=True):
+            run.take(action, seconds)
+        live = [run for run in live if run.trace is None]
+    return [run.trace for run in runs if run.trace is not None]
+
+
+def _listed(actions: Any) -> Any:
+    """What can be iterated over as a list. It may be a generator, and so the ADS's code; anything else as it is."""
+    try:
+        iterator = iter(actions)
+    except TypeError:
+        return actions
+    return list(iterator)
+
+
+def _one_each(actions: Any, count: int) -> list[Any]:
+    if not isinstance(actions, list) or len(actions) != count:
+        raise AdsFactoryError(
+            f"ads.batch: expected {count} actions, one for each of {count} observations in the same order, received "
+            f"{shown(actions)}; runs that are over are not asked for any more, so that the number changes"
+        )
+    return actions

@@ -1,0 +1,239 @@
+"""One run with highway-env's objects stepped directly, every tick recorded, contact tested after each."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import Any, cast
+
+from highway_env.road.road import Road
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import AdsError, Outcome, Trace
+from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver
+from pytest_pafot.world.driving.failure import UNFIT, error_of
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.vehicles import Car
+from pytest_pafot.world.engines.record import Record
+from pytest_pafot.world.kernel.bodies import Body, Box
+from pytest_pafot.world.kernel.contact import overlap
+from pytest_pafot.world.roads.frame import NetworkFrame, State, StraightFrame
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
+
+
+def run(
+    rules: Rules,
+    scenario: Scenario,
+    road: Road,
+    make_ego: Callable[[tuple[float, float, float]], EgoDriver],
+    decisions: Sequence[Any] = (),
+) -> Trace:
+    """Simulate one scenario.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        road: fresh, without vehicles; they are added with the ego first.
+        make_ego: from the ego's start to its driver; called before the NPCs exist.
+        decisions: the first ones of the run, which the driver, an :class:`AskedDriver`, is not asked for.
+    """
+    traffic = _started(rules, scenario, road, make_ego(_ego_start(rules, scenario)))
+    guard = HangGuard(rules.hang_limit)
+    for decision in decisions:
+        traffic.record.actions.append(cast("AskedDriver", traffic.driver).apply(decision))
+        ended = _driven(rules, scenario, traffic, guard)
+        if ended is not None:
+            return ended
+    with guard:
+        while True:
+            error = decide(traffic.driver, traffic.record.tick, traffic.record, guard)
+            trace = _driven(rules, scenario, traffic, guard, error)
+            if trace is not None:
+                return trace
+
+
+class SteppedRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.Stepped`.
+
+    Args:
+        rules: of the world.
+        scenario: checked against the world.
+        road: fresh, without vehicles.
+        make_ego: from the ego's start to what drives it.
+        guard: of the decisions.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        scenario: Scenario,
+        road: Road,
+        make_ego: Callable[[tuple[float, float, float]], AskedDriver],
+        guard: HangGuard,
+    ) -> None:
+        self.trace: Trace | None = None
+        self._rules = rules
+        self._scenario = scenario
+        self._guard = guard
+        self._driver = make_ego(_ego_start(rules, scenario))
+        self._traffic = _started(rules, scenario, road, self._driver)
+
+    def observe(self) -> Any:
+        """What the ADS sees now."""
+        return self._driver.observe(self._traffic.record.tick)
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Drive with a decision that took so long, up to the next one or the end."""
+        record, error = self._traffic.record, None
+        try:
+            record.actions.append(self._driver.apply(action))
+        except UNFIT as unfit:
+            error = error_of(unfit, record.tick, self._guard)
+        else:
+            record.slowest = max(record.slowest, seconds)
+        self.trace = _driven(self._rules, self._scenario, self._traffic, self._guard, error)
+
+
+def _ego_start(rules: Rules, scenario: Scenario) -> tuple[float, float, float]:
+    return rules.road.position(rules.ego_start, scenario.ego_lane)
+
+
+def _started(rules: Rules, scenario: Scenario, road: Road, driver: EgoDriver) -> Traffic:
+    """Everybody at the start."""
+    traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
+    road.vehicles = traffic.vehicles
+    return traffic
+
+
+def _driven(
+    rules: Rules, scenario: Scenario, traffic: Traffic, guard: HangGuard, error: AdsError | None = None
+) -> Trace | None:
+    """Drive up to the next decision; the trace, where the run is over by then or by an error before."""
+    if error is not None:
+        return traffic.record.trace(error=error)
+    driver, dt, last = traffic.driver, 1 / rules.physics_hz, rules.ticks(scenario)
+    for _ in range(min(driver.every, last - traffic.record.tick)):
+        driver.actuate()
+        traffic.command()
+        error = stepped(traffic.record.tick, guard, lambda: driver.vehicle.step(dt))
+        if error is not None:
+            return traffic.record.trace(error=error)
+        for npc in traffic.vehicles[1:]:
+            npc.step(dt)
+        ended = traffic.note()
+        if ended is not None:
+            return ended
+    return traffic.record.trace() if traffic.record.tick == last else None
+
+
+def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> AdsError | None:
+    """Have the ADS decide, under guard; what it did instead of that, or None."""
+    started = guard.clock()
+    try:
+        try:
+            guard.decision_starts()
+            action = driver.decide(tick)
+        finally:
+            guard.decision_ends()  # before anything is made of an exception: nothing may interrupt that
+    except UNFIT as error:
+        return error_of(error, tick, guard)
+    if action is not None:
+        record.actions.append(action)
+    record.slowest = max(record.slowest, guard.clock() - started)
+    return None
+
+
+def stepped(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError | None:
+    """Move an ego by its vehicle class, whose methods may be the user's; what it did instead of that, or None."""
+    try:
+        step()
+    except UNFIT as error:
+        return error_of(error, tick, guard)
+    return None
+
+
+class Traffic:
+    """The vehicles of a run, as highway-env has them, between the director and the record.
+
+    Args:
+        rules: of the world.
+        scenario: to run.
+        driver: of the ego, which is at its start.
+        make_npc: from x [m], y [m], heading [rad] and speed [m/s] to a vehicle.
+
+    Attributes:
+        vehicles: the ego first.
+        record: of the run.
+    """
+
+    def __init__(
+        self, rules: Rules, scenario: Scenario, driver: EgoDriver, make_npc: Callable[[float, float, float, float], Any]
+    ) -> None:
+        ego = driver.vehicle
+        length = float(ego.LENGTH)
+        self.driver = driver
+        self._director = rules.director(scenario, length)
+        cells = self._director.first_cells()
+        _, *starts = start_positions(rules, scenario, cells, length)
+        speeds = start_speeds(rules, scenario, cells, length)
+        self._npcs = [make_npc(*start, speed) for start, speed in zip(starts, speeds, strict=True)]
+        self.vehicles = [ego, *self._npcs]
+        self._by_floats = isinstance(ego, Car)
+        self._bodies = [Body(length, float(ego.WIDTH)), *self._director.npcs]
+        self._frame: StraightFrame | NetworkFrame
+        if isinstance(rules.road, StraightRoad):
+            self._frame = StraightFrame(rules.road)
+        else:
+            places = [along for along, _ in start_places(rules, scenario, cells, length)]
+            self._frame = NetworkFrame(rules.road, ego.road.network, places)
+        self.record = Record(
+            rules=rules,
+            scenario=scenario,
+            director=self._director,
+            sizes=[(body.length, body.width) for body in self._bodies],
+            rows=array("d"),
+            frame=self._frame if isinstance(self._frame, NetworkFrame) else None,
+        )
+        self._write(self._states(), [(0.0, 0.0)] * len(self.vehicles))
+
+    def command(self) -> None:
+        """Have the director set the NPCs' controls."""
+        self._director.command(self._bodies[0])
+        for vehicle, npc in zip(self._npcs, self._director.npcs, strict=True):
+            vehicle.control(npc.acceleration, npc.steering)
+
+    def note(self) -> Trace | None:
+        """Record the state after a step; the finished trace, when somebody touches somebody or the road is left."""
+        self.record.tick += 1
+        states = self._states()
+        left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])
+        boxes = [Box(*state[:3], *size) for state, size in zip(states, self.record.sizes, strict=True)]
+        if any(overlap(boxes[0], box) for box in boxes[1:]):
+            return self.record.trace(touched=True)
+        if any(overlap(a, b) for a, b in combinations(boxes[1:], 2)):
+            return self.record.trace(invalid=True)
+        return None if left is None else self.record.trace(departure=left)
+
+    def _states(self) -> list[State]:
+        return [self._ego_state(), *[(npc.x, npc.y, float(npc.heading), float(npc.speed)) for npc in self._npcs]]
+
+    def _ego_state(self) -> State:
+        ego = self.driver.vehicle
+        if self._by_floats:
+            return ego.x, ego.y, ego.heading, ego.speed
+        position = ego.position
+        return float(position[0]), float(position[1]), float(ego.heading), float(ego.speed)
+
+    def _controls(self, vehicle: Any) -> tuple[float, float]:
+        if vehicle is self.driver.vehicle and not self._by_floats:
+            return float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
+        return float(vehicle.acceleration), float(vehicle.steering)
+
+    def _write(self, states: Sequence[State], controls: Sequence[tuple[float, float]]) -> Outcome | None:
+        """Record all vehicles, and show their bodies to the director; how the run leaves the road, if it does."""
+        lanes, left = self._frame.see(states, self._bodies)
+        for state, own, lane in zip(states, controls, lanes, strict=True):
+            self.record.rows.extend((*state, *own, lane))
+        return left

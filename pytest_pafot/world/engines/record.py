@@ -1,0 +1,149 @@
+"""The trace of a run, from what was recorded of it."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pytest_pafot.grid import Cell, cell_at
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.world.kernel.bodies import Box
+from pytest_pafot.world.kernel.contact import depth, overlap, side_hit
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.run_config import Rules
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.roads.frame import NetworkFrame
+
+
+@dataclass(slots=True, kw_only=True)
+class Record:
+    """A run as far as it has come.
+
+    Attributes:
+        rules: of the world.
+        scenario: as requested.
+        director: of the NPCs.
+        sizes: length and width of each vehicle [m].
+        rows: :data:`COLUMNS` numbers for each vehicle at each tick.
+        tick: the last one that is recorded.
+        actions: of the ADS.
+        slowest: its longest decision [s].
+        frame: where everybody is on a road that is not straight; None on a straight one.
+    """
+
+    rules: Rules
+    scenario: Scenario
+    director: Director
+    sizes: list[tuple[float, float]]
+    rows: array[float]
+    tick: int = 0
+    actions: list[Any] = field(default_factory=list)
+    slowest: float = 0.0
+    frame: NetworkFrame | None = None
+
+    def trace(
+        self,
+        *,
+        touched: bool = False,
+        invalid: bool = False,
+        error: AdsError | None = None,
+        departure: Outcome | None = None,
+    ) -> Trace:
+        """How the run ended: with the ego touched, with two NPCs touching, by an error, or in peace."""
+        states = self._states()
+        track = None if self.frame is None else self.frame.track()
+        off_road = states[:, 0, -1] < 0
+        off_road_tick = int(off_road.argmax()) if off_road.any() else None
+        collision = self._collision(states) if touched else None
+        return Trace(
+            scenario=self.scenario,
+            executed=self.director.executed,
+            outcome=_outcome(collision, invalid, error, departure, off_road_tick),
+            collision=collision,
+            error=error,
+            states=states,
+            sizes=np.array(self.sizes),
+            lanes=self.rules.road.lanes,
+            physics_hz=self.rules.physics_hz,
+            ads_hz=self.rules.ads_hz,
+            actions=tuple(self.actions),
+            arrivals=self.director.arrivals,
+            off_road_tick=off_road_tick,
+            max_decision_seconds=self.slowest,
+            track=track,
+            driven=self.director.driven,
+        )
+
+    def _states(self) -> FloatArray:
+        """The rows so far, read-only; without a copy where they fill their room."""
+        shape = (self.tick + 1, len(self.sizes), COLUMNS)
+        rows = np.frombuffer(self.rows, count=shape[0] * shape[1] * COLUMNS)
+        states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
+        states.flags.writeable = False
+        return states
+
+    def _collision(self, states: FloatArray) -> Collision:
+        now = self._boxes(states[-1])
+        touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
+        npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
+        before = self._boxes(states[max(self.tick - 1, 0)])
+        ego, other = states[-1, 0], states[-1, npc + 1]
+        velocity = [row[SPEED] * np.array([np.cos(row[HEADING]), np.sin(row[HEADING])]) for row in (ego, other)]
+        return Collision(
+            tick=self.tick,
+            time=self.tick / self.rules.physics_hz,
+            npc=npc,
+            side=side_hit(before[0], before[npc + 1]),
+            cell=self._cell(npc, states),
+            ego_speed=float(ego[SPEED]),
+            npc_speed=float(other[SPEED]),
+            closing_speed=float(np.hypot(*(velocity[0] - velocity[1]))),
+        )
+
+    def _boxes(self, row: FloatArray) -> list[Box]:
+        poses = row[:, :3].tolist()
+        return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
+
+    def _cell(self, npc: int, states: FloatArray) -> Cell:
+        """The last cell that contained the NPC's centre; it starts in one, so there always is one."""
+        if self.frame is not None:
+            return self._cell_on(self.frame, npc, states)
+        road = self.rules.straight
+        for row in states[::-1]:
+            s_ego, d_ego, _ = road.project(*row[0, :3].tolist())
+            s, d, _ = road.project(*row[npc + 1, :3].tolist())
+            cell = cell_at(s - s_ego, d - d_ego, self.sizes[0][0], road.lane_width)
+            if cell is not None:
+                return cell
+        return self.director.first_cells()[npc]
+
+    def _cell_on(self, frame: NetworkFrame, npc: int, states: FloatArray) -> Cell:
+        for ahead, right in frame.offsets(states, npc):
+            cell = cell_at(ahead, right, self.sizes[0][0], self.rules.road.lane_width)
+            if cell is not None:
+                return cell
+        return self.director.first_cells()[npc]
+
+
+def _outcome(
+    collision: Collision | None,
+    invalid: bool,
+    error: AdsError | None,
+    departure: Outcome | None,
+    off_road_tick: int | None,
+) -> Outcome:
+    if collision is not None:
+        return Outcome.COLLISION
+    if invalid:
+        return Outcome.INVALID
+    if error is not None:
+        return Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+    if departure is not None:
+        return departure
+    return Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD

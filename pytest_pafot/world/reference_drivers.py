@@ -1,0 +1,421 @@
+"""Reference drivers, to see whether a careful one gets through the same scenario in the ego's place.
+
+Planners in SI units that decide at every physics tick, keep their lane and know nothing but what they see: no plan of
+the NPCs, no future. Their sources:
+
+- ``careful-human``: the competent and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series:
+  annex 3): risk perception 0.4 s, delay 0.75 s, 0.774 g reached within 0.6 s.
+- ``fuzzy-safety``: the Fuzzy Safety Model of the same regulation; Mattas et al., "Fuzzy Surrogate Safety Metrics for
+  real-time assessment of rear-end collision risk", Accident Analysis and Prevention 148, 2020.
+- ``idm-aeb``: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
+  simulations", Physical Review E 62, 2000, with emergency braking at a low time to collision.
+
+The regulation's models say how to react to danger. How to follow where there is none it leaves to the following
+distance (5.2.3.3); the two drivers keep two seconds for it, and brake gently while nothing more is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+LEAVING = 0.375
+"""A vehicle leaves its lane from this offset to the centre on (UN R157) [m]."""
+PERCEPTION = 0.4
+"""Time in which a risk is perceived (UN R157) [s]."""
+DELAY = 0.75
+"""Time from there until the brakes act (UN R157); the reaction time of the fuzzy model [s]."""
+HARD_BRAKING = 0.774 * GRAVITY
+"""[m/s^2] (UN R157)."""
+JERK = HARD_BRAKING / 0.6
+"""12.65 m/s^3: the braking builds up within 0.6 s (UN R157)."""
+CRITICAL_TIME = 2.0
+"""Time to collision from which on a careful driver brakes hard (UN R157) [s]."""
+CRITICAL_BRAKING = 5.0
+"""Deceleration of a leader from which on a careful driver does so (UN R157) [m/s^2]."""
+
+HEADWAY = 2.0
+"""Kept behind a leader [s]."""
+STANDSTILL_GAP = 3.0
+"""Kept behind a standing leader [m]."""
+GENTLE_BRAKING = 4.0
+"""What drivers call comfortable at most (Mattas et al. 2020) [m/s^2]."""
+GENTLE_ACCELERATION = 1.5
+"""[m/s^2]."""
+GAP_GAIN = 0.25
+"""Acceleration per missing metre of the following distance [1/s^2]."""
+CLOSING_GAIN = 0.8
+"""Acceleration per closing speed [1/s]."""
+SPEED_GAIN = 0.5
+"""Acceleration per speed that is missing to the wanted one [1/s]."""
+
+EPSILON = 1e-6
+"""Times are compared within this, so that rounding costs no tick [s]."""
+
+LANE_GAIN, HEADING_GAIN = 0.01, 0.3
+"""Steering per offset to the lane's centre [rad/m] and per heading [1]."""
+
+Driver = Callable[[Observation], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leader:
+    """A vehicle ahead.
+
+    Attributes:
+        gap: between the boxes along the road [m]; negative while side by side.
+        speed: along the road [m/s].
+        closing: the ego's speed minus that [m/s].
+        braking: its deceleration [m/s^2].
+    """
+
+    gap: float
+    speed: float
+    closing: float
+    braking: float
+
+    @property
+    def time_to_collision(self) -> float:
+        """At constant speeds [s], infinite if the two do not close in."""
+        return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
+
+
+@dataclass(slots=True)
+class _Clock:
+    """Time between observations, and how long a condition has held."""
+
+    now: float = 0.0
+    step: float = 0.0
+    since: dict[str, float] = field(default_factory=dict)
+
+    def tick(self, time: float) -> None:
+        self.step = time - self.now
+        self.now = time
+
+    def held(self, condition: str, holds: bool) -> float:
+        """For how long a condition has held without a break [s]; minus infinity while it does not hold."""
+        if not holds:
+            self.since.pop(condition, None)
+            return -math.inf
+        return self.now - self.since.setdefault(condition, self.now)
+
+
+@dataclass(slots=True)
+class _LaneKeeper:
+    """What all reference drivers share: they keep their lane and their wanted speed, and see who is ahead."""
+
+    clock: _Clock = field(default_factory=_Clock)
+    lane: int | None = None
+    wanted: float = 0.0
+    acceleration: float = 0.0
+    speeds: tuple[float, ...] = ()
+    brakings: tuple[float, ...] = ()
+
+    def look(self, observation: Observation) -> None:
+        """Take a new observation in."""
+        self.clock.tick(observation.time)
+        speeds = tuple(_along(other) for other in observation.others)
+        if self.lane is None:
+            self.lane = observation.ego.lane
+            self.wanted = min(observation.ego.speed, observation.speed_limit)
+        step = self.clock.step
+        if step > 0 and len(self.speeds) == len(speeds):
+            self.brakings = tuple((before - now) / step for before, now in zip(self.speeds, speeds, strict=True))
+        else:
+            self.brakings = (0.0,) * len(speeds)
+        self.speeds = speeds
+
+    def ahead(self, observation: Observation, index: int) -> Leader | None:
+        """Another vehicle as a leader, whatever its lane; None if its centre is not ahead."""
+        ego, other = observation.ego, observation.others[index]
+        if other.x <= ego.x:
+            return None
+        half = _half_length(ego) + _half_length(other)
+        speed = self.speeds[index]
+        return Leader(
+            gap=other.x - ego.x - half, speed=speed, closing=_along(ego) - speed, braking=self.brakings[index]
+        )
+
+    def steer(self, observation: Observation) -> float:
+        """Towards the centre of the lane [rad]."""
+        lane = 0 if self.lane is None else self.lane
+        ego = observation.ego
+        return -LANE_GAIN * (ego.y - lane * observation.lane_width) - HEADING_GAIN * ego.heading
+
+    def cruise(self, speed: float) -> float:
+        """Towards the wanted speed [m/s^2]."""
+        return max(min(SPEED_GAIN * (self.wanted - speed), GENTLE_ACCELERATION), -GENTLE_BRAKING)
+
+    def follow(self, speed: float, leader: Leader) -> float:
+        """Towards the following distance, gently [m/s^2]."""
+        missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
+        return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
+
+    def pressed(self, wanted: float, hardest: float, jerk: float = JERK) -> float:
+        """The acceleration that the pedals reach in this step [m/s^2]; the brakes are released at once."""
+        lowest = self.acceleration - jerk * self.clock.step
+        self.acceleration = max(wanted, min(lowest, 0.0), -hardest)
+        return self.acceleration
+
+
+@dataclass(slots=True)
+class CarefulHuman:
+    """The competent and careful human driver of UN R157, who keeps two seconds behind a leader.
+
+    Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
+    than 0.375 m. Danger is a time to collision below 2 s, or a leader that brakes harder than 5 m/s^2. The driver needs
+    0.4 s to perceive it and 0.75 s to brake, then brakes with up to 0.774 g, until no danger is left. Where there is
+    no danger the same times pass before it opens the gap to somebody new; from then on it follows attentively.
+    """
+
+    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
+    brakes_from: float = math.inf
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        keeper, ego = self.keeper, observation.ego
+        keeper.look(observation)
+        calm, is_danger, is_over = keeper.cruise(ego.speed), False, True
+        for index, other in enumerate(observation.others):
+            leader = keeper.ahead(observation, index)
+            matters = leader is not None and matters_to(ego, other, observation.lane_width)
+            noticed = keeper.clock.held(f"noticed {index}", matters)
+            critical = matters and leader is not None and is_critical(leader)
+            danger = keeper.clock.held(f"danger {index}", critical)
+            if leader is None or not matters:
+                continue
+            is_danger |= danger >= PERCEPTION - EPSILON
+            is_over &= leader.closing <= 0 and not critical
+            follow = keeper.follow(ego.speed, leader)
+            if noticed >= PERCEPTION + DELAY - EPSILON or noticed == keeper.clock.now:
+                calm = min(calm, follow)
+            elif noticed >= PERCEPTION - EPSILON and follow < 0:
+                calm = min(calm, 0.0)  # the foot is off the accelerator, and not yet on the brake
+        now = keeper.clock.now
+        if is_danger:
+            self.brakes_from = min(self.brakes_from, now + DELAY)
+        elif is_over and self.brakes_from <= now:
+            self.brakes_from = math.inf
+        if self.brakes_from < math.inf:
+            calm = min(calm, 0.0)
+        wanted = -HARD_BRAKING if self.brakes_from <= now + EPSILON else calm
+        return keeper.pressed(wanted, HARD_BRAKING), keeper.steer(observation)
+
+
+@dataclass(slots=True)
+class FuzzySafety:
+    """The Fuzzy Safety Model: brakes early and comfortably where danger may come, harder where it is there.
+
+    Proactive (PFS) and critical (CFS) fuzzy measures, each from 0 to 1, give the braking: PFS up to the comfortable
+    4 m/s^2, CFS from there to 6 m/s^2. It reacts to leaders, and to vehicles that will be in its way sideways before
+    it has passed them.
+    """
+
+    COMFORTABLE = 4.0
+    HARDEST = 6.0
+    OTHERS = 7.0
+    """What it expects of others' braking at most [m/s^2]."""
+    MARGIN = 2.0
+    """Kept by PFS [m]."""
+    ROUNDING = 0.5
+    """Kept by CFS [m]. The published model keeps none: it stops exactly at the other's bumper, which in steps of time
+    is a contact at 0.1 m/s."""
+
+    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        keeper, ego = self.keeper, observation.ego
+        keeper.look(observation)
+        calm, hardest = keeper.cruise(ego.speed), 0.0
+        for index, other in enumerate(observation.others):
+            leader = keeper.ahead(observation, index)
+            matters = leader is not None and self.will_be_in_the_way(ego, other, leader)
+            needed = self.braking(ego.speed, leader) if matters and leader is not None else 0.0
+            alert = keeper.clock.held(f"alert {index}", needed > 0)
+            if leader is None or not matters:
+                continue
+            if alert >= DELAY - EPSILON:
+                hardest = max(hardest, needed)
+            calm = min(calm, max(keeper.follow(ego.speed, leader), 0.0))
+        wanted = -hardest if hardest > 0 else calm
+        return keeper.pressed(wanted, self.HARDEST), keeper.steer(observation)
+
+    @staticmethod
+    def will_be_in_the_way(ego: VehicleState, other: VehicleState, leader: Leader) -> bool:
+        """Whether it is in the ego's way, or comes into it before the ego has passed."""
+        apart = _apart(ego, other)
+        if apart <= 0:
+            return True
+        sideways = _towards(ego, other)
+        if sideways <= 0:
+            return False
+        passing = (leader.gap + ego.length + other.length) / leader.closing if leader.closing > 0 else math.inf
+        return apart / sideways <= passing + 0.1
+
+    def braking(self, speed: float, leader: Leader) -> float:
+        """The deceleration that the two measures ask for [m/s^2]."""
+        critical = self.critical(speed, leader)
+        if critical > 0:
+            return self.COMFORTABLE + critical * (self.HARDEST - self.COMFORTABLE)
+        return self.proactive(speed, leader) * self.COMFORTABLE
+
+    def proactive(self, speed: float, leader: Leader) -> float:
+        """PFS: 1 where even hard braking could not follow a leader that brakes hard, 0 where gentle braking could."""
+        others = leader.speed**2 / (2 * self.OTHERS)
+        safe = speed * DELAY + speed**2 / (2 * self.COMFORTABLE) - others + self.MARGIN
+        unsafe = speed * DELAY + speed**2 / (2 * self.HARDEST) - others
+        return _fuzzy(leader.gap - self.MARGIN, safe, unsafe)
+
+    def critical(self, speed: float, leader: Leader) -> float:
+        """CFS: 1 where hard braking does not avoid a leader that keeps its speed, 0 where gentle braking does."""
+        if leader.closing <= 0:
+            return 0.0
+        gap = leader.gap - self.ROUNDING
+        acceleration = max(self.keeper.acceleration, -self.COMFORTABLE)
+        later = speed + acceleration * DELAY
+        if later <= leader.speed:
+            return float(gap < leader.closing**2 / (2 * abs(acceleration)))
+        until = ((speed + later) / 2 - leader.speed) * DELAY
+        safe = until + (later - leader.speed) ** 2 / (2 * self.COMFORTABLE)
+        unsafe = until + (later - leader.speed) ** 2 / (2 * self.HARDEST)
+        return _fuzzy(gap, safe, unsafe)
+
+
+@dataclass(slots=True)
+class IdmAeb:
+    """The Intelligent Driver Model behind whoever is in the way, and full braking at a low time to collision."""
+
+    HEADWAY = 1.5
+    """[s]."""
+    STANDSTILL_GAP = 2.0
+    """[m]."""
+    BRAKING = 2.0
+    """Comfortable [m/s^2]."""
+    HARDEST = 0.85 * GRAVITY
+    """Of emergency braking, reached within 0.6 s (UN R157, annex 4, appendix 3) [m/s^2]."""
+    TRIGGER = 1.5
+    """Time to collision [s]."""
+
+    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
+    braking: bool = False
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        keeper, ego = self.keeper, observation.ego
+        keeper.look(observation)
+        leaders = [
+            leader
+            for index, other in enumerate(observation.others)
+            if (leader := keeper.ahead(observation, index)) is not None
+            and (_apart(ego, other) <= 0 or other.lane == keeper.lane)
+        ]
+        is_danger = any(leader.time_to_collision < self.TRIGGER for leader in leaders)
+        self.braking = is_danger or (self.braking and any(leader.closing > 0 for leader in leaders))
+        wanted = -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
+        return keeper.pressed(wanted, self.HARDEST, self.HARDEST / 0.6), keeper.steer(observation)
+
+    def idm(self, speed: float, leaders: list[Leader]) -> float:
+        """The model's acceleration behind the leader that asks for the least [m/s^2]."""
+        wanted = max(self.keeper.wanted, 0.1)
+        free = 1 - (speed / wanted) ** 4
+        comfort = 2 * math.sqrt(GENTLE_ACCELERATION * self.BRAKING)
+        pressing = 0.0
+        for leader in leaders:
+            desired = self.STANDSTILL_GAP + max(speed * self.HEADWAY + speed * leader.closing / comfort, 0.0)
+            pressing = max(pressing, (desired / max(leader.gap, 0.1)) ** 2)
+        return GENTLE_ACCELERATION * (free - pressing)
+
+
+REFERENCES: Mapping[str, Callable[[], Driver]] = MappingProxyType(
+    {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
+)
+"""Factories of the reference drivers; each can be given to a search as its ADS."""
+
+
+def rollout_reference(world: Any, scenario: Scenario, name: str) -> Trace:
+    """Simulate a scenario with a reference driver in the ego's place, on the world's road and at its physics rate.
+
+    Raises:
+        WorldError: for a name that is not in :data:`REFERENCES`.
+        ScenarioError: when the scenario does not fit the world.
+    """
+    if name not in REFERENCES:
+        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
+    from pytest_pafot.world import validation as checks  # noqa: PLC0415  (only here needed)
+    from pytest_pafot.world.engines.choice import planned, planned_on_network  # noqa: PLC0415
+    from pytest_pafot.world.roads.straight import StraightRoad  # noqa: PLC0415
+
+    rules = world.rules
+    checks.fits(scenario, rules)
+    every_tick = replace(rules, ads_hz=rules.physics_hz)
+    if isinstance(rules.road, StraightRoad):
+        return planned(world, every_tick, scenario, REFERENCES[name]())
+    return planned_on_network(world, every_tick, scenario, REFERENCES[name]())
+
+
+def survives(world: Any, scenario: Scenario, name: str) -> bool:
+    """Whether a reference driver gets through a scenario without a collision, whoever would be responsible for it."""
+    return rollout_reference(world, scenario, name).outcome is not Outcome.COLLISION
+
+
+def preventable_by(world: Any, scenario: Scenario) -> tuple[str, ...]:
+    """Names of the reference drivers that survive a scenario, in the order of :data:`REFERENCES`."""
+    return tuple(name for name in REFERENCES if survives(world, scenario, name))
+
+
+def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> bool:
+    """Whether a vehicle is in the ego's way, or visibly leaves its lane towards it."""
+    if _apart(ego, other) <= 0:
+        return True
+    side = 1.0 if ego.y > other.y else -1.0
+    offset = side * (other.y - other.lane * lane_width)
+    next_lane = abs(ego.y - other.y) < 1.5 * lane_width
+    return next_lane and offset > LEAVING and _towards(ego, other) > 0
+
+
+def is_critical(leader: Leader) -> bool:
+    """Whether a careful driver has to brake hard."""
+    if leader.time_to_collision < CRITICAL_TIME:
+        return True
+    return leader.braking > CRITICAL_BRAKING and leader.gap < STANDSTILL_GAP + HEADWAY * (leader.speed + leader.closing)
+
+
+def _along(vehicle: VehicleState) -> float:
+    return vehicle.speed * math.cos(vehicle.heading)
+
+
+def _towards(ego: VehicleState, other: VehicleState) -> float:
+    """Lateral speed of another towards the ego's line [m/s]."""
+    sideways = other.speed * math.sin(other.heading)
+    return sideways if ego.y > other.y else -sideways
+
+
+def _half_length(vehicle: VehicleState) -> float:
+    return (vehicle.length * math.cos(vehicle.heading) + vehicle.width * abs(math.sin(vehicle.heading))) / 2
+
+
+def _half_width(vehicle: VehicleState) -> float:
+    return (vehicle.width * math.cos(vehicle.heading) + vehicle.length * abs(math.sin(vehicle.heading))) / 2
+
+
+def _apart(ego: VehicleState, other: VehicleState) -> float:
+    """Distance between the boxes across the road [m]; negative in one track."""
+    return abs(ego.y - other.y) - _half_width(ego) - _half_width(other)
+
+
+def _fuzzy(distance: float, safe: float, unsafe: float) -> float:
+    """1 below the unsafe distance, 0 above the safe one, in proportion between them."""
+    if distance >= safe:
+        return 0.0
+    return 1.0 if distance <= unsafe else (safe - distance) / (safe - unsafe)

@@ -1,0 +1,1 @@
+"""The roads that vehicles drive on."""

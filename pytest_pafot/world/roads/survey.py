@@ -1,0 +1,337 @@
+"""A :class:`NetworkRoad` from a highway-env environment: the ego's way, and the lanes beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.trace import FloatArray, Lane
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.roads.network import Column, NetworkRoad
+from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of, way, wrapped
+from pytest_pafot.world.roads.speeds import allowed_speeds, leans, sharpest_ahead
+
+NPC_LENGTH = 5.0
+"""highway-env's vehicles [m]."""
+TIGHTEST = 1 / 6.5
+"""Curvature of the tightest bend that a car of that length can follow [1/m]."""
+SHORTEST_LANE = 10.0
+"""A lane beside the way that is shorter is none for the grid [m]."""
+BEYOND_ENDS = 0.5
+"""How far beyond its ends a lane still counts as beside the way [m]."""
+SAME_DIRECTION = 0.5
+"""Largest angle between lanes of one direction [rad]."""
+SAME_LANE = 1.0
+"""Largest step across the road of a lane that goes on [m]."""
+BRIDGED = 10.0
+"""Longest stretch without a lane, such as where two sections meet, over which it counts as going on [m]."""
+EVENED = 2.0
+"""Over which steps across the road are rounded off [m]."""
+LANE_CHANGE = 25.0
+"""How far a lane change takes at the speeds at which bends matter [m]."""
+STOP_BEFORE_END = NPC_LENGTH / 2 + 1.5
+"""Where an NPC stands at the end of its lane, by its centre [m]."""
+POINT_STEP = 2.0
+"""Distance of the points of a lane in a trace [m]."""
+ROOM_BEHIND = 150.0
+"""How far behind the ego's start the way is looked at [m]."""
+
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Strip:
+    """One lane number along the way; arrays have an entry per point of the line."""
+
+    exists: Flags
+    across: FloatArray
+    limit: FloatArray
+    width: FloatArray
+
+    @classmethod
+    def empty(cls, points: int) -> _Strip:
+        return cls(np.zeros(points, dtype=bool), np.zeros(points), np.zeros(points), np.zeros(points))
+
+
+def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
+    """The road of an environment after its reset.
+
+    Args:
+        env: highway-env's, with its ego on the road.
+        name: of the environment, for messages.
+        limits: of the NPCs.
+        ahead: how far the fastest vehicle may get [m].
+
+    Raises:
+        WorldError: when the grid has no meaning there; the message says why.
+    """
+    network, ego = env.road.network, env.vehicle
+    index, at = _start(network, ego, name)
+    pieces, first = way(network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND)
+    line = line_of(pieces)
+    speed = float(ego.speed)
+    strips = _strips(network, pieces, line, speed)
+    _check_bends(line, name)
+    start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
+    columns, lanes = _columns(line, strips, limits)
+    sections = frozenset(piece.index[:2] for piece in pieces)
+    others = {index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections}
+    ego_lane = sorted(strips).index(0)
+    road = NetworkRoad(
+        lanes=(*lanes, *(_other_lane(lane, speed) for lane in others.values())),
+        columns=columns,
+        sections=sections,
+        others=tuple(others),
+        line=line,
+        lane_width=float(strips[0].width[round(start / STEP)]),
+        speed_limit=max(speed, *(float(strip.limit.max()) for strip in strips.values())),
+        start=start,
+        ego_lane=ego_lane,
+        ego_speed=speed,
+        end=(len(line.x) - 1) * STEP,
+    )
+    if road.end - road.start < 2 * NPC_LENGTH:
+        raise WorldError(
+            f"{name}: expected a road that goes on from where the ego starts, received one that ends "
+            f"{road.end - start:.0f} m ahead; give the ego a route, or a start further back"
+        )
+    return road
+
+
+def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
+    """The lane that the ego starts in, and where in it [m]."""
+    if ego is None or not network.lanes_list():
+        raise WorldError(f"{name}: expected an ego on a road with lanes, received an environment without")
+    index = network.get_closest_lane_index(ego.position, ego.heading)
+    lane = network.get_lane(index)
+    at, offset = (float(value) for value in lane.local_coordinates(ego.position))
+    turned = abs(wrapped(float(ego.heading) - float(lane.heading_at(at))))
+    is_beside = abs(offset) > float(lane.width_at(at)) / 2 + 1e-6 or not -1e-6 <= at <= lane.length
+    if is_beside or turned > math.pi / 4:
+        raise WorldError(
+            f"{name}: expected an ego that starts on a lane and in its direction, because the grid lies along its "
+            f"lane, received one {abs(offset):.1f} m beside the centre of the nearest lane {index}, at an angle of "
+            f"{math.degrees(turned):.0f} degrees; free areas such as parking lots have no grid"
+        )
+    return index, min(max(at, 0.0), float(lane.length))
+
+
+def _check_bends(line: Line, name: str) -> None:
+    curvature = _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
+    worst = int(np.abs(curvature).argmax())
+    if abs(curvature[worst]) > TIGHTEST:
+        raise WorldError(
+            f"{name}: expected bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
+            f"{1 / TIGHTEST:g} m, received {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, "
+            f"y = {line.y[worst]:.0f}"
+        )
+
+
+def _place(line: Line, piece: int, point: FloatArray) -> float:
+    """Where along the line a point of a piece is [m]."""
+    distance = np.hypot(line.x - point[0], line.y - point[1]) + np.where(line.piece == piece, 0.0, 1e6)
+    near = int(distance.argmin())
+    heading = line.heading[near]
+    ahead = (point[0] - line.x[near]) * math.cos(heading) + (point[1] - line.y[near]) * math.sin(heading)
+    return min(max(near * STEP + float(ahead), 0.0), (len(line.x) - 1) * STEP)
+
+
+def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
+    """The lanes of the way by their number relative to the ego's way, negative to the left."""
+    points = len(line.x)
+    strips: dict[int, _Strip] = {}
+    for point in range(points):
+        piece = pieces[line.piece[point]]
+        for number, (across, lane, longitudinal) in _beside(network, piece, line, point).items():
+            strip = strips.setdefault(number, _Strip.empty(points))
+            strip.exists[point] = True
+            strip.across[point] = across
+            strip.limit[point] = max(lane.speed_limit or 0.0, ego_speed)
+            strip.width[point] = lane.width_at(longitudinal)
+    for number in [each for each in strips if each != 0]:
+        _bridge(strips[number])
+        _smooth(strips[number])
+        _drop_broken(strips[number], line)
+    return {number: strip for number, strip in strips.items() if strip.exists.any()}
+
+
+def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
+    """The lanes of a section at a point of the line: by number, how far across, the lane and the place in it."""
+    place = np.array([line.x[point], line.y[point]])
+    heading = float(line.heading[point])
+    origin, end, own = piece.index
+    found = []
+    for number, lane in enumerate(network.graph[origin][end]):
+        longitudinal = float(lane.local_coordinates(place)[0])
+        if number == own:
+            found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
+            continue
+        if not -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS:
+            continue
+        if abs(wrapped(float(lane.heading_at(longitudinal)) - heading)) > SAME_DIRECTION:
+            continue
+        step = np.asarray(lane.position(longitudinal, 0)) - place
+        found.append((float(step[1] * math.cos(heading) - step[0] * math.sin(heading)), False, lane, longitudinal))
+    found.sort(key=lambda each: each[0])
+    own_rank = next(rank for rank, each in enumerate(found) if each[1])
+    return {rank - own_rank: (across, lane, at) for rank, (across, _, lane, at) in _neighbours(found, own_rank)}
+
+
+def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
+    """The own lane and those to either side, as far as each touches the one before."""
+    yield own, found[own]
+    for way_out in (range(own - 1, -1, -1), range(own + 1, len(found))):
+        before = own
+        for rank in way_out:
+            apart = abs(found[rank][0] - found[before][0])
+            width = float(found[rank][2].width_at(found[rank][3]) + found[before][2].width_at(found[before][3])) / 2
+            if not 0.6 * width < apart < 1.5 * width:
+                break
+            yield rank, found[rank]
+            before = rank
+
+
+def _bridge(strip: _Strip) -> None:
+    """Have a lane go on over the short stretches between sections where none of them reaches."""
+    parts = _parts(strip.exists)
+    for before, after in pairwise(parts):
+        last, following = before[-1], after[0]
+        is_near = (following - last) * STEP <= BRIDGED
+        if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
+            between = np.arange(last + 1, following)
+            strip.across[between] = np.interp(between, [last, following], strip.across[[last, following]])
+            strip.limit[between], strip.width[between] = strip.limit[last], strip.width[last]
+            strip.exists[between] = True
+
+
+def _smooth(strip: _Strip) -> None:
+    """Round the small steps off that lanes of neighbouring sections have where they meet."""
+    reach = round(3 * EVENED / STEP)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / EVENED) ** 2)
+    for part in _parts(strip.exists):
+        padded = np.pad(strip.across[part], reach, mode="edge")
+        strip.across[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+
+
+def _drop_broken(strip: _Strip, line: Line) -> None:
+    """End a lane where it does not go on, and drop what is too short or bends too tightly."""
+    jumps = np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)
+    for jump in jumps:
+        strip.exists[jump] = False
+    for part in _parts(strip.exists):
+        rows = slice(part[0], part[-1] + 1)
+        if len(part) * STEP < SHORTEST_LANE:
+            strip.exists[rows] = False
+            continue
+        _, _, direction, lengths = _course(line, strip.across, part)
+        if np.abs(_curvature(direction, lengths)).max() > TIGHTEST:
+            strip.exists[rows] = False
+
+
+def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
+    indices = np.flatnonzero(exists)
+    if not indices.size:
+        return []
+    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+
+
+def _course(
+    line: Line, across: FloatArray, part: npt.NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of a part of a lane: x, y, direction without jumps as that of the line, length along it."""
+    heading = line.heading[part]
+    x = line.x[part] - np.sin(heading) * across[part]
+    y = line.y[part] + np.cos(heading) * across[part]
+    turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
+    direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
+    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
+    return x, y, direction, lengths
+
+
+def _curvature(direction: FloatArray, lengths: FloatArray) -> FloatArray:
+    """[1/m], over a metre and a half."""
+    raw = np.gradient(direction) / np.maximum(np.gradient(lengths), 1e-9)
+    padded = np.concatenate([raw[:1], raw, raw[-1:]])
+    return np.convolve(padded, np.full(3, 1 / 3), mode="valid")
+
+
+def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[tuple[Column, ...], list[Lane]]:
+    """The lanes of the way for driving, and for the trace: the first part of each, then the others."""
+    firsts: list[Lane] = []
+    others: list[Lane] = []
+    columns = []
+    numbers = sorted(strips)
+    for number in numbers:
+        strip = strips[number]
+        column = {
+            "across": _filled(strip.across, strip.exists),
+            "direction": line.heading.copy(),
+            "lean": np.zeros(len(line.x)),
+            "speed": np.zeros(len(line.x)),
+            "sharpest": np.zeros(len(line.x)),
+        }
+        part_of = np.full(len(line.x), -1)
+        for order, part in enumerate(_parts(strip.exists)):
+            x, y, direction, lengths = _course(line, strip.across, part)
+            is_last = part[-1] == len(line.x) - 1
+            column["direction"][part] = direction
+            column["lean"][part] = leans(direction, lengths, NPC_LENGTH)
+            curvature = _curvature(direction, lengths)
+            column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
+            column["speed"][part] = allowed_speeds(
+                curvature,
+                strip.limit[part],
+                None if is_last else float(lengths[-1]) - STOP_BEFORE_END,
+                lengths,
+                limits,
+            )
+            lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
+            part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
+            (others if order else firsts).append(lane)
+        columns.append(
+            Column(
+                exists=strip.exists.tolist(),
+                part=part_of.tolist(),
+                **{name: [float(value) for value in values] for name, values in column.items()},
+            )
+        )
+    return tuple(columns), [*firsts, *others]
+
+
+def _filled(values: FloatArray, exists: Flags) -> FloatArray:
+    """Where there is no value, the nearest one."""
+    known = np.flatnonzero(exists)
+    return np.interp(np.arange(len(values)), known, values[known])
+
+
+def _lane(
+    x: FloatArray, y: FloatArray, direction: FloatArray, lengths: FloatArray, width: float, speed_limit: float
+) -> Lane:
+    step = max(1, round(POINT_STEP / STEP))
+    rows = sorted({*range(0, len(x), step), len(x) - 1})
+    is_straight = bool(np.abs(direction - direction[0]).max() < 1e-9)
+    return Lane(
+        x=float(x[0]),
+        y=float(y[0]),
+        heading=float(direction[0]),
+        length=float(lengths[-1]),
+        width=width,
+        speed_limit=speed_limit,
+        points=() if is_straight else tuple((float(x[row]), float(y[row])) for row in rows),
+    )
+
+
+def _other_lane(lane: Any, ego_speed: float) -> Lane:
+    places = np.linspace(0.0, float(lane.length), max(2, math.ceil(lane.length / STEP)))
+    points = np.array([lane.position(float(place), 0) for place in places], dtype=float)
+    direction = np.unwrap([float(lane.heading_at(float(place))) for place in places])
+    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    limit = max(lane.speed_limit or 0.0, ego_speed)
+    return _lane(points[:, 0], points[:, 1], direction, lengths, float(lane.width_at(lane.length / 2)), limit)

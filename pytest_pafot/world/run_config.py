@@ -1,0 +1,141 @@
+"""What all runs of a world have in common, and where everybody starts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.world import validation as checks
+from pytest_pafot.world.driving.network_director import NetworkDirector
+from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.speeds import BEND_SHARE
+from pytest_pafot.world.roads.straight import StraightRoad
+
+NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
+"""highway-env's vehicles [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """What all runs of a world have in common.
+
+    Attributes:
+        road: on which all drive.
+        physics_hz, ads_hz: ticks and decisions per second.
+        duration: of a run, at most [s].
+        clearance: gap between the ego and the cells ahead and behind [m].
+        headway: of NPCs that start ahead or behind [s].
+        limits: of the NPCs.
+        hang_limit: longest decision of the ADS in wall-clock time [s].
+    """
+
+    road: StraightRoad | NetworkRoad
+    physics_hz: int
+    ads_hz: int
+    duration: float
+    clearance: float
+    headway: float
+    limits: NpcLimits
+    hang_limit: float
+
+    @property
+    def ego_start(self) -> float:
+        """Where along the road the ego starts [m]."""
+        if isinstance(self.road, NetworkRoad):
+            return self.road.start
+        return checks.ego_start(self.headway, self.clearance)
+
+    @property
+    def straight(self) -> StraightRoad:
+        """The road.
+
+        Raises:
+            TypeError: where it is not straight.
+        """
+        if not isinstance(self.road, StraightRoad):
+            raise TypeError(f"road: expected a straight one, received {type(self.road).__name__}")
+        return self.road
+
+    @property
+    def way(self) -> NetworkRoad:
+        """The road.
+
+        Raises:
+            TypeError: where it is straight.
+        """
+        if not isinstance(self.road, NetworkRoad):
+            raise TypeError(f"road: expected the ego's way through a network, received {type(self.road).__name__}")
+        return self.road
+
+    def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
+        """From the ego to NPCs that start ahead or behind, by their centres [m]."""
+        return float(ego_length + NPC_LENGTH) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
+
+    def start_cells(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> frozenset[Cell]:
+        """The cells in which an NPC may start."""
+        if isinstance(self.road, NetworkRoad):
+            return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
+        return self.road.cells(scenario.ego_lane)
+
+    def director(
+        self, scenario: Scenario, ego_length: float, length: float = NPC_LENGTH, width: float = NPC_WIDTH
+    ) -> Director:
+        """Who drives the NPCs of one run, of a length and width [m], around an ego of a length [m]."""
+        common: dict[str, Any] = {
+            "clearance": self.clearance,
+            "ego_length": ego_length,
+            "length": length,
+            "width": width,
+            "physics_hz": self.physics_hz,
+        }
+        if isinstance(self.road, StraightRoad):
+            return Director(scenario, self.road, self.limits, **common)
+        return NetworkDirector(
+            scenario, self.road, self.limits, start_cells=self.start_cells(scenario, ego_length), **common
+        )
+
+    def ticks(self, scenario: Scenario) -> int:
+        """Physics steps of a run that nothing ends early."""
+        return int(min(self.duration, scenario.genes * scenario.gene_seconds) * self.physics_hz + 1e-9)
+
+
+def start_positions(
+    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
+) -> list[tuple[float, float, float]]:
+    """World x [m], y [m], heading [rad] of the ego and of each NPC at tick 0.
+
+    NPCs of cells 4 and 8 start beside the ego, all others in their cell's lane at the headway ahead or behind,
+    so that danger is created by driving and never present at the start.
+    """
+    return [rules.road.position(along, lane) for along, lane in start_places(rules, scenario, cells, ego_length)]
+
+
+def start_places(
+    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
+) -> list[tuple[float, int]]:
+    """The same along the road [m], with the lane."""
+    far = rules.start_distance(scenario, ego_length)
+    beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
+    return [(rules.ego_start, scenario.ego_lane), *beside]
+
+
+def start_speeds(rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float) -> list[float]:
+    """Of each NPC [m/s]: the ego's, or less where it starts in a bend that it could not drive so fast, or just after.
+
+    There it still lies in its lane as in the bend, and turns as fast as it drives.
+    """
+    road = rules.road
+    if isinstance(road, StraightRoad):
+        return [scenario.ego_speed] * len(cells)
+    _, *places = start_places(rules, scenario, cells, ego_length)
+    most = BEND_SHARE * rules.limits.lateral_acceleration * NPC_LENGTH / 2
+    turning = [math.sqrt(most / max(math.sin(abs(road.lane_at(lane, along)[2])), 1e-9)) for along, lane in places]
+    return [
+        min(scenario.ego_speed, road.speed_at(lane, along), fastest)
+        for (along, lane), fastest in zip(places, turning, strict=True)
+    ]

@@ -1,0 +1,58 @@
+"""What a vehicle did before an event: it changed lanes, or it did not."""
+
+import numpy as np
+import pytest
+
+from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot.attribution.manoeuvres import manoeuvre_before
+from pytest_pafot.findings.finding import Expect, of_failure
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.run import Run
+from tests.support.traces import trace_of, vehicle
+
+COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
+STILL = vehicle(0.0, 4.0, speed=20.0, ticks=150)
+
+
+def sideways(displacement, *, until, ticks=150):
+    """A vehicle that moves to the right at an even pace for two seconds and then keeps its lane."""
+    states = vehicle(30.0, 4.0, speed=20.0, ticks=ticks)
+    states[:, 1] += displacement * np.clip((np.arange(ticks + 1) - until + 30) / 30, 0, 1)
+    return states
+
+
+@pytest.mark.parametrize(("until", "expected"), [(150, "lane-change"), (100, "lane-change"), (80, "lane-keeping")])
+def test_a_lane_change_counts_while_it_is_less_than_four_seconds_ago(until, expected):
+    trace = trace_of(STILL, sideways(4.0, until=until))
+    assert manoeuvre_before(trace, 1, 150) == expected
+    assert manoeuvre_before(trace, 0, 150) == "lane-keeping"
+
+
+@pytest.mark.parametrize(
+    ("displacement", "expected"), [(0.9, "lane-keeping"), (-0.9, "lane-keeping"), (1.1, "lane-change")]
+)
+def test_swaying_inside_the_lane_is_no_lane_change(displacement, expected):
+    assert manoeuvre_before(trace_of(STILL, sideways(displacement, until=150)), 1, 150) == expected
+
+
+def test_at_the_start_nobody_has_changed_lanes():
+    assert manoeuvre_before(trace_of(STILL, STILL), 1, 0) == "lane-keeping"
+
+
+def collision(*instructions):
+    scenario = Scenario(npcs=(tuple(PositionInstruction(*each) for each in instructions),))
+    run = Run(Highway().rollout(scenario, lambda: lambda observation: (0.0, 0.0)))
+    assert run.collision is not None
+    return run
+
+
+def test_a_cut_in_and_a_braking_leader_are_told_apart():
+    leader, cut_in = (Expect.of(collision(*chain), COLLIDES) for chain in (((2, 5.0),), ((1, 22.0), (2, 5.0))))
+    assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
+    assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
+    assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)
+
+
+def test_a_file_keeps_the_manoeuvres_so_that_the_signature_can_be_compared():
+    run = collision((2, 5.0))
+    assert Expect.of(run, COLLIDES).signature == of_failure(run, COLLIDES)

@@ -1,0 +1,109 @@
+"""Near-misses of the ego: the dangers of a run, judged as the collisions that they almost were."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.criticality import gap, ttc
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import Outcome
+from tests.support.drives import crash, driven
+from tests.support.traces import random_states, trace_of
+
+LEFT, OWN, RIGHT = 0.0, 4.0, 8.0
+
+COLLISIONS = {
+    "leader-unanswered": lambda: crash(driven(0.0), driven(100.0, speed=10.0)),
+    "cut-in-unanswered": lambda: crash(
+        driven(0.0), driven(25.0, LEFT, brakes=[(9.0, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
+    ),
+    "entered-lane": lambda: crash(
+        driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR
+    ),
+    "npc": lambda: crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR),
+}
+
+
+def before(trace, ticks=1):
+    """The run as it was so many ticks before the impact, without it."""
+    states = trace.states[: len(trace.states) - ticks]
+    return replace(trace, states=states, outcome=Outcome.SAFE, collision=None, actions=trace.actions[: len(states) - 1])
+
+
+def faults(trace):
+    return [near_miss.fault for near_miss in near_misses(trace)]
+
+
+@pytest.mark.parametrize("fault", ["leader-unanswered", "cut-in-unanswered", "entered-lane"])
+def test_what_almost_was_a_collision_of_the_ego_is_a_near_miss_of_the_same_fault(fault):
+    trace = COLLISIONS[fault]()
+    assert rss_rule(trace).fault == fault
+    assert faults(before(trace)) == [fault]
+
+
+def test_what_almost_was_a_collision_of_an_npc_is_none():
+    assert faults(before(COLLISIONS["npc"]())) == []
+
+
+@pytest.mark.parametrize("name", COLLISIONS)
+def test_the_danger_that_ended_in_the_impact_is_none(name):
+    assert near_misses(COLLISIONS[name]()) == ()
+
+
+def test_a_danger_before_the_impact_with_another_is_one():
+    ego = driven(0.0)
+    slow = driven(60.0, RIGHT, speed=12.0, shifts=[(1.0, OWN, 2.0), (5.0, RIGHT, 1.0)])
+    trace = crash(ego, driven(-60.0, speed=26.0), slow, side="rear", cell=Cell.REAR)
+    assert [(near_miss.fault, near_miss.npc) for near_miss in near_misses(trace)] == [("cut-in-unanswered", 1)]
+
+
+def test_keeping_the_distance_is_none():
+    assert near_misses(trace_of(driven(0.0), driven(60.0))) == ()
+
+
+def test_it_is_taken_where_time_and_gap_are_worst():
+    trace = trace_of(driven(0.0, brakes=[(7.5, 9.0, 8.0)]), driven(100.0, speed=10.0))
+    (found,) = near_misses(trace)
+    worst = (1 / (1 + ttc(trace)[:, 0] / 1.5) + 1 / (1 + gap(trace)[:, 0])) / 2
+    assert found.tick == np.argmax(worst)
+    assert found.severity == pytest.approx(max(worst))
+
+
+@given(ticks=st.lists(st.integers(1, 60), min_size=2, max_size=2, unique=True))
+def test_the_later_the_ego_is_saved_the_more_severe(ticks):
+    trace = COLLISIONS["leader-unanswered"]()
+    nearer, farther = (near_misses(before(trace, each)) for each in sorted(ticks))
+    assert nearer[0].severity > max((near_miss.severity for near_miss in farther), default=0.0)
+
+
+@given(seed=st.integers(0, 10_000), ticks=st.integers(1, 60), vehicles=st.integers(2, 4))
+def test_any_run_has_at_most_one_of_each_fault_within_its_time(seed, ticks, vehicles):
+    states = random_states(np.random.default_rng(seed), ticks + 1, vehicles)
+    found = near_misses(trace_of(*states.swapaxes(0, 1)))
+    assert [each.fault for each in found] == sorted({each.fault for each in found})
+    for each in found:
+        assert 0 <= each.tick <= ticks
+        assert 0 <= each.npc < vehicles - 1
+        assert 0 < each.severity <= 1
+
+
+@pytest.mark.parametrize("to", [1.0, 1.5, OWN])
+def test_a_cut_in_that_nobody_could_answer_is_none_whether_or_not_the_tracks_came_to_overlap(to):
+    npc = driven(28.0, LEFT, speed=10.0, shifts=[(2.0, to, 0.6)])
+    whole = crash(driven(0.0), driven(28.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 0.6)]))
+    assert rss_rule(whole).reason.endswith("too late to avoid it")
+    ego = driven(0.0)
+    ticks = whole.ticks
+    assert faults(trace_of(ego[:ticks], npc[:ticks])) == []
+
+
+@given(ticks=st.integers(1, 6))
+def test_just_before_a_collision_by_a_cut_in_that_came_too_late_there_is_none(ticks):
+    trace = crash(driven(0.0), driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)]))
+    assert rss_rule(trace).reason.endswith("too late to avoid it")
+    assert faults(before(trace, ticks)) == []

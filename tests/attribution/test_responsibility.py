@@ -1,0 +1,254 @@
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.attribution.responsibility import DISTANCES, position_reason, position_rule, rss_rule
+from pytest_pafot.criticality import rss_longitudinal
+from pytest_pafot.grid import Cell
+from pytest_pafot.trace import HEADING, STEERING, Outcome, Y
+from tests.support.drives import crash, driven
+from tests.support.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
+
+LEFT, OWN = 0.0, 4.0
+
+
+class TestInOneLane:
+    """Who follows has to keep the distance, and to brake with 6 m/s^2 after 1 s where it is gone."""
+
+    def test_an_ego_that_ignores_a_slow_leader_is_responsible_from_when_it_was_too_close(self):
+        found = rss_rule(crash(driven(0.0), driven(100.0, speed=10.0)))
+        assert found.responsibility == "ego"
+        assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
+        assert found.reason == (
+            "from 4.8 s it was closer than the 47.1 m that RSS demands behind NPC 0 and braked with 0.0 of 6.0 m/s^2"
+        )
+
+    def test_an_ego_that_does_not_brake_behind_a_braking_leader_is_responsible(self):
+        found = rss_rule(crash(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
+        assert found.responsibility == "ego"
+        assert 2.0 < found.time < 4.0
+
+    def test_an_ego_that_brakes_too_gently_is_responsible_and_the_reason_says_how_it_braked(self):
+        ego = driven(0.0, brakes=[(3.0, 3.0, 0.0)])
+        found = rss_rule(crash(ego, driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
+        assert found.responsibility == "ego"
+        assert "braked with 3.0 of 6.0 m/s^2" in found.reason
+
+    def test_an_ego_that_was_too_close_from_the_start_had_no_time(self):
+        found = rss_rule(crash(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])))
+        assert (found.responsibility, found.tick) == ("npc", 0)
+        assert "no time to respond" in found.reason
+
+    def test_an_ego_that_was_too_close_from_the_start_and_had_time_is_responsible(self):
+        found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, 8.0, 0.0)])))
+        assert (found.responsibility, found.tick) == ("ego", 0)
+
+    def test_an_npc_that_runs_into_the_ego_from_behind_is_responsible(self):
+        found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
+        assert found.responsibility == "npc"
+        assert "NPC 0 was closer than the" in found.reason
+
+    def test_an_npc_that_runs_into_a_braking_ego_is_responsible(self):
+        ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
+        assert rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR)).responsibility == "npc"
+
+    def test_an_ego_that_brakes_harder_than_anybody_may_expect_is_responsible(self):
+        ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
+        found = rss_rule(crash(ego, driven(-74.0, speed=38.0), side="rear", cell=Cell.REAR))
+        assert found.responsibility == "ego"
+        assert "9.8 of at most 8.0 m/s^2 with nothing ahead" in found.reason
+
+    def test_an_ego_that_brakes_so_for_somebody_ahead_is_not(self):
+        ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
+        behind, ahead = driven(-74.0, speed=38.0), driven(160.0, speed=2.0)
+        assert rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR)).responsibility == "npc"
+
+    def test_a_standing_ego_is_never_responsible(self):
+        ego = driven(0.0, brakes=[(1.0, 8.0, 0.0)])
+        found = rss_rule(crash(ego, driven(-80.0), side="rear", cell=Cell.REAR))
+        assert found.responsibility == "npc"
+        assert found.reason == "the ego was standing (0.0 m/s) at the impact"
+
+    @pytest.mark.parametrize("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
+    def test_two_seconds_behind_a_leader_of_equal_speed_are_safe_at_any_speed(self, speed):
+        trace = trace_of(vehicle(0.0, speed=speed, ticks=2), vehicle(2 * speed + 5.0, speed=speed, ticks=2))
+        assert (rss_longitudinal(trace, DISTANCES) < 2 * speed).all()
+
+
+class TestCutIn:
+    """Who moves sideways into the other's way owes an answer; who is cut off has to make the best of it."""
+
+    def test_an_npc_that_cuts_in_too_close_and_brakes_is_responsible(self):
+        npc = driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
+        found = rss_rule(crash(driven(0.0), npc))
+        assert found.responsibility == "npc"
+        assert found.time == pytest.approx(2.0, abs=0.1)
+        assert (
+            found.reason == "at 2.0 s NPC 0 moved sideways towards the ego (1.0 m/s), 3.0 m ahead, too late to avoid it"
+        )
+
+    def test_an_ego_that_does_not_brake_for_seconds_after_a_cut_in_is_responsible(self):
+        npc = driven(25.0, LEFT, brakes=[(9.0, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
+        found = rss_rule(crash(driven(0.0), npc))
+        assert found.responsibility == "ego"
+        assert found.reason.endswith("but braking with 3 to 6 m/s^2 instead of 0.0 would have avoided it")
+
+    def test_a_slow_vehicle_that_cuts_in_far_ahead_is_the_ego_s_to_avoid(self):
+        npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])
+        assert rss_rule(crash(driven(0.0), npc)).responsibility == "ego"
+
+    def test_an_ego_that_cuts_in_just_ahead_of_a_faster_npc_is_responsible(self):
+        ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
+        found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
+        assert found.responsibility == "ego"
+        assert "the ego moved sideways towards NPC 0 (1.0 m/s), " in found.reason
+        assert " m ahead of it, where RSS demands " in found.reason
+
+    def test_an_ego_that_cuts_in_with_room_for_the_one_behind_is_not(self):
+        ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
+        found = rss_rule(crash(ego, driven(-45.0, speed=24.0), side="rear", cell=Cell.REAR))
+        assert found.responsibility == "npc"
+        assert "could have met with 3 m/s^2 of braking" in found.reason
+
+    def test_so_it_is_where_the_one_behind_comes_into_that_lane_at_the_same_time(self):
+        ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-45.0, 8.0, speed=24.0, shifts=[(2.0, OWN, 2.0)])
+        assert rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR)).responsibility == "npc"
+
+    def test_an_ego_that_speeds_up_after_a_cut_in_is_told_so(self):
+        npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
+        found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
+        assert found.responsibility == "ego"
+        assert "instead of speeding up to" in found.reason
+
+    def test_an_ego_that_changes_lanes_into_a_slower_vehicle_ahead_is_responsible(self):
+        ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
+        assert rss_rule(crash(ego, driven(32.0, speed=12.0))).responsibility == "ego"
+
+
+class TestSideBySide:
+    """The lateral mover is responsible."""
+
+    def test_an_ego_that_moves_into_a_vehicle_beside_it_is_responsible(self):
+        found = rss_rule(crash(driven(0.0, shifts=[(1.0, LEFT, 3.0)]), driven(1.0, LEFT), side="left", cell=Cell.LEFT))
+        assert found.responsibility == "ego"
+        assert found.reason.endswith("(1.3 m/s), side by side")
+
+    def test_an_npc_that_moves_into_the_ego_beside_it_is_responsible(self):
+        found = rss_rule(crash(driven(0.0), driven(1.0, LEFT, shifts=[(1.0, OWN, 3.0)]), side="left", cell=Cell.LEFT))
+        assert found.responsibility == "npc"
+
+    def test_when_both_move_into_each_other_both_are(self):
+        ego, npc = driven(0.0, shifts=[(1.0, 2.0, 2.0)]), driven(1.0, LEFT, shifts=[(1.0, 2.0, 2.0)])
+        found = rss_rule(crash(ego, npc, side="left", cell=Cell.LEFT))
+        assert found.responsibility == "both"
+        assert "(0.5 and 0.5 m/s)" in found.reason
+
+    def test_wandering_a_little_in_the_lane_is_no_lane_change(self):
+        ego = driven(0.0, shifts=[(1.0, 3.8, 2.0)])
+        found = rss_rule(crash(ego, driven(1.0, LEFT, shifts=[(1.0, OWN, 2.0)]), side="left", cell=Cell.LEFT))
+        assert found.responsibility == "npc"
+
+
+def test_without_a_collision_nobody_is_responsible():
+    trace = trace_of(vehicle(0.0, ticks=10), vehicle(50.0, ticks=10))
+    found = rss_rule(trace)
+    assert (found.responsibility, found.tick, found.time) == ("none", None, None)
+    assert position_rule(trace) == "none"
+    assert found.reason == position_reason(trace) == "there was no collision"
+
+
+def mirrored(trace):
+    """The same run with left and right swapped, on the same four lanes."""
+    states = trace.states.copy()
+    states[..., Y] = 12.0 - states[..., Y]
+    states[..., HEADING] *= -1
+    states[..., STEERING] *= -1
+    states[..., 6] = np.where(states[..., 6] < 0, -1, 3 - states[..., 6])
+    swapped = {"left": "right", "right": "left"}.get(trace.collision.side, trace.collision.side)
+    return replace(trace, states=states, collision=replace(trace.collision, side=swapped))
+
+
+@given(
+    ahead=st.floats(-40, 40),
+    lane=st.sampled_from([LEFT, OWN, 8.0]),
+    speeds=st.tuples(st.floats(1, 30), st.floats(1, 30)),
+    braking=st.floats(0, 9.8),
+    begin=st.floats(0.5, 3),
+    seconds=st.floats(1, 4),
+    side=st.sampled_from(["front", "rear", "left", "right"]),
+)
+def test_left_and_right_make_no_difference(ahead, lane, speeds, braking, begin, seconds, side):
+    ego = driven(0.0, speed=speeds[0], brakes=[(begin, braking, 0.5)], seconds=8.0)
+    npc = driven(ahead, lane, speed=speeds[1], shifts=[(begin, OWN, seconds)], seconds=8.0)
+    trace = trace_of(ego, npc, outcome=Outcome.COLLISION, collision=collision_at(120, side=side))
+    assert rss_rule(mirrored(trace)) == rss_rule(trace)
+
+
+@given(seed=st.integers(0, 10_000), ticks=st.integers(1, 60), vehicles=st.integers(2, 4))
+def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles):
+    states = random_states(np.random.default_rng(seed), ticks + 1, vehicles)
+    trace = trace_of(*states.swapaxes(0, 1), outcome=Outcome.COLLISION, collision=collision_at(ticks, npc=vehicles - 2))
+    found = rss_rule(trace)
+    assert found.responsibility in ("ego", "npc", "both")
+    assert 0 <= found.tick <= ticks
+    assert found.time == found.tick / 15
+    assert len(found.reason) < 170
+    assert found.reason.isascii()
+
+
+@pytest.mark.parametrize("angle", [0.7, np.pi / 2, np.pi])
+def test_the_direction_of_the_road_makes_no_difference(angle):
+    trace = crash(driven(0.0), driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)]))
+    states = trace.states.copy()
+    x, y = trace.states[..., 0], trace.states[..., 1]
+    states[..., 0], states[..., 1] = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
+    states[..., HEADING] += angle
+    turned = rss_rule(replace(trace, states=states, lanes=straight_lanes(heading=angle)))
+    assert (turned.responsibility, turned.tick) == (rss_rule(trace).responsibility, rss_rule(trace).tick)
+
+
+def test_a_verdict_takes_less_than_two_milliseconds():
+    trace = crash(driven(0.0, seconds=60.0), driven(300.0, speed=14.8, seconds=60.0), driven(50.0, 8.0, seconds=60.0))
+    rss_rule(trace)
+    seconds = []
+    for _ in range(20):
+        started = perf_counter()
+        rss_rule(trace)
+        seconds.append(perf_counter() - started)
+    assert trace.ticks > 800
+    assert min(seconds) < 2e-3
+
+
+class TestPositionRule:
+    """The authors' rule, as a second opinion."""
+
+    @staticmethod
+    def crash(cell, ego_speed=20.0):
+        return trace_of(
+            vehicle(0.0, 4.0, speed=20.0, ticks=30),
+            vehicle(20.0, 4.0, speed=10.0, ticks=30),
+            outcome=Outcome.COLLISION,
+            collision=collision_at(30, cell=cell, ego_speed=ego_speed),
+        )
+
+    @pytest.mark.parametrize("cell", [Cell.FRONT_LEFT, Cell.FRONT, Cell.FRONT_RIGHT])
+    def test_the_ego_is_responsible_for_hitting_what_is_ahead(self, cell):
+        assert position_rule(self.crash(cell)) == "ego"
+        assert position_reason(self.crash(cell)) == f"NPC 0 was ahead of the ego (cell {int(cell)}) at the impact"
+
+    @pytest.mark.parametrize("cell", [Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR, Cell.REAR_LEFT, Cell.LEFT])
+    def test_an_npc_beside_or_behind_is_responsible_itself(self, cell):
+        assert position_rule(self.crash(cell)) == "npc"
+
+    @pytest.mark.parametrize("cell", list(Cell))
+    @pytest.mark.parametrize("speed", [0.0, 0.1])
+    def test_a_standing_ego_is_never_responsible(self, cell, speed):
+        assert position_rule(self.crash(cell, ego_speed=speed)) == "npc"
+        assert "standing" in position_reason(self.crash(cell, ego_speed=speed))
+
+    def test_a_creeping_ego_counts_as_driving(self):
+        assert position_rule(self.crash(Cell.FRONT, ego_speed=0.11)) == "ego"

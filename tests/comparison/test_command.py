@@ -1,0 +1,289 @@
+"""The command from its arguments to its report."""
+
+import json
+import re
+import struct
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.comparison import command
+from pytest_pafot.comparison.paper import PAPER
+
+SMALL = ["--ads", "constant_speed", "--runs", "3", "--generations", "4", "--duration", "20", "--workers", "1"]
+
+
+def compare(folder, *arguments):
+    return main(["compare", *SMALL, "--out", str(folder), *arguments])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of a comparison that was made."""
+    folder = tmp_path_factory.mktemp("comparison")
+    assert compare(folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(made):
+    return (made / "report.md").read_text()
+
+
+def tables_of(report):
+    """Every table as rows of cells, by the heading that it stands under."""
+    found, heading = {}, ""
+    for line in report.splitlines():
+        if line.startswith("#"):
+            heading = line.strip("# ")
+        if line.startswith("|"):
+            found.setdefault(heading, []).append([cell.strip() for cell in line.strip("|").split("|")])
+    return found
+
+
+def test_the_report_gives_the_command_the_versions_and_the_hours(report):
+    assert "python -m pytest_pafot compare --ads constant_speed" in report
+    assert re.search(
+        r"3 runs of each algorithm, 4 generations each, base seed 0; \d+\.\d h of simulated driving", report
+    )
+    assert re.search(r"pytest-pafot \S+, highway-env \S+, numpy \S+", report)
+
+
+def test_all_rows_of_a_table_have_as_many_cells_as_its_head(report):
+    found = tables_of(report)
+    assert len(found) == 5
+    for rows in found.values():
+        assert len({len(row) for row in rows}) == 1
+        assert not any("nan" in cell or "inf" in cell.split() for row in rows for cell in row)
+
+
+def test_the_papers_numbers_stand_beside(report):
+    found = tables_of(report)
+    first = {row[0]: row for row in found["How many collisions"]}
+    for name, told in PAPER.items():
+        assert {str(told.scenarios), str(told.collisions), f"{100 * told.share:.1f} %"} <= set(first[name])
+    assert [f"{PAPER[name].share:.1%}" for name in PAPER] == ["80.5%", "56.3%", "24.9%"]
+    second = {row[0]: row for row in found["How fast"]}
+    assert "28.16 s" in second["pafot"]
+    assert "20.65 s (60 / 3)" in second["pafot"]
+
+
+def test_the_papers_numbers_agree_with_each_other():
+    for told in PAPER.values():
+        assert told.hours * 3600 / told.scenarios == pytest.approx(told.seconds_per_scenario, rel=0.002)
+        assert told.collisions / 10 == pytest.approx(told.per_run[0], abs=1.0)
+    assert all(a.share > b.share for a, b in pairwise(PAPER.values()))
+
+
+def test_the_report_warns_of_the_conditional_time_to_collision(report):
+    assert "**The time to collision is conditional**" in report
+
+
+def test_every_test_has_its_p_value(report):
+    rows = tables_of(report)["Statistics"][2:]
+    assert len(rows) == 2 * 15
+    assert all(re.fullmatch(r"(1|0\.\d+|\d\.?\d*e-\d+|< 0\.0001)", row[7]) for row in rows)
+    assert {row[3] for row in rows} == {"av-fuzzer", "random"}
+
+
+def test_every_figure_is_there_as_png_and_svg_and_shown(made, report):
+    shown = re.findall(r"!\[[^]]+\]\(figures/([a-z-]+)\.png\)", report)
+    assert len(shown) == 7
+    assert sorted(path.name for path in (made / "figures").iterdir()) == sorted(
+        f"{name}.{ending}" for name in shown for ending in ("png", "svg")
+    )
+    for name in shown:
+        image = (made / "figures" / f"{name}.png").read_bytes()
+        width, height = struct.unpack(">II", image[16:24])
+        assert image.startswith(b"\x89PNG")
+        assert width > 800
+        assert height > 500
+
+
+def test_axes_have_names_with_units(made):
+    texts = (made / "figures" / "first-failure.svg").read_text()
+    assert texts.count("<!--") > 5
+    for name in ("runs without an ego-responsible failure [%]", "simulated time of a run [h]", "pafot", "random"):
+        assert f"<!-- {name} -->" in texts
+
+
+def test_the_same_again_changes_nothing_but_takes_no_time(made, capsys):
+    before = {
+        path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")
+    }
+    assert compare(made) == 0
+    after = {path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")}
+    assert after == before
+    assert capsys.readouterr().out == f"{made / 'report.md'}\n"
+
+
+def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
+    """A policy that stands still is never responsible, and a second of driving brings no collision."""
+    arguments = ["--duration", "1", "--gene-seconds", "1", "--generations", "2", "--runs", "2"]
+    assert compare(tmp_path, "--ads", "tests.comparison.test_command:standing", *arguments) == 0
+    found = tables_of((tmp_path / "report.md").read_text())
+    assert {row[1] for row in found["Distinct failures for which the ego answers"][2:]} == {"0"}
+    assert {row[-1] for row in found["Distinct failures for which the ego answers"][2:]} == {"not reached"}
+
+
+def standing():
+    return lambda observation: (-5.0, 0.0)
+
+
+def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
+    assert compare(tmp_path, "--algorithms", "random") == 0
+    assert "One algorithm alone" in (tmp_path / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--algorithms", "pafot,genetic"], "algorithm: expected one of distinct, pafot, .*, received 'genetic'"),
+        (["--algorithms", ","], "--algorithms: expected one or more of distinct, .*, received none"),
+        (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
+        (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
+        (
+            ["--ads", "constant_speedd"],
+            "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, ppo, or module:factory "
+            "for a policy of your own, received 'constant_speedd'; did you mean 'constant_speed'",
+        ),
+        (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
+        (["--ads", "example_ads.ppo:train_me"], "--ads: expected a factory in example_ads.ppo"),
+        (["--ads", "a:b:c:d"], "--ads: expected the name of a module"),
+        (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
+        (["--generations", "0"], "--generations: expected a whole number, at least 1, received 0"),
+        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+        (["--workers", "0"], "--workers: expected at least 1, received 0"),
+        (["--population", "1"], "population: expected at least 2"),
+        (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
+        (["--lanes", "9"], "lanes: expected .* received 9"),
+        (["--npcs", "9"], "npcs: expected 1 to 8 NPCs"),
+        (["--env", "nowhere-v0"], "nowhere-v0"),
+        (["--env", "highway-v0", "--lanes", "4"], "--lanes: expected no such option with --env"),
+        (["--env", "merge-v1", "--algorithms", "pafot,av-fuzzer"], "expected one of .* on a road that is not straight"),
+    ],
+)
+def test_wrong_arguments_are_told_in_one_line_and_leave_nothing(tmp_path, capsys, arguments, message):
+    assert compare(tmp_path / "out", *arguments) == command.BAD_USE
+    error = capsys.readouterr().err
+    assert re.match(f"compare: .*{message}", error, re.DOTALL), error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_scenario_that_does_not_fit_the_road_is_told_in_one_line(tmp_path, capsys, workers):
+    assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == command.BAD_USE
+    assert "compare: ego_lane: expected a lane from 0 to 3, received 7" in capsys.readouterr().err
+
+
+def test_two_budgets_are_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        compare(tmp_path, "--seconds", "100")
+    assert "not allowed with argument" in capsys.readouterr().err
+
+
+def test_without_its_libraries_the_command_tells_how_to_install_them(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    assert compare(tmp_path / "out") == command.BAD_USE
+    assert "pip install 'pytest-pafot[compare]'" in capsys.readouterr().err
+
+
+def test_a_wrong_policy_is_told_before_libraries_that_are_missing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    assert compare(tmp_path / "out", "--ads", "constant_speedd") == command.BAD_USE
+    assert "did you mean 'constant_speed'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_path, capsys, workers):
+    """As one of an environment without --env; the folder is left free for the command that is right."""
+    arguments = ["--ads", "tests.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
+    assert compare(tmp_path, *arguments) == command.BAD_USE
+    said = capsys.readouterr()
+    assert said.out == ""
+    for part in (
+        "received ValueError: unexpected shape ()\n",
+        'raise ValueError(f"unexpected shape {shape}")\n',
+        "So it was in all 4 runs of the first generation",
+        "The ADS was given a pafot.Observation (time, ego,",
+        "must return (acceleration [m/s^2], steering [rad]), two finite numbers. A policy of a highway-env environment "
+        "needs that environment, such as --env highway-v0.\n",
+    ):
+        assert part in said.err
+    assert not (tmp_path / "report.md").exists()
+    more = ["--env", "highway-v0", "--duration", "5", "--generations", "1", "--algorithms", "random"]
+    assert compare(tmp_path, *arguments, *more) == 0
+
+
+def of_an_environment():
+    def drive(observation):
+        shape = np.shape(observation)
+        if shape != (5, 5):
+            raise ValueError(f"unexpected shape {shape}")
+        return 1
+
+    return drive
+
+
+def test_a_planner_that_is_given_an_environment_is_told_to_leave_it_out(tmp_path, capsys):
+    assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == command.BAD_USE
+    error = capsys.readouterr().err
+    assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
+    assert "The ADS was given an array of shape (5, 5) and type float32" in error
+    assert "a planner in SI units needs the road that is there without --env.\n" in error
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_policy_that_raises_later_is_reported_as_a_fault_of_the_ads(tmp_path):
+    arguments = ["--ads", "tests.comparison.test_command:raising_later", "--algorithms", "pafot,random"]
+    assert compare(tmp_path, *arguments) == 0
+    report = (tmp_path / "report.md").read_text()
+    head, _, *rows = tables_of(report)["Distinct failures for which the ego answers"]
+    assert [row[head.index("faults of the ADS among them")] for row in rows] == ["1", "1"]
+    assert "What counts as a failure in the search: all collisions; and faults of the ADS" in report
+
+
+def raising_later():
+    def drive(observation):
+        if observation.time > 0.5:
+            raise RuntimeError("no plan")
+        return 0.0, 0.0
+
+    return drive
+
+
+def test_the_help_needs_no_library():
+    code = (
+        "import sys\nfrom pytest_pafot.__main__ import main\n"
+        "try:\n    main(['compare', '--help'])\nexcept SystemExit:\n    pass\n"
+        "assert not {'pandas', 'scipy', 'matplotlib', 'pytest', 'highway_env'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "--algorithms" in done.stdout
+
+
+def test_a_policy_of_an_environment_is_compared_in_it(tmp_path):
+    arguments = ["--ads", "ppo", "--env", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
+    assert compare(tmp_path, *arguments) == 0
+    assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
+
+
+def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path, monkeypatch):
+    (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
+    arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["compare", *arguments, "--algorithms=random", "--out", str(tmp_path / "out")]) == 0
+    space = json.loads((tmp_path / "out" / "comparison.json").read_text())["plan"]["space"]
+    assert (space["ego_lane"], space["ego_speed"], space["speed_limit"]) == (1, 30.0, 30.0)
+    assert space["genes"] == 3
+    assert space["gene_seconds"] == pytest.approx(430 / 30 / 3, abs=0.1)
+
+
+def test_a_named_defect_is_a_factory_with_an_argument(tmp_path):
+    arguments = ["--ads", "example_ads.defects:make:follows-too-close", "--algorithms", "random", "--runs", "1"]
+    assert compare(tmp_path, *arguments, "--generations", "1") == 0

@@ -1,0 +1,146 @@
+"""One run as rows: what they say is what the world shows."""
+
+import csv
+import io
+import json
+from itertools import count
+
+import pytest
+
+from pytest_pafot import Highway
+from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.comparison.plan import Plan, PlanError
+from pytest_pafot.comparison.rows import COLUMNS, text_of
+from pytest_pafot.comparison.simulation import facts_of, run_rows
+from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.searching import ALGORITHMS
+
+
+def again(row):
+    """The scenario of a row, from its text alone."""
+    npcs, seed, lane, speed, seconds = json.loads(row.executed)
+    make = {True: LaneInstruction, False: PositionInstruction}
+    chains = [[make[isinstance(target, str)](target, each) for target, each in chain] for chain in npcs]
+    return Scenario(npcs=chains, seed=seed, ego_lane=lane, ego_speed=speed, gene_seconds=seconds)
+
+
+@pytest.mark.parametrize("algorithm", ["pafot", "av-fuzzer", "random", "random-manoeuvre"])
+def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
+    from example_ads import constant_speed
+
+    rows = list(run_rows(quick(generations=4), algorithm, 0))
+    world = Highway(duration=20.0)
+    for row in rows:
+        trace = world.rollout(again(row), constant_speed.make)
+        assert (str(trace.outcome), trace.duration) == (row.outcome, row.duration)
+        assert rss_rule(trace).responsibility == row.responsibility
+        assert position_rule(trace) == row.position_responsibility
+        assert facts_of(trace).signature == row.signature
+        assert (trace.collision is None) == (row.collision_time is None)
+    assert any(row.outcome == "collision" for row in rows)
+
+
+def test_the_clock_counts_simulated_scenarios_alone(quick):
+    rows = list(run_rows(quick(generations=12), "av-fuzzer", 1))
+    assert any(row.duplicate for row in rows)
+    seconds = 0.0
+    for row in rows:
+        seconds += 0.0 if row.duplicate else row.duration
+        assert row.clock == pytest.approx(seconds)
+
+
+def test_a_budget_of_seconds_ends_with_the_scenario_that_spends_it(quick):
+    rows = list(run_rows(quick(generations=None, seconds=100.0), "pafot", 0))
+    assert rows[-1].clock >= 100.0
+    assert all(row.clock < 100.0 for row in rows[:-1])
+
+
+def test_a_failure_is_any_collision_or_with_blame_one_of_the_egos(quick):
+    for blame, blamed in (("any", {"ego", "npc", "both"}), ("ego", {"ego", "both"})):
+        rows = list(run_rows(quick(blame=blame, generations=8), "pafot", 0))
+        hits = [row for row in rows if row.outcome == "collision"]
+        assert {row.responsibility for row in hits} > {"npc"}
+        assert all(row.failing == (row.responsibility in blamed) for row in hits)
+
+
+def test_blame_steers_the_default_fitness_and_not_av_fuzzers(quick):
+    steered = list(run_rows(quick(blame="ego", generations=5), "random", 0))
+    assert all(row.fitness >= 2 for row in steered if row.responsibility == "ego")
+    assert all(row.fitness <= 1 for row in steered if row.responsibility == "npc")
+    plain = [[row.fitness for row in run_rows(quick(blame=blame), "av-fuzzer", 0)] for blame in ("any", "ego")]
+    assert plain[0] == plain[1]
+
+
+def test_equal_failures_have_equal_signatures_and_safe_runs_none(quick):
+    rows = list(run_rows(quick(generations=8), "random", 0))
+    assert all((row.signature is None) == (row.outcome != "collision") for row in rows)
+    signatures = {(row.side, row.cell, row.responsibility): row.signature for row in rows if row.signature}
+    assert len(set(signatures.values())) > 1
+
+
+def test_rows_are_read_as_they_were_written(quick):
+    rows = list(run_rows(quick(), "pafot", 0))
+    read = list(csv.DictReader(io.StringIO(text_of(rows))))
+    assert list(read[0]) == list(COLUMNS)
+    for row, texts in zip(rows, read, strict=True):
+        assert float(texts["clock"]) == row.clock
+        assert texts["signature"] == (row.signature or "")
+        assert texts["executed"] == row.executed
+
+
+def test_an_ads_that_raises_is_a_failure_with_a_signature(quick):
+    rows = list(run_rows(quick(ads="tests.comparison.test_running:raising", generations=1), "random", 0))
+    assert {row.outcome for row in rows} == {"ads_error"}
+    assert all(row.failing and row.signature.startswith("ads-error") for row in rows)
+
+
+def raising():
+    def drive(observation):
+        if observation.time > 0:
+            raise RuntimeError("no plan")
+        return 0.0, 0.0
+
+    return drive
+
+
+@pytest.mark.parametrize("budget", [{"generations": 5}, {"generations": None, "seconds": 50.0}])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_ads_that_fails_at_its_first_decision_in_the_whole_first_generation_ends_the_run(quick, algorithm, budget):
+    """By simulated seconds too, of which none would ever pass."""
+    plan = quick(ads="tests.comparison.test_running:failing_at_once", **budget)
+    with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
+        list(run_rows(plan, algorithm, 0))
+
+
+def failing_at_once():
+    def drive(observation):
+        raise RuntimeError("no model")
+
+    return drive
+
+
+def test_where_one_run_of_the_first_generation_was_driven_the_others_are_failures(quick, monkeypatch):
+    monkeypatch.setattr("tests.comparison.test_running.MADE", count())
+    rows = list(run_rows(quick(ads="tests.comparison.test_running:failing_but_once", generations=2), "random", 0))
+    assert [row.outcome for row in rows].count("ads_error") == len(rows) - 1
+
+
+MADE = count()
+
+
+def failing_but_once():
+    return failing_at_once() if next(MADE) else lambda observation: (-5.0, 0.0)
+
+
+def test_a_share_is_told_that_rises_to_one(quick):
+    told = []
+    list(run_rows(quick(), "pafot", 0, told.append))
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+def test_seeds_differ_between_runs_and_algorithms_and_come_from_the_base_seed():
+    plan, other = (Plan(ads="x", algorithms=("pafot", "random"), seed=seed) for seed in (0, 1))
+    seeds = [each.run_seed(name, run) for each in (plan, other) for name in plan.algorithms for run in range(10)]
+    assert len(set(seeds)) == 40
+    assert plan.run_seed("pafot", 0) == Plan(ads="y", algorithms=("pafot",)).run_seed("pafot", 0)

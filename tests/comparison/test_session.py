@@ -1,0 +1,177 @@
+"""Runs of a comparison: the same bytes however often it was interrupted, and for any number of workers."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.comparison import tasks as session
+from pytest_pafot.comparison.plan import Plan, PlanError
+from pytest_pafot.comparison.processes import WorkerDied, side_by_side
+from pytest_pafot.comparison.tasks import Progress, run_all
+from pytest_pafot.world import Highway
+
+
+def clock():
+    return 0.0
+
+
+def contents(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*.csv"))}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, quick):
+    """What an uninterrupted comparison in one process leaves."""
+    folder = tmp_path_factory.mktemp("whole")
+    run_all(quick(), folder, workers=1, told=io.StringIO(), clock=clock)
+    return contents(folder)
+
+
+def test_it_leaves_one_file_a_run_and_all_rows_in_the_order_of_the_plan(whole):
+    assert sorted(whole) == [
+        "results.csv", "runs/av-fuzzer-000.csv", "runs/av-fuzzer-001.csv", "runs/pafot-000.csv",
+        "runs/pafot-001.csv", "runs/random-000.csv", "runs/random-001.csv",
+    ]  # fmt: skip
+    parts = [whole[f"runs/{name}-00{run}.csv"] for name in ("pafot", "av-fuzzer", "random") for run in (0, 1)]
+    header = parts[0].partition(b"\n")[0] + b"\n"
+    assert whole["results.csv"] == header + b"".join(part.partition(b"\n")[2] for part in parts)
+
+
+def test_two_workers_leave_the_same_bytes_as_one(tmp_path, quick, quiet, whole):
+    run_all(quick(), tmp_path, workers=2, told=quiet, clock=time.monotonic)
+    assert contents(tmp_path) == whole
+
+
+def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, quiet, whole, monkeypatch):
+    begun = []
+    rows = session.run_rows
+
+    def watched(plan, algorithm, run, tick):
+        begun.append((algorithm, run))
+        for number, row in enumerate(rows(plan, algorithm, run, tick)):
+            if len(begun) in (2, 4, 5) and number == 3:
+                raise KeyboardInterrupt
+            yield row
+
+    monkeypatch.setattr(session, "run_rows", watched)
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    assert contents(tmp_path) == whole
+    assert len(begun) == 6 + 3, "a finished run was run again"
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill")
+def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whole):
+    root = str(Path(__file__).parents[2])
+    program = "import sys; from tests.comparison.test_session import forever; forever(sys.argv[1])"
+    process = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], cwd=root, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("runs/*.csv")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    time.sleep(0.5)  # the workers hear that nobody listens any more, and end
+    left = contents(tmp_path)
+    assert left
+    assert all(content == whole.get(name, content) for name, content in left.items())
+    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    now = contents(tmp_path)
+    assert {name: now[name] for name in whole} == whole
+
+
+def forever(folder):
+    """The comparison of `quick`, with more runs than anybody waits for; called in a process of its own."""
+    fields = {"ads": "constant_speed", "algorithms": ("pafot", "av-fuzzer", "random"), "generations": 3, "runs": 999}
+    space = {"npcs": 2, "genes": 2, "gene_seconds": 10.0}
+    plan = Plan(**fields, world=Highway(duration=20.0).to_dict(), space=space)
+    run_all(plan, Path(folder), workers=2, told=sys.stderr, clock=time.monotonic)
+
+
+def test_more_runs_and_algorithms_can_be_added_later(tmp_path, quick, quiet, whole):
+    run_all(quick(runs=1, algorithms=("random",)), tmp_path, workers=1, told=quiet, clock=clock)
+    run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
+    assert contents(tmp_path) == whole
+
+
+@pytest.mark.parametrize("changes", [{"seed": 1}, {"generations": 4}, {"blame": "ego"}, {"ads": "blind_lane_change"}])
+def test_a_folder_of_another_comparison_is_refused(tmp_path, quick, quiet, changes):
+    small = {"runs": 1, "algorithms": ("random",)}
+    run_all(quick(**small), tmp_path, workers=1, told=quiet, clock=clock)
+    before = contents(tmp_path)
+    with pytest.raises(PlanError, match=r"--out: expected an empty folder or one of this comparison"):
+        run_all(quick(**(small | changes)), tmp_path, workers=1, told=quiet, clock=clock)
+    assert contents(tmp_path) == before
+
+
+def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
+    run_all(quick(seed=1), tmp_path, workers=1, told=quiet, clock=clock)
+    other = contents(tmp_path)
+    assert all(other[name] != whole[name] for name in whole)
+
+
+class TestProgress:
+    def test_it_tells_runs_share_and_the_time_that_is_left(self):
+        now = [100.0]
+        progress = Progress(total=10, done=2, told=io.StringIO(), clock=lambda: now[0])
+        now[0] = 160.0
+        progress.done = 4
+        assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
+
+    def test_it_promises_nothing_before_anything_is_done(self):
+        progress = Progress(total=10, done=2, told=io.StringIO(), clock=lambda: 0.0)
+        assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
+
+    def test_where_no_terminal_is_it_tells_a_line_every_ten_seconds_and_each_run(self):
+        now, told = [0.0], io.StringIO()
+        progress = Progress(total=2, done=0, told=told, clock=lambda: now[0])
+        for second in range(25):
+            now[0] = float(second)
+            progress.tick(0.1)
+        progress.finished(("pafot", 0))
+        lines = told.getvalue().splitlines()
+        assert len(lines) == 4
+        assert lines[-1] == "compare: 1 of 2 runs, pafot run 0 done after 24 s"
+
+
+def _troublesome(task, tick):
+    tick(0.5)
+    if task == 3:
+        raise ValueError("three")
+    if task == 4:
+        raise Unportable("four", "arguments")
+    if task == 9:
+        os._exit(5)
+
+
+class Unportable(Exception):  # noqa: N818
+    """Pickled, it would be made of one argument."""
+
+    def __init__(self, number, noun):
+        super().__init__(f"{number} {noun}")
+
+
+class TestWorkers:
+    def test_every_task_is_done_once(self):
+        assert sorted(side_by_side(_troublesome, [1, 2, 5, 6], 2, lambda share: None)) == [1, 2, 5, 6]
+
+    def test_what_a_task_raises_is_raised(self):
+        with pytest.raises(ValueError, match="three") as raised:
+            list(side_by_side(_troublesome, [1, 3], 1, lambda share: None))
+        assert 'raise ValueError("three")' in raised.value.__notes__[0], "where it was raised is lost"
+
+    def test_an_error_that_cannot_travel_is_told_in_words(self):
+        with pytest.raises(RuntimeError, match="Unportable: four arguments"):
+            list(side_by_side(_troublesome, [4], 1, lambda share: None))
+
+    def test_a_worker_that_is_killed_is_told_with_a_way_out(self):
+        with pytest.raises(WorkerDied, match=r"exit code 5; .* fewer --workers"):
+            list(side_by_side(_troublesome, [9], 1, lambda share: None))

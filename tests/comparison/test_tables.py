@@ -1,0 +1,133 @@
+"""Measures of runs, by hand."""
+
+import math
+
+import pandas as pd
+import pytest
+
+from pytest_pafot.comparison import tables
+from pytest_pafot.comparison.rows import Row, text_of
+
+SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
+
+
+def hit(time, responsibility="npc", signature="front-2-aaaaaa", **more):
+    return {
+        "outcome": "collision", "duration": time, "collision_time": time, "responsibility": responsibility,
+        "position_responsibility": "npc", "signature": signature, "npc": 0, "cell": 2, "side": "front",
+        "closing_speed": 5.0, "failing": True,
+    } | more  # fmt: skip
+
+
+def rows(*runs, algorithm="pafot", run=0):
+    """Rows of one run; each says what differs from a safe one of generation 0."""
+    clock, made = 0.0, []
+    for index, fields in enumerate(SAFE | each for each in runs):
+        clock += 0.0 if fields.get("duplicate") else fields["duration"]
+        plain = dict.fromkeys(("collision_time", "npc", "cell", "side", "closing_speed", "signature", "fitness"))
+        counted = {"seed": 1, "generation": 0, "local_generation": 0, "index": index, "scenario": "abcdef"}
+        rest = {"duplicate": False, "failing": False, "genes_started": 2, "genes_reached": 1, "executed": "[]"}
+        made.append(Row(**(plain | counted | rest | fields), algorithm=algorithm, run=run, clock=clock))
+    return made
+
+
+@pytest.fixture
+def frame(tmp_path):
+    def read(*parts):
+        path = tmp_path / "results.csv"
+        path.write_text(text_of([row for part in parts for row in part]))
+        return tables.read(path)
+
+    return read
+
+
+def test_a_run_by_hand(frame):
+    (measures,) = tables.measured(
+        frame(
+            rows(
+                {},
+                hit(10.0),
+                hit(10.0, duplicate=True),
+                hit(20.0, "ego", "front-2-bbbbbb", position_responsibility="ego", local_generation=1, generation=3),
+                hit(5.0, "both", "front-2-bbbbbb", local_generation=2, generation=3),
+                {"outcome": "invalid", "duration": 7.0},
+                {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True},
+            )
+        )
+    )
+    assert (measures.scenarios, measures.unique, measures.collisions, measures.unique_collisions) == (7, 6, 4, 3)
+    assert (measures.share, measures.share_of_all) == (3 / 6, 4 / 7)
+    assert measures.seconds == 60 + 10 + 20 + 5 + 7 + 3 == 105
+    assert measures.seconds_per_scenario == 105 / 6
+    assert measures.seconds_per_collision == 105 / 3
+    assert measures.collision_seconds == pytest.approx(35 / 3)
+    assert (measures.by_npc, measures.by_position_npc, measures.by_ego, measures.invalid) == (1, 2, 2, 1)
+    assert measures.local_searches == 1
+    assert measures.distinct == 2
+    assert measures.distinct_per_hour == pytest.approx(2 / (105 / 3600))
+    assert measures.first_failure == 60 + 10 + 20
+
+
+def test_up_to_a_time_only_what_had_ended_by_then_counts(frame):
+    (measures,) = tables.measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
+    assert (measures.unique, measures.unique_collisions, measures.distinct, measures.seconds) == (2, 1, 0, 75.0)
+    assert measures.first_failure == math.inf
+
+
+def test_the_horizon_is_the_time_of_the_shortest_run(frame):
+    assert tables.horizon(frame(rows({}, {}), rows({}, hit(9.0), run=1), rows({}, {}, {}, algorithm="random"))) == 69.0
+
+
+def test_a_run_without_a_collision_has_no_time_to_one_and_infinite_seconds_for_one(frame):
+    (measures,) = tables.measured(frame(rows({}, {})))
+    assert math.isnan(measures.collision_seconds)
+    assert (measures.seconds_per_collision, measures.share, measures.distinct) == (math.inf, 0.0, 0)
+
+
+def test_a_first_failure_that_did_not_come_is_censored_at_the_end_of_its_run(frame):
+    runs = tables.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
+    assert tables.first_failures(runs) == ([68.0, 120.0], [False, True])
+    assert tables.survival_of(runs).median == 68.0
+
+
+def test_distinct_failures_of_all_runs_are_counted_once(frame):
+    data = frame(
+        rows(hit(5.0, "ego", "a"), hit(6.0, "ego", "b")), rows(hit(5.0, "ego", "b"), hit(5.0, "npc", "c"), run=1)
+    )
+    assert tables.distinct_in_all(data, "pafot") == 2
+
+
+def test_faults_of_the_ads_are_counted_among_them(frame):
+    raised = {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True}
+    data = frame(rows(hit(5.0, "ego", "a"), raised, raised), rows(raised, algorithm="random"))
+    assert [tables.distinct_in_all(data, "pafot"), tables.faults_in_all(data, "pafot")] == [2, 1]
+
+
+def test_a_signature_that_reads_like_nothing_or_a_number_stays_a_text(frame):
+    data = frame(rows(hit(5.0, "ego", "null"), hit(5.0, "ego", "1"), {"scenario": "000012"}))
+    assert data["signature"].tolist()[:2] == ["null", "1"]
+    assert data["scenario"].tolist()[2] == "000012"
+    assert pd.isna(data["signature"].tolist()[2])
+
+
+def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(frame):
+    def runs(name, times):
+        return [row for run, time in enumerate(times) for row in rows({}, hit(time, "ego"), algorithm=name, run=run)]
+
+    data = frame(
+        runs("pafot", [5.0, 6.0, 7.0]), runs("random", [25.0, 26.0, 27.0]), runs("av-fuzzer", [5.0, 26.0, 7.5])
+    )
+    whole, equal = tables.measured(data), tables.measured(data, tables.horizon(data))
+    found = tables.comparisons(whole, equal, ["pafot", "random", "av-fuzzer"])
+    assert {(each.first, each.second) for each in found} == {("pafot", "random"), ("pafot", "av-fuzzer")}
+    assert {each.test for each in found} == {"Mann-Whitney U", "Fisher exact", "log-rank"}
+    assert {each.at for each in found} == {"generations", "seconds"}
+    asked = ("random", "simulated s per scenario", "generations")
+    (speed,) = [each for each in found if (each.second, each.measure, each.at) == asked]
+    assert (speed.first_value, speed.second_value, speed.effect.a12) == (33.0, 43.0, 0.0)
+    assert speed.p == pytest.approx(0.1)
+
+
+def test_one_algorithm_alone_is_compared_with_nothing(frame):
+    data = frame(rows({}))
+    assert tables.comparisons(tables.measured(data), tables.measured(data), ["pafot"]) == []

@@ -1,0 +1,114 @@
+"""Scenarios of Lane-Instructions are saved, read, shrunk and told like those of Position-Instructions."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.text import text_of
+from pytest_pafot.execution.crash_records import InFlight, leftovers
+from pytest_pafot.findings.shrink import shrink, size_of, sort_key
+from pytest_pafot.run import Run
+from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
+from tests.findings.builders import plain_finding
+from tests.support.traces import trace_of, vehicle
+
+PATH = "front-2-1f3a9c.pafot.yaml"
+
+instructions = st.builds(LaneInstruction, st.sampled_from(SHIFTS), st.integers(0, 268).map(lambda tenths: tenths / 10))
+chains = st.lists(st.lists(instructions, min_size=1, max_size=6).map(tuple), min_size=1, max_size=8).map(tuple)
+
+
+def scenario(*texts, **fields):
+    """From texts such as "left@22 keep@24.5"."""
+    pairs = [[gene.split("@") for gene in text.split()] for text in texts]
+    return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
+
+
+def written(scenario):
+    return tuple(" ".join(f"{gene.lane}@{gene.speed:g}" for gene in chain) for chain in scenario.npcs)
+
+
+def minimal(given, fails):
+    result = shrink(given, lambda candidate: candidate if fails(candidate) else None, rollouts=3000, top_speed=26.8)
+    assert result.is_minimal
+    assert sort_key(result.scenario) <= sort_key(given)
+    return written(result.scenario)
+
+
+BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 left@26.8 keep@5")
+
+
+@given(chains)
+def test_what_is_written_is_read(npcs):
+    finding = plain_finding(scenario=Scenario(npcs=npcs))
+    assert corpus.parsed(Path(PATH), text_of(finding).encode()) == finding
+
+
+@given(chains)
+def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, npcs):
+    folder = tmp_path_factory.mktemp("inflight")
+    with InFlight(folder, "test_it.py::test_it") as record:
+        record.record(Scenario(npcs=npcs, seed=3))
+        (path,) = folder.iterdir()
+        content = path.read_bytes()
+    path.write_bytes(content)
+    (left,) = leftovers(folder)
+    assert left.scenario == Scenario(npcs=npcs, seed=3)
+
+
+def test_a_file_names_the_lane():
+    assert "    - - {lane: left, speed: 22.3}\n      - {lane: keep, speed: 24.1}\n" in text_of(
+        plain_finding(scenario=BUSY)
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("{lane: up, speed: 22.3}", r"scenario.npcs\[0\]\[0\].lane: expected one of keep, left, right, received 'up'"),
+        ("{cell: 2, lane: left, speed: 1.0}", r"scenario.npcs\[0\]\[0\].lane: expected one of cell, speed"),
+        ("{cell: 2, speed: 22.3}", r"npcs\[0\]\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
+        ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
+    ],
+)
+def test_a_fault_in_a_file_is_told_at_its_place(tmp_path, wrong, message):
+    text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
+    with pytest.raises(CorpusError, match=message):
+        corpus.parsed(tmp_path / PATH, text.encode())
+
+
+def test_one_manoeuvre_that_matters_is_all_that_is_left():
+    def fails(each):
+        return any(gene.lane == "left" and gene.speed >= 20 for chain in each.npcs for gene in chain)
+
+    assert minimal(BUSY, fails) == ("left@20",)
+
+
+def test_manoeuvres_that_do_not_matter_become_keep():
+    def fails(each):
+        return each.genes >= 3 and any(gene.speed == 7.7 for chain in each.npcs for gene in chain)
+
+    (chain,) = minimal(BUSY, fails)
+    assert chain == "keep@7.7 keep@7.7 keep@7.7"
+
+
+def test_staying_is_simpler_than_moving():
+    assert sort_key(scenario("keep@10 keep@20")) < sort_key(scenario("left@10 keep@20"))
+    assert size_of(BUSY) == "2 NPCs, 7 instructions, 40 s"
+
+
+def test_a_run_tells_what_the_npcs_were_told():
+    given = scenario("left@22 keep@8")
+    trace = trace_of(
+        vehicle(0.0, speed=20.0, ticks=225),
+        vehicle(30.0, speed=20.0, ticks=225),
+        scenario=given,
+        arrivals=((30, None),),
+    )
+    text = Run(trace).explain()
+    assert "lane left 22.0 m/s reached at 2.0 s" in text
+    assert "keep lane 8.0 m/s not reached" in text

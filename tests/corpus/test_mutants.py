@@ -1,0 +1,76 @@
+"""No damaged file is read as something else than it says; ``tests/benchmarks/mutants.py`` has more of the same."""
+
+import random
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.text import text_of
+from tests.support.mutations import MUTATIONS, UnclearError, misread, says
+
+GOLDEN = sorted(Path(__file__).with_name("format_1").glob("*.pafot.yaml"))
+TEXTS = [text for path in GOLDEN for text in (path.read_text(encoding="utf-8"), text_of(corpus.read(path)))]
+LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
+
+
+def parsed(text, loader=None):
+    try:
+        return corpus.parsed(Path("mutant.pafot.yaml"), text.encode("utf-8", "surrogatepass"), loader)
+    except corpus.CorpusError:
+        return None
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=[f"{path.name}-{version}" for path in GOLDEN for version in (1, 2)])
+def test_a_file_is_read_as_what_it_says(text):
+    assert misread(text, parsed(text)) == []
+
+
+@pytest.mark.parametrize("kind", MUTATIONS)
+def test_a_damaged_file_is_refused_or_read_as_what_it_says(kind):
+    rng = random.Random(kind)
+    read = 0
+    for _ in range(60):
+        text = MUTATIONS[kind](rng, rng.choice(TEXTS))
+        finding = parsed(text)
+        if finding is not None:
+            assert misread(text, finding) == [], text
+            read += 1
+    assert read < 60
+
+
+def test_what_both_parsers_of_pyyaml_read_is_the_same():
+    rng = random.Random(1)
+    for text in [MUTATIONS[kind](rng, rng.choice(TEXTS)) for kind in MUTATIONS for _ in range(8)]:
+        findings = [parsed(text, loader) for loader in LOADERS]
+        assert None in findings or findings[0] == findings[1], text
+
+
+@pytest.mark.parametrize(("old", "new"), [("\n        headway", "\n\t        headway"), ("headway: ", "head?way: ")])
+def test_what_only_the_compiled_parser_reads_is_refused(old, new):
+    text = TEXTS[1]
+    assert old in text
+    assert parsed(text.replace(old, new, 1)) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("seed: 0\n", "seed: 1\n"),
+        ("is_minimal: true", "is_minimal: false"),
+        ("lanes: 4", "lanes: 5"),
+        ("low: ", "high: "),
+    ],
+)
+def test_the_judge_sees_a_difference(text, wrong):
+    path = next(path for path in GOLDEN if path.name.startswith("collision-shrunk"))
+    finding = corpus.read(path)
+    damaged = text_of(finding).replace(text, wrong, 1)
+    assert misread(damaged, finding) != []
+
+
+@pytest.mark.parametrize("value", ["010", "1_0", "yes", "1:30", "~", "1e3", "&a 1", "!!int 1", "{a: 1, a: 2}"])
+def test_the_judge_does_not_guess(value):
+    with pytest.raises(UnclearError):
+        says(f"a: {value}\n")

@@ -1,0 +1,368 @@
+import contextlib
+import os
+import time
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.files import CorpusError
+from pytest_pafot.corpus.text import text_of
+from pytest_pafot.findings.finding import Simplified
+from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.scenario import Scenario
+from tests.findings.builders import plain_finding
+
+NAME = "front-2-1f3a9c.pafot.yaml"
+TEXT = text_of(plain_finding())
+LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
+
+
+SHRUNK = plain_finding(
+    original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
+    shrunk=Simplified(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    flaky="running it again gave another run",
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / NAME
+
+
+def fault(path, content):
+    """The error that a file gives, whichever of PyYAML's parsers reads it."""
+    content = content.encode() if isinstance(content, str) else content
+    errors = []
+    for loader in LOADERS:
+        with pytest.raises(CorpusError) as caught:
+            corpus.parsed(path, content, loader)
+        errors.append(caught.value)
+    assert errors[0].line == errors[1].line
+    path.write_bytes(content)
+    with pytest.raises(CorpusError) as caught:
+        corpus.read(path)
+    assert str(caught.value).startswith(str(path))
+    assert caught.value.fix
+    return caught.value
+
+
+WORLD = TEXT[TEXT.index("world:") : TEXT.index("\nscenario:")]
+
+
+def swapped(old, new):
+    assert TEXT.count(old) == 1
+    return TEXT.replace(old, new)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_line_ends_and_byte_order_marks_of_any_editor_are_accepted(path, ends, mark):
+    path.write_bytes((mark + TEXT.replace("\n", ends)).encode())
+    assert corpus.read(path) == plain_finding()
+
+
+def test_comments_order_and_style_do_not_matter(path):
+    document = yaml.safe_load(TEXT)
+    path.write_text("# mine\n" + yaml.safe_dump(dict(reversed(document.items())), default_flow_style=False))
+    assert corpus.read(path) == plain_finding()
+
+
+def test_the_name_of_the_file_is_the_id(path):
+    renamed = path.with_name("cut-in_at.night.pafot.yaml")
+    renamed.write_text(TEXT)
+    assert corpus.read(renamed).id == "cut-in_at.night"
+
+
+@pytest.mark.parametrize("name", ["my case.pafot.yaml", "a[1].pafot.yaml", ".pafot.yaml", "-x.pafot.yaml", "a.yaml"])
+def test_a_name_that_cannot_be_part_of_a_node_id_is_refused(path, name):
+    error = fault(path.with_name(name), TEXT)
+    assert (error.received, error.fix) == (name, "rename the file")
+
+
+def test_an_error_says_where_what_and_the_way_out(path):
+    error = fault(path, swapped("{cell: 2, speed: 8.0}", "{cell: 5, speed: 8.0}"))
+    assert (error.line, error.field) == (12, "scenario.npcs[0][1].cell")
+    assert str(error) == (
+        f"{path}:12: scenario.npcs[0][1].cell: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; "
+        "correct it, or delete the file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "field"),
+    [
+        ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: 2.0 ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: true ", 1, "pafot"),
+        ("pafot: 2 ", "pafot: '2' ", 1, "pafot"),
+        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 2, "test"),
+        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: 1", 2, "test"),
+        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 2, "test"),
+        (WORLD, "world: highway", 3, "world"),
+        (WORLD, "world:", 3, "world"),
+        ("lanes: 4", "lanes: .nan", 3, "world.lanes"),
+        ("lanes: 4, ", "", 3, "world"),
+        ("lanes: 4", "lanes: 4, engine: kernel", 3, "world.engine"),
+        ("jerk: 10.0, ", "", 5, "world.limits"),
+        ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
+        ("lanes: 4", "'" + "x" * 65 + "': 4", 3, "world." + "x" * 65),
+        ("{cell: 1,", "{cell: 0,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: 9,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: 1.0,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: true,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 1,", "{cell: front,", 11, "scenario.npcs[0][0].cell"),
+        ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 12, "scenario.npcs[0][1].cell"),
+        ("speed: 8.0", "speed: .nan", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: .inf", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: -1.0", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.05", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.00000001", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 1.0e-300", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: '8'", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: null", 12, "scenario.npcs[0][1].speed"),
+        ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
+        ("cell: 2, speed: 8.0}", "cell: 2}", 12, "scenario.npcs[0][1]"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - []", 12, "scenario.npcs[1]"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 12, "scenario.npcs[1][0].cell"),
+        ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 12, "scenario.npcs[1]"),
+        ("seed: 7", "seed: -7", 8, "scenario.seed"),
+        ("seed: 7", "seed: 9223372036854775808", 8, "scenario.seed"),
+        ("seed: 7", "seed: seven", 8, "scenario.seed"),
+        ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1, speed: -2}", 9, "scenario.ego.speed"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),
+        ("ego: {lane: 1, speed: 22.0}", "ego: [1, 22.0]", 9, "scenario.ego"),
+        ("outcome: collision", "outcome: crash", 13, "expect.outcome"),
+        ("outcome: collision", "outcome: invalid", 13, "expect.outcome"),
+        ("failure: AssertionError, ", "", 13, "expect"),
+        ("failure: AssertionError", "failure: ''", 13, "expect.failure"),
+        ("time: 12.4", "time: soon", 13, "expect.time"),
+        ("time: 12.4", "time: .inf", 13, "expect.time"),
+        ("npc: 0, ", "", 13, "expect"),
+        ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
+        ("side: front", "side: top", 14, "expect.side"),
+        ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
+        ("[careful-human, idm-aeb]", "careful-human", 14, "expect.preventable_by"),
+        ("[careful-human, idm-aeb]", "[careful-human, 2]", 14, "expect.preventable_by[1]"),
+        ("generation: 17", "generation: -1", 15, "found.generation"),
+        ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
+        ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
+        ('# xfail: "reason"', "xfail:", 17, "xfail"),
+        ('# xfail: "reason"', "xfail: true", 17, "xfail"),
+        ('# xfail: "reason"', "xfail: ''", 17, "xfail"),
+        ('# xfail: "reason"', "xfails: 'planner issue 12'", 17, "xfails"),
+    ],
+)
+def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, line, field):
+    error = fault(path, swapped(old, new))
+    assert (error.line, error.field) == (line, field)
+
+
+@pytest.mark.parametrize(
+    "number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"]
+)
+def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
+    error = fault(path, swapped("seed: 7", f"seed: {number}"))
+    assert error.line == 8
+
+
+@pytest.mark.parametrize("word", ["yes", "On", "TRUE", "True", "y", "~", "Null"])
+def test_a_word_that_can_be_read_in_two_ways_is_no_truth_value(path, word):
+    text = text_of(SHRUNK).replace("is_minimal: false", f"is_minimal: {word}")
+    assert fault(path, text).line == text[: text.index("is_minimal")].count("\n") + 1
+
+
+def test_a_misspelt_key_comes_with_the_right_one(path):
+    assert "did you mean 'xfail'?" in str(fault(path, swapped('# xfail: "reason"', "xfial: 'issue 12'")))
+
+
+def test_an_unknown_key_comes_with_the_version_that_does_not_have_it(path):
+    error = fault(path, swapped('# xfail: "reason"', "zzz: 1"))
+    assert error.expected.endswith("flaky, xfail (format 2)")
+
+
+def test_a_missing_key_is_named(path):
+    error = fault(path, TEXT.replace("found: ", "# ").replace("        versions", "# versions"))
+    assert "expected the key 'found', received only pafot, test, world, scenario, expect" in str(error)
+
+
+def test_a_newer_version_is_refused_before_anything_else_is_judged(path):
+    error = fault(path, "pafot: 3\nnew_things: []\n")
+    assert (error.field, error.received) == ("pafot", "3")
+    assert "install the pytest-pafot that wrote it" in error.fix
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "expected"),
+    [
+        (b"", None, "a saved scenario"),
+        (b"\xef\xbb\xbf", None, "a saved scenario"),
+        (b" \r\n\n", None, "a saved scenario"),
+        (b"# only a comment\n", None, "exactly one document"),
+        (b"pafot: 1\ntest: caf\xe9\n", 2, "text in UTF-8"),
+        ("pafot: 1".encode("utf-16"), 1, "text in UTF-8"),
+        (b"pafot: 1\ntest: a\x00b\n", 2, "printable text"),
+        (b"pafot: 1\ntest: {a\n", None, "valid YAML"),
+        (b"pafot: 1\n\tworld: 1\n", 2, "valid YAML"),
+        (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", None, "valid YAML"),
+        (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one document"),
+        (b"just text", 1, "a mapping (key: value)"),
+        (b"- a\n- b\n", 1, "a mapping (key: value)"),
+        (b"test: a\n", 1, "the key 'pafot' with the version 2"),
+        (b"pafot: 1\npafot: 1\n", 2, "each key once"),
+        (b"pafot: 1\n1: 2\n", 2, "keys of text"),
+        (b"pafot: 1\n? [a, b]\n: 2\n", 2, "keys of text"),
+        (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, text, true, false or null"),
+        (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, text, true, false or null"),
+        (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number"),
+    ],
+)
+def test_what_is_no_plain_document_is_refused(path, content, line, expected):
+    error = fault(path, content)
+    assert error.expected == expected
+    if line is not None:
+        assert error.line == line
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("&a 1", "plain values"),
+        ("&a [1]", "plain values"),
+        ("!!str 1", "values without tags"),
+        ("! x", "values without tags"),
+        ("!!python/object/apply:os.system ['true']", "values without tags"),
+        ("!!binary aGk=", "values without tags"),
+    ],
+)
+def test_aliases_anchors_and_tags_are_refused(path, value, expected):
+    error = fault(path, f"pafot: 1\ntest: {value}\n")
+    assert (error.line, error.expected) == (2, expected)
+
+
+def test_an_alias_is_refused_where_it_stands(path):
+    assert "'a'" in str(fault(path, "pafot: 1\ntest: *a\n"))
+
+
+def test_a_billion_laughs_are_refused_before_they_are_told(path):
+    laughs = ["a0: &a0 [lol]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    before = time.perf_counter()
+    assert fault(path, "pafot: 1\n" + "\n".join(laughs)).expected == "plain values"
+    assert time.perf_counter() - before < 1
+
+
+@pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])
+def test_nesting_without_end_is_refused(path, opening):
+    before = time.perf_counter()
+    error = fault(path, "pafot: 1\nworld: \n  " + opening * (100_000 // len(opening)))
+    assert error.expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
+    assert time.perf_counter() - before < 3
+
+
+def test_a_huge_file_is_refused_unread(path):
+    assert "at most 256 KiB" in str(fault(path, TEXT + "#" * 256 * 1024))
+
+
+def test_a_sparse_file_of_any_size_costs_nothing(path):
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(CorpusError, match="at most 256 KiB"):
+        corpus.read(path)
+
+
+def test_a_file_that_has_gone_is_an_error_of_its_own(path):
+    with pytest.raises(CorpusError, match="a file that can be read"):
+        corpus.read(path)
+
+
+def test_a_folder_in_place_of_a_file_is_named_as_such(path):
+    path.mkdir()
+    with pytest.raises(CorpusError, match="received a folder"):
+        corpus.read(path)
+
+
+def test_a_loop_of_links_is_refused(path):
+    other = path.with_name("other.pafot.yaml")
+    path.symlink_to(other)
+    other.symlink_to(path)
+    assert corpus.list_files(path.parent) == [path, other]
+    with pytest.raises(CorpusError, match="a file that can be read"):
+        corpus.read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_named_pipe_does_not_block(path):
+    os.mkfifo(path)
+    with pytest.raises(CorpusError, match="received something else"):
+        corpus.read(path)
+
+
+@pytest.mark.parametrize("cut", range(0, len(TEXT) - len('# xfail: "reason"\n') - 1, 7))
+def test_a_file_cut_short_anywhere_is_refused(path, cut):
+    with pytest.raises(CorpusError):
+        corpus.parsed(path, TEXT[:cut].encode())
+
+
+@given(st.binary(max_size=200))
+def test_no_content_gives_any_other_error(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / NAME
+    with pytest.raises(CorpusError):
+        corpus.parsed(path, content)
+
+
+@given(st.data())
+def test_no_damage_gives_any_other_error(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / NAME
+    start = data.draw(st.integers(0, len(TEXT)))
+    end = data.draw(st.integers(start, min(len(TEXT), start + 30)))
+    patch = data.draw(st.text("{}[]:,-# \n\t'\"&*!|>?%@.~01ae", max_size=8))
+    with contextlib.suppress(CorpusError):
+        corpus.parsed(path, (TEXT[:start] + patch + TEXT[end:]).encode())
+
+
+def test_files_are_listed_by_name_and_nothing_else_is(tmp_path):
+    for name in ("b-2.pafot.yaml", "a-1.pafot.yaml", ".pafot-x.tmp", "notes.txt", "c.yaml"):
+        (tmp_path / name).write_text("")
+    assert [path.name for path in corpus.list_files(tmp_path)] == ["a-1.pafot.yaml", "b-2.pafot.yaml"]
+
+
+def test_a_folder_that_is_not_there_has_no_files(tmp_path):
+    assert corpus.list_files(tmp_path / "none") == []
+
+
+def test_a_file_in_place_of_the_folder_is_an_error(tmp_path):
+    (tmp_path / "corpus").write_text("")
+    with pytest.raises(CorpusError, match="expected a folder"):
+        corpus.list_files(tmp_path / "corpus")
+
+
+def test_how_a_finding_was_shrunk_stands_in_its_file(path):
+    assert "\noriginal:\n  seed: 9\n" in text_of(SHRUNK)
+    assert (
+        "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
+        'flaky: "running it again gave another run"\n'
+    ) in text_of(SHRUNK)
+    path.write_text(text_of(SHRUNK))
+    assert corpus.read(path) == SHRUNK
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("seed: 9", "seed: -9", "original.seed"),
+        ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
+        ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
+        ("npc: 0, gene: 1, low", "npc: 1, gene: 1, low", "shrunk.speeds[0].npc"),
+        ("gene: 1, low", "gene: 2, low", "shrunk.speeds[0].gene"),
+        ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
+        ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
+        ('flaky: "running it again gave another run"', 'flaky: " "', "flaky"),
+    ],
+)
+def test_a_fault_in_what_shrinking_wrote_is_one_error_at_its_field(path, old, new, field):
+    assert text_of(SHRUNK).count(old) == 1
+    assert fault(path, text_of(SHRUNK).replace(old, new)).field == field

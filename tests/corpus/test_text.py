@@ -1,0 +1,151 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+
+from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.text import text_of
+from pytest_pafot.findings.finding import Expect
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+from tests.findings.builders import NASTY_TEXTS, findings, plain_finding
+
+FILE = """\
+pafot: 2                      # format version
+test: tests/test_safety.py::test_never_at_fault_in_a_collision
+world: {kind: highway, lanes: 4, speed_limit: 26.8, physics_hz: 15, ads_hz: 5, duration: 60.0, clearance: 3.0,
+        headway: 2.0,
+        limits: {acceleration: 5.0, braking: 8.0, jerk: 10.0, lateral_acceleration: 4.0, overspeed: 1.1, heading: 0.5},
+        hang_limit: 30.0}
+scenario:
+  seed: 7
+  ego: {lane: 1, speed: 22.0}
+  npcs:
+    - - {cell: 1, speed: 25.0}    # front-left
+      - {cell: 2, speed: 8.0}     # front
+expect: {failure: AssertionError, assertion: not run.collision, outcome: collision, time: 12.4, npc: 0, cell: 2,
+         side: front, responsibility: ego, preventable_by: [careful-human, idm-aeb]}
+found: {seed: 1234, generation: 17, algorithm: pafot,
+        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}}
+# xfail: "reason"
+"""
+
+GYM_WORLD = """\
+world: {kind: gym, env_id: own-v0,
+        config: {observation: {type: Kinematics,
+                               features: [presence, presence, presence, presence, presence, presence, presence,
+                                          presence, presence, presence, presence, presence]},
+                 action: {type: DiscreteDiscreteDiscrete}, key_0: 0, key_1: 1, key_2: 2, key_3: 3, key_4: 4, key_5: 5,
+                 key_6: 6, key_7: 7, key_8: 8, key_9: 9, key_10: 10, key_11: 11, key_12: 12, key_13: 13, key_14: 14,
+                 key_15: 15, key_16: 16, key_17: 17},
+        duration: 40.0, limits: {}}"""
+
+TRACEBACK = """\
+Traceback (most recent call last):
+  File "planner.py", line 12, in plan
+
+    return 1 / 0
+           ~~^~~
+ZeroDivisionError: division by zero
+"""
+
+
+def test_a_file_is_for_people_to_read():
+    assert text_of(plain_finding()) == FILE
+
+
+def test_the_reason_for_xfail_stands_where_the_hint_was():
+    assert text_of(plain_finding(xfail='planner "issue" 12')).endswith('}}\nxfail: "planner \\"issue\\" 12"\n')
+
+
+def test_the_duration_of_a_gene_is_written_where_it_is_not_the_default():
+    scenario = replace(plain_finding().scenario, gene_seconds=2.5)
+    assert "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n" in text_of(plain_finding(scenario=scenario))
+
+
+def test_each_npc_begins_with_a_bullet_of_its_own_and_each_cell_has_its_name():
+    chains = [[PositionInstruction(Cell(cell), 20.0) for cell in row] for row in ((8, 1), (4, 5))]
+    lines = text_of(plain_finding(scenario=Scenario(npcs=chains))).splitlines()[10:14]
+    assert lines == [
+        "    - - {cell: 8, speed: 20.0}    # left",
+        "      - {cell: 1, speed: 20.0}    # front-left",
+        "    - - {cell: 4, speed: 20.0}    # right",
+        "      - {cell: 5, speed: 20.0}    # rear-right",
+    ]
+
+
+def test_the_traceback_of_an_ads_is_a_literal_block():
+    expect = Expect(
+        failure="ZeroDivisionError",
+        message="division by zero",
+        assertion="division by zero",
+        outcome=Outcome.ADS_ERROR,
+        time=3.2,
+        traceback=TRACEBACK,
+    )
+    text = text_of(plain_finding(expect=expect))
+    block = "".join(f"    {line}\n" if line else "\n" for line in TRACEBACK.splitlines())
+    assert f"  responsibility: none\n  traceback: |\n{block}found:" in text
+
+
+def test_a_property_that_is_no_collision_names_the_worst_moment():
+    expect = Expect(
+        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, time=31.2, npc=1, cell=Cell.LEFT
+    )
+    assert (
+        "expect: {failure: AssertionError, assertion: run.min_ttc > N, outcome: safe, time: 31.2, npc: 1, cell: 8,\n"
+        "         responsibility: none}\n"
+    ) in text_of(plain_finding(expect=expect))
+
+
+def test_a_parametrised_test_needs_no_quotes():
+    assert "\ntest: tests/t.py::TestX::test_y[4-slow]\n" in text_of(
+        plain_finding(test="tests/t.py::TestX::test_y[4-slow]")
+    )
+
+
+def test_a_wide_world_is_broken_between_its_entries_and_goes_on_below_the_first_of_each_mapping():
+    config = {"observation": {"type": "Kinematics", "features": ["presence"] * 12}, "action": {"type": "Discrete" * 3}}
+    world = {"kind": "gym", "env_id": "own-v0", "config": config | {f"key_{index}": index for index in range(18)}}
+    text = text_of(plain_finding(world=world | {"duration": 40.0, "limits": {}}))
+    assert text.split("\n", 2)[2].split("\nscenario:")[0] == GYM_WORLD
+
+
+@pytest.mark.parametrize("base", [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)])
+@settings(max_examples=40)
+@given(finding=findings())
+def test_every_finding_is_read_as_it_was_written(base, finding):
+    content = text_of(finding).encode()
+    assert corpus.parsed(Path(f"{finding.id}.pafot.yaml"), content, base) == finding
+
+
+@pytest.mark.parametrize("text", NASTY_TEXTS)
+def test_nasty_texts_survive_everywhere(tmp_path, text):
+    expect = replace(
+        plain_finding().expect, failure=text if text.strip() else "Failed", assertion=text, message=text, traceback=text
+    )
+    world = {"a": text, "b": [text, {"c": text}], text[:60]: 1}
+    reason = text if text.strip() else None
+    finding = plain_finding(expect=expect, world=world, xfail=reason, test=reason or "t")
+    path = tmp_path / "front-2-1f3a9c.pafot.yaml"
+    assert corpus.write(path, finding)
+    assert corpus.read(path) == finding
+
+
+@settings(max_examples=25)
+@given(findings())
+def test_an_ordinary_yaml_reader_sees_the_same_values(finding):
+    document = yaml.safe_load(text_of(finding))
+    assert document["test"] == finding.test
+    assert document["world"] == finding.world
+    assert document["expect"]["failure"] == finding.expect.failure
+    assert document["found"]["versions"] == finding.found.versions
+
+
+def test_a_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
+    path = tmp_path / "a.pafot.yaml"
+    corpus.write(path, plain_finding(test="t\udc80"))
+    assert corpus.read(path).test == "t\ufffd"

@@ -1,0 +1,304 @@
+"""A campaign from its first event to its last."""
+
+import random
+from itertools import count
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.searching import PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching.events import (
+    CampaignFinished,
+    CampaignStarted,
+    Evaluated,
+    GenerationFinished,
+    LocalSearchStarted,
+    Restarted,
+)
+from pytest_pafot.searching.loop import generation_rng
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.trace import Outcome
+
+ALGORITHMS = [PafotSearch(), RandomSearch(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
+
+
+def of(kind, events):
+    return [event for event in events if isinstance(event, kind)]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
+    world = cheap_world()
+    events = list(run_campaign(algorithm, world, generations=12, seed=1))
+    evaluated = of(Evaluated, events)
+    assert events[0] == CampaignStarted(algorithm=algorithm.name, generations=12, seed=1)
+    main = [event.generation for event in of(GenerationFinished, events) if not event.local_generation]
+    assert main == list(range(12))
+    last = events[-1]
+    assert (last.reason, last.generations) == ("generations", 12)
+    assert (last.evaluated, last.simulated) == (len(evaluated), len(world.simulated))
+    assert last.best.rank == max(event.evaluation.rank for event in evaluated)
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64), st.integers(2, 9))
+def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(cheap_world, algorithm, seed, batch):
+    def shuffled(scenarios, draw=random.Random(seed)):  # noqa: B008
+        order = list(range(len(scenarios)))
+        draw.shuffle(order)
+        world, results = cheap_world(), {}
+        for index in order:
+            results[index] = world.run(scenarios[index])
+        return [results[index] for index in range(len(scenarios))]
+
+    one_by_one = list(run_campaign(algorithm, cheap_world(), generations=8, seed=seed))
+    assert one_by_one == list(run_campaign(algorithm, shuffled, generations=8, seed=seed, batch=batch))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
+def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_generation(cheap_world, algorithm):
+    world, foreseen, evaluated = cheap_world(), [], []
+
+    def foresee(scenarios):
+        assert all(each not in evaluated for each in scenarios)
+        foreseen.append(list(scenarios))
+
+    def evaluate(scenarios):
+        evaluated.extend(scenarios)
+        while foreseen[-1].pop(0) != scenarios[0]:  # Not evaluated, since another one showed what it does.
+            pass
+        return world(scenarios)
+
+    events = list(run_campaign(algorithm, evaluate, generations=8, seed=1, foresee=foresee))
+    assert len(foreseen) == len(of(GenerationFinished, events))
+    assert events == list(run_campaign(algorithm, cheap_world(), generations=8, seed=1))
+
+
+def test_another_seed_is_another_search(cheap_world):
+    first, second = (list(run_campaign(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2))
+    assert of(Evaluated, first) != of(Evaluated, second)
+
+
+def test_every_generation_has_its_own_draws():
+    draws = {generation_rng(*key).integers(2**62) for key in ((1,), (1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))}
+    assert len(draws) == 5
+    assert generation_rng(1, 2, 3).integers(2**62) == generation_rng(1, 2, 3).integers(2**62)
+
+
+def shows(run, scenario):
+    """Whether a run tells what a scenario does: it agrees in the start and in the genes that the run came to."""
+    genes = scenario.truncated(run.depth).npcs
+    as_driven = genes == run.executed.truncated(run.depth).npcs
+    as_asked = genes == run.scenario.truncated(run.depth).npcs and scenario.seed == run.scenario.seed
+    return as_driven or as_asked
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32), st.floats(0, 30))
+def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(cheap_world, seed, crash_speed):
+    world, runs = cheap_world(crash_speed=crash_speed), []
+    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=25, seed=seed)):
+        scenario = event.evaluation.scenario
+        assert event.reused == any(shows(run, scenario) for run in runs)
+        assert event.evaluation == cheap_world(crash_speed=crash_speed).run(scenario)
+        runs += [] if event.reused else [event.evaluation]
+    assert [run.scenario for run in runs] == world.simulated
+
+
+def test_the_evaluation_is_never_called_for_nothing(cheap_world):
+    world, sizes = cheap_world(), []
+
+    def evaluate(scenarios):
+        sizes.append(len(scenarios))
+        return world(scenarios)
+
+    search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0, local_generations=0)
+    list(run_campaign(search, evaluate, generations=5, seed=1, batch=4))
+    assert sizes == [4]
+
+
+def test_a_reused_evaluation_is_marked(cheap_world):
+    search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0, local_generations=0)
+    events = of(Evaluated, run_campaign(search, cheap_world(), generations=3, seed=1))
+    assert [event.reused for event in events] == [False] * 4 + [True] * 6
+
+
+def ticking():
+    """A clock that advances a second each time it is read."""
+    ticks = count()
+    return lambda: float(next(ticks))
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_at_least_one_scenario_runs_however_short_the_time(cheap_world, batch):
+    world = cheap_world()
+    events = list(
+        run_campaign(PafotSearch(), world, generations=5, seed=1, max_seconds=0, clock=ticking(), batch=batch)
+    )
+    assert len(world.simulated) == batch
+    assert (events[-1].reason, events[-1].generations, events[-1].simulated) == ("time", 0, batch)
+
+
+def test_the_time_is_looked_at_between_evaluations(cheap_world):
+    world, now = cheap_world(), [0.0]
+
+    def slow(scenarios):
+        now[0] += 10.0
+        return world(scenarios)
+
+    events = list(run_campaign(RandomSearch(), slow, generations=5, seed=1, max_seconds=55.0, clock=lambda: now[0]))
+    assert len(world.simulated) == 6
+    end = events[-1]
+    assert end == CampaignFinished(
+        reason="time", generations=1, evaluated=6, simulated=6, best=end.best, coverage=end.coverage, seconds=60.0
+    )
+    assert events[-1].seconds == 60.0
+
+
+def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
+    now = [0.0]
+
+    def slow(scenarios, world=cheap_world()):  # noqa: B008
+        now[0] += 10.0
+        return world(scenarios)
+
+    events = list(run_campaign(RandomSearch(), slow, generations=1, seed=1, max_seconds=40.0, clock=lambda: now[0]))
+    assert events[-1].reason == "generations"
+
+
+def test_the_consumer_can_stop_it_and_still_gets_the_last_event(cheap_world):
+    seen = []
+    campaign = run_campaign(PafotSearch(), cheap_world(), generations=50, seed=1, stop=lambda: len(seen) >= 3)
+    for event in campaign:
+        seen += of(Evaluated, [event])
+    assert len(seen) == 3
+    assert (event.reason, event.evaluated) == ("stopped", 3)
+
+
+@pytest.mark.parametrize("events_before", [0, 1, 2, 7, 30])
+def test_closing_it_ends_it_without_another_evaluation(cheap_world, events_before):
+    world = cheap_world()
+    campaign = run_campaign(PafotSearch(), world, generations=50, seed=1)
+    for _ in range(events_before):
+        next(campaign)
+    simulated = len(world.simulated)
+    campaign.close()
+    assert list(campaign) == []
+    assert len(world.simulated) == simulated
+
+
+def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
+    world = cheap_world()
+
+    def breaking(scenarios):
+        if len(world.simulated) == 2:
+            raise OSError("disk full")
+        return world(scenarios)
+
+    campaign = run_campaign(PafotSearch(), breaking, generations=5, seed=1)
+    seen = []
+    with pytest.raises(OSError, match="disk full"):
+        seen.extend(campaign)
+    assert list(campaign) == []
+
+
+def test_an_evaluation_of_another_scenario_is_refused(cheap_world):
+    world = cheap_world()
+    campaign = run_campaign(RandomSearch(), lambda scenarios: world(scenarios)[::-1], generations=1, seed=1, batch=4)
+    with pytest.raises(ValueError, match="evaluate: expected the evaluation of"):
+        list(campaign)
+
+
+def test_a_missing_evaluation_is_refused():
+    with pytest.raises(ValueError, match="evaluate: expected 1 evaluations, one per scenario, received 0"):
+        list(run_campaign(RandomSearch(), lambda scenarios: [], generations=1, seed=1))
+
+
+def constant(make_evaluation, **fields):
+    return lambda scenarios: [make_evaluation(scenario, **fields) for scenario in scenarios]
+
+
+def test_invalid_runs_are_told_and_never_best(make_evaluation):
+    evaluate = constant(make_evaluation, outcome=Outcome.INVALID, fitness=9.0, failing=True)
+    events = list(run_campaign(PafotSearch(), evaluate, generations=3, seed=1))
+    assert events[-1].best is None
+    assert events[-1].generations == 3
+
+
+def test_a_restart_that_no_generation_follows_does_not_take_place(make_evaluation):
+    evaluate = constant(make_evaluation)
+    restarts = [len(of(Restarted, run_campaign(PafotSearch(), evaluate, generations=n, seed=1))) for n in (6, 7, 13)]
+    assert restarts == [0, 1, 2]
+
+
+def test_local_generations_come_on_top_also_after_the_last_generation(make_evaluation):
+    fitness = count()
+    events = list(
+        run_campaign(
+            PafotSearch(),
+            lambda scenarios: [make_evaluation(s, fitness=float(next(fitness))) for s in scenarios],
+            generations=4,
+            seed=1,
+        )
+    )
+    finished = [(e.generation, e.local_generation) for e in of(GenerationFinished, events)]
+    assert finished == [(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2)]
+    assert len(of(LocalSearchStarted, events)) == 1
+    assert events[-1].generations == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
+        ({"seed": -1}, "seed: expected a whole number, at least 0"),
+        ({"batch": 0}, "batch: expected a whole number, at least 1"),
+        ({"max_seconds": -1.0}, "max_seconds: expected seconds, at least 0"),
+        ({"max_seconds": float("nan")}, "max_seconds: expected seconds, at least 0"),
+    ],
+)
+def test_arguments_out_of_range_are_refused_before_anything_runs(cheap_world, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        run_campaign(PafotSearch(), cheap_world(), **({"generations": 1, "seed": 1} | arguments))
+
+
+def best_after(algorithm, evaluate, *, simulations, seed):
+    done = []
+    campaign = run_campaign(algorithm, evaluate, generations=10**6, seed=seed, stop=lambda: len(done) >= simulations)
+    for event in campaign:
+        done += [e for e in of(Evaluated, [event]) if not e.reused]
+    return event.best.fitness
+
+
+def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simulations(make_evaluation):
+    """A smooth landscape: drive in the front cell at 10 m/s; every gene counts alone."""
+
+    def evaluate(scenarios):
+        return [
+            make_evaluation(
+                scenario,
+                fitness=-sum(
+                    min((g.cell - 2) % 8, (2 - g.cell) % 8) + abs(g.speed - 10.0) / 5
+                    for chain in scenario.npcs
+                    for g in chain
+                ),
+            )
+            for scenario in scenarios
+        ]
+
+    search = PafotSearch(restart_after=50)
+    for algorithm in (PafotSearch(), search):
+        scores = [
+            (
+                best_after(algorithm, evaluate, simulations=250, seed=seed),
+                best_after(RandomSearch(), evaluate, simulations=250, seed=seed),
+            )
+            for seed in range(8)
+        ]
+        assert sum(ours > theirs for ours, theirs in scores) >= 7, scores
+
+
+def test_a_time_limit_needs_a_clock(cheap_world):
+    with pytest.raises(ValueError, match=r"time\.monotonic"):
+        run_campaign(PafotSearch(), cheap_world(), generations=1, seed=1, max_seconds=1.0)
