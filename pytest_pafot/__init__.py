@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pytest_pafot import strategies as strategies
     from pytest_pafot.grid import Cell as Cell
-    from pytest_pafot.plugin.marks import reject as reject
     from pytest_pafot.plugin.marks import search as search
+    from pytest_pafot.rejection import reject as reject
     from pytest_pafot.run import Run as Run
     from pytest_pafot.scenario import Chromosome as Chromosome
     from pytest_pafot.scenario import LaneInstruction as LaneInstruction
@@ -49,7 +49,7 @@ _HOMES = {
     "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",
-    "reject": "plugin.marks",
+    "reject": "rejection",
     "search": "plugin.marks",
 }
 

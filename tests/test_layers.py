@@ -10,7 +10,7 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "grid", "scenario", "trace", "reject", "criticality", "attribution", "run", "findings", "searching", "corpus",
+    "grid", "scenario", "trace", "rejection", "criticality", "attribution", "run", "findings", "searching", "corpus",
     "world", "execution", "strategies", "testing", "campaign", "comparison", "report", "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""

@@ -34,3 +34,8 @@ def test_importing_the_package_imports_nothing_else():
 def test_importing_a_world_does_not_import_highway_env():
     code = "import sys, pytest_pafot as p; p.Highway(); p.World; assert 'highway_env' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_function_that_rejects_stays_a_function_once_its_module_is_imported():
+    code = "import pytest_pafot as p, pytest_pafot.campaign.verdict; assert callable(p.reject)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-from pytest_pafot.plugin.marks import Rejected
 from pytest_pafot.plugin.request import RequestError
+from pytest_pafot.rejection import Rejected
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.signature import Failure

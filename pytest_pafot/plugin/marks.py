@@ -1,4 +1,4 @@
-"""The decorator by which a test function asks for a search, and the way to discard a scenario.
+"""The decorator by which a test function asks for a search, and the marks that it sets.
 
 This module is imported by every test file that uses the plugin: it imports nothing but pytest.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import pytest
 
@@ -29,10 +29,6 @@ POSITIONAL = "<positional>"
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
 
 
-class Rejected(BaseException):
-    """Raised by :func:`reject`. No ``Exception``, so that the test's own handlers do not swallow it."""
-
-
 @overload
 def search(target: Target, /) -> Target: ...
 @overload
@@ -50,11 +46,6 @@ def search(*target: Any, **arguments: Any) -> Any:
         return _decorated(function, target, arguments)
 
     return decorate
-
-
-def reject() -> NoReturn:
-    """Discard the scenario that is running: it counts neither as passed nor as failed."""
-    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
 
 
 def _may_be_decorated(target: object) -> bool:

@@ -4,7 +4,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.files import read
-from pytest_pafot.plugin.marks import Rejected
+from pytest_pafot.rejection import Rejected
 
 
 def test_an_async_test_is_refused_and_not_passed_without_being_awaited(project):
