@@ -13,6 +13,7 @@ import pytest
 from pytest_pafot.campaign import own_worlds as worlds
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.harness import Bench
+from pytest_pafot.campaign.summary import Find
 from pytest_pafot.campaign.verdict import Verdict, plain_failure
 from pytest_pafot.corpus.files import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
 from pytest_pafot.corpus.text import text_of
@@ -57,7 +58,7 @@ class Kept:
     """
 
     finding: Finding
-    find: terminal.Find
+    find: Find
     origin: str
     file: Path | None = None
     content: str = ""
@@ -104,7 +105,7 @@ class Keeper:
     held: list[Held] | None = field(default_factory=list)
 
     @property
-    def finds(self) -> list[terminal.Find]:
+    def finds(self) -> list[Find]:
         """As the terminal tells them."""
         return [kept.find for kept in self.kept.values()]
 
@@ -318,7 +319,7 @@ class Keeper:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.bench.folder / f"{finding.id}{places.SUFFIX}"
         node_id = places.saved_node_id(self.bench.item, finding.id)
-        find = terminal.Find(id=finding.id, node_id=node_id, headline=headline, is_timed=is_timed)
+        find = Find(id=finding.id, node_id=node_id, headline=headline, is_timed=is_timed)
         if self.bench.request.settings.save == "none":
             return Kept(finding=finding, find=replace(find, problem=NOT_SAVED), origin=origin)
         try:
@@ -330,7 +331,7 @@ class Keeper:
         return Kept(finding=finding, find=find, origin=origin, file=path)
 
 
-def report_of(item: pytest.Item, find: terminal.Find, exception: BaseException, section: str) -> dict[str, Any]:
+def report_of(item: pytest.Item, find: Find, exception: BaseException, section: str) -> dict[str, Any]:
     """The report of a find as the item that it will be next time, serialised.
 
     Made by pytest's own hooks, so that marks of the function, such as xfail, act on it.
@@ -375,7 +376,7 @@ def collision_in_short(run: Run) -> str:
     return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}, {who} at fault"
 
 
-def _advice(find: terminal.Find) -> str:
+def _advice(find: Find) -> str:
     """Why a find that does not repeat is as it was found, and what to do."""
     if not find.is_flaky:
         return ""

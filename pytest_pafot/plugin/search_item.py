@@ -19,6 +19,7 @@ from pytest_pafot.campaign.replays import replay_for_search
 from pytest_pafot.campaign.search import Hunt, Stage
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Shrinking
+from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import Verdict, no_skip, skips
 from pytest_pafot.execution.crash_records import InFlight, Leftover
 from pytest_pafot.execution.known_decisions import Resuming
@@ -316,7 +317,7 @@ class Searching:
             return
         self.told_at = now
         generations = self.bench.request.settings.generations
-        progress = terminal.Progress(
+        progress = Progress(
             node_id=self.bench.item.nodeid,
             generation=min(hunt.generation + 1, generations),
             generations=generations,
@@ -328,7 +329,7 @@ class Searching:
         )
         messages.send(self.bench.item, "progress", asdict(progress))
 
-    def _summary(self, hunt: Hunt, keeper: Keeper, reason: str) -> terminal.Search:
+    def _summary(self, hunt: Hunt, keeper: Keeper, reason: str) -> SearchSummary:
         settings, health = self.bench.request.settings, hunt.health
         if hunt.doubt:
             self.notes.append(hunt.doubt)
@@ -336,7 +337,7 @@ class Searching:
         if reason == self.limit.flag:
             self.notes.append(f"cut by {reason}: the same seed may find other scenarios next time")
         self.notes += self._left_undone(hunt, keeper, reason)
-        return terminal.Search(
+        return SearchSummary(
             node_id=self.bench.item.nodeid,
             algorithm=settings.algorithm,
             profile=settings.profile,
@@ -379,7 +380,7 @@ class Searching:
                 f"--pafot-generations={PROFILES[FULL]['generations']} looks further"
             )
 
-    def _show(self, hunt: Hunt, search: terminal.Search) -> None:
+    def _show(self, hunt: Hunt, search: SearchSummary) -> None:
         """Show the search on the page, unless it only replayed."""
         if self.showing is None or not self.showing.events:
             return
@@ -387,7 +388,7 @@ class Searching:
         cut_by = search.reason if search.reason in ("error", "interrupted") else ""
         self.showing.searched(search.finds, known, float(self.bench.world.speed_limit), cut_by)
 
-    def _conclude(self, hunt: Hunt, keeper: Keeper, search: terminal.Search) -> None:
+    def _conclude(self, hunt: Hunt, keeper: Keeper, search: SearchSummary) -> None:
         __tracebackhide__ = True
         if keeper.count:
             self.bench.item.stash[SUMMARY] = terminal.search_summary(search)

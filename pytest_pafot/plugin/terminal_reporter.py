@@ -18,6 +18,7 @@ from pytest_pafot.plugin.report_pages import LINES
 from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line, terminal_width
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.summary import Progress, SearchSummary
     from pytest_pafot.report import terminal
 
 WORKER_ORPHANS, WORKER_STRAYS = "pafot_orphans", "pafot_strays"
@@ -32,7 +33,7 @@ class Reporter:
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
         self._expanded: set[str] = set()
         self._running: dict[str, None] = {}
-        self._searches: list[terminal.Search] = []
+        self._searches: list[SearchSummary] = []
         self._replays: list[terminal.Replay] = []
         self._orphans: dict[Path, list[Path]] = {}
         self._removed: list[Path] = []
@@ -130,6 +131,7 @@ class Reporter:
         return ("passed", ".", f"PASSED ({label})") if report.passed else None
 
     def _take(self, report: Any, message: dict[str, Any]) -> None:
+        from pytest_pafot.campaign.summary import Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         kind = message["kind"]
@@ -137,12 +139,12 @@ class Reporter:
             self._tell_base_seed()
             self._running[report.nodeid] = None
         elif kind == "progress":
-            self._show_progress(terminal.Progress(**_without_kind(message)))
+            self._show_progress(Progress(**_without_kind(message)))
         elif kind == "find":
             self._take_find(report, message)
         elif kind == "search":
             self._running.pop(report.nodeid, None)
-            self._searches.append(terminal.Search.from_plain(_without_kind(message)))
+            self._searches.append(SearchSummary.from_plain(_without_kind(message)))
         elif kind == "note":
             self._notes[message["text"]] = None
         elif kind == "replay":
@@ -177,7 +179,7 @@ class Reporter:
                     phase.__dict__["node"] = node  # As pytest-xdist marks reports of its workers.
                 self._config.hook.pytest_runtest_logreport(report=phase)
 
-    def _show_progress(self, progress: terminal.Progress) -> None:
+    def _show_progress(self, progress: Progress) -> None:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         writer = self._terminal()

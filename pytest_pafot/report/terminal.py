@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from dataclasses import dataclass
+
+from pytest_pafot.campaign.summary import Find, Progress, SearchSummary, ascii_text
 
 WIDTH = 80
 MAX_FINDS = 20
@@ -23,146 +24,6 @@ MAX_NAMED = 3
 """Finds that one line names."""
 
 MAX_QUIET_REPLAYS = 10
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
-    """Where a search is.
-
-    Attributes:
-        node_id: of the search.
-        generation: that is in progress, from 1.
-        generations: that were asked for.
-        runs: simulated so far.
-        failing: runs that the test rejected.
-        finds: distinct ones that are new.
-        seconds: since the search began.
-        phase: what goes on after the generations, such as shrinking; empty while they run.
-    """
-
-    node_id: str
-    generation: int
-    generations: int
-    runs: int
-    failing: int
-    finds: int
-    seconds: float
-    phase: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Find:
-    """A distinct find that is new.
-
-    Attributes:
-        id: of the finding.
-        node_id: under which it is reported.
-        headline: one line that says what happened.
-        path: of its file, or empty.
-        problem: why there is no file, or empty.
-        difference: what differed when it was run again, or empty.
-        is_timed: it depends on wall-clock time.
-        repeats: further runs that failed in the same way.
-    """
-
-    id: str
-    node_id: str
-    headline: str
-    path: str = ""
-    problem: str = ""
-    difference: str = ""
-    is_timed: bool = False
-    repeats: int = 0
-
-    @property
-    def is_flaky(self) -> bool:
-        """Whether running it again gave another run."""
-        return bool(self.difference)
-
-    @property
-    def remark(self) -> str:
-        """What a reader must know besides, or nothing."""
-        remarks = [
-            f"flaky: {self.difference}" if self.is_flaky else "",
-            "depends on wall-clock time" if self.is_timed else "",
-        ]
-        return "; ".join(remark for remark in remarks if remark)
-
-    @property
-    def summary(self) -> str:
-        """One line on it, with what a reader must know besides."""
-        return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
-    """How a search went.
-
-    Attributes:
-        node_id: of the search.
-        algorithm: its name.
-        profile: that the defaults came from.
-        base_seed: that was given, or fresh.
-        seed: of this search, derived from the base seed and the node id.
-        generations: finished, of ``asked``.
-        asked: generations that were asked for.
-        reason: why it ended.
-        seconds: it took.
-        runs: simulated scenarios.
-        known_runs: scenarios that were not simulated, since an earlier run showed what they do.
-        invalid, npc, rejected, skipped: runs without a judgement, by kind.
-        reached: share of Position-Instructions whose cell was reached; None where no run tells.
-        no_interaction: runs in which no NPC came near the ego.
-        failing: runs that the test rejected.
-        finds: distinct ones that are new.
-        unsaved: further ones that the limit of saved scenarios left out, with their runs.
-        shrink_runs: taken to simplify the finds, beside ``runs``.
-        known: failing runs by the id of the saved scenario that covers them.
-        warnings: of the search's health.
-        notes: anything else to be told once.
-        coverage: one line on the Position-Instructions that the runs came to.
-    """
-
-    node_id: str
-    algorithm: str = "pafot"
-    profile: str = ""
-    base_seed: int = 0
-    seed: int = 0
-    generations: int = 0
-    asked: int = 0
-    reason: str = ""
-    seconds: float = 0.0
-    runs: int = 0
-    known_runs: int = 0
-    invalid: int = 0
-    npc: int = 0
-    rejected: int = 0
-    skipped: int = 0
-    reached: float | None = None
-    no_interaction: int = 0
-    failing: int = 0
-    finds: tuple[Find, ...] = ()
-    unsaved: Mapping[str, int] = field(default_factory=dict)
-    shrink_runs: int = 0
-    known: Mapping[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    coverage: str = ""
-
-    def to_plain(self) -> dict[str, Any]:
-        """Plain data, for another process."""
-        plain = asdict(self)
-        plain["finds"] = [asdict(find) for find in self.finds]
-        plain["warnings"], plain["notes"] = list(self.warnings), list(self.notes)
-        return plain
-
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
-        """The inverse of :meth:`to_plain`."""
-        values = dict(plain)
-        values["finds"] = tuple(Find(**find) for find in values["finds"])
-        values["warnings"], values["notes"] = tuple(values["warnings"]), tuple(values["notes"])
-        return cls(**values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +65,7 @@ class Session:
         notes: on the whole session.
     """
 
-    searches: Sequence[Search] = ()
+    searches: Sequence[SearchSummary] = ()
     replays: Sequence[Replay] = ()
     orphans: Sequence[tuple[str, int]] = ()
     removed: Sequence[tuple[str, int]] = ()
@@ -266,14 +127,14 @@ def find_section(
     return "\n".join(fitted)
 
 
-def search_summary(search: Search) -> str:
+def search_summary(search: SearchSummary) -> str:
     """Why a searching item fails, in one line."""
     ids = [*(find.id for find in search.finds), *search.unsaved]
     more = f" and {len(ids) - MAX_NAMED} more" if len(ids) > MAX_NAMED else ""
     return f"{_plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
 
 
-def search_failure(search: Search) -> str:
+def search_failure(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
     firm = [_counted(find.id, find.repeats) for find in search.finds if not find.is_flaky]
@@ -287,7 +148,7 @@ def search_failure(search: Search) -> str:
     return "\n".join([*lines, *_unsaved_lines(search.unsaved)])
 
 
-def search_lines(search: Search, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """A search in the summary: three lines when it is well, more where there is something to say."""
     texts = [_figures(search), *_kept_lines(search), _origin(search)]
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
@@ -341,12 +202,7 @@ def session_lines(session: Session, *, verbose: bool = False, width: int = WIDTH
     return [part for line in lines for part in line.splitlines()]
 
 
-def ascii_text(text: str) -> str:
-    """Text that any terminal and log can show."""
-    return text.encode("ascii", "backslashreplace").decode("ascii")
-
-
-def _figures(search: Search) -> str:
+def _figures(search: SearchSummary) -> str:
     parts = [f"{_plural(search.runs, 'run')} in {search.seconds:.1f} s"]
     if search.shrink_runs:
         parts.append(f"{search.shrink_runs} more to shrink")
@@ -366,14 +222,14 @@ def _figures(search: Search) -> str:
     return ", ".join(parts)
 
 
-def _origin(search: Search) -> str:
+def _origin(search: SearchSummary) -> str:
     return (
         f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
         f"{search.generations} of {_plural(search.asked, 'generation')}, ended: {search.reason}"
     )
 
 
-def _kept_lines(search: Search) -> list[str]:
+def _kept_lines(search: SearchSummary) -> list[str]:
     """How many finds there are, and where they lie; their own reports say which."""
     if not search.finds and not search.unsaved:
         return []

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.report import terminal
-from pytest_pafot.report.terminal import Find, Progress, Replay, Search, Session
+from pytest_pafot.report.terminal import Replay, Session
 
 FIND = Find(
     id="front-2-1f3a9c",
@@ -15,7 +16,7 @@ FIND = Find(
     path="tests/pafot_corpus/test_safety/test_it/front-2-1f3a9c.pafot.yaml",
     repeats=17,
 )
-SEARCH = Search(
+SEARCH = SearchSummary(
     node_id="tests/test_safety.py::test_it[search]",
     profile="local",
     base_seed=3,
@@ -44,7 +45,7 @@ SEARCH = Search(
 
 
 def test_a_search_survives_the_way_through_plain_data():
-    assert Search.from_plain(json.loads(json.dumps(SEARCH.to_plain()))) == SEARCH
+    assert SearchSummary.from_plain(json.loads(json.dumps(SEARCH.to_plain()))) == SEARCH
 
 
 def test_the_summary_has_every_figure_and_fits_in_80_columns():
