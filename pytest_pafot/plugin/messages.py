@@ -13,6 +13,13 @@ from typing import Any
 import pytest
 
 PHASE = "pafot"
+"""Of a report that is a message."""
+
+PAGE = "page"
+"""Kind of the messages for a report page."""
+
+NEW = "new"
+"""Label of a finding that was not known before."""
 
 
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:

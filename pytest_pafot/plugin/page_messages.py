@@ -17,7 +17,7 @@ from pytest_pafot.campaign.recorder import what_happened
 from pytest_pafot.campaign.simplification import speed_sentences
 from pytest_pafot.corpus.text import text_of
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.report_pages import MESSAGE, NEW
+from pytest_pafot.plugin.messages import NEW, PAGE
 from pytest_pafot.report.campaign_views import campaign_view
 from pytest_pafot.report.finding_views import finding_view, shrink_view
 from pytest_pafot.report.plain import to_plain
@@ -165,4 +165,4 @@ class Showing:
         self._tell(view=to_plain(view))
 
     def _tell(self, **data: object) -> None:
-        messages.send(self.item, MESSAGE, {"target": self.settings.report, **data})
+        messages.send(self.item, PAGE, {"target": self.settings.report, **data})

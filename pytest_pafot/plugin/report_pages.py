@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from pytest_pafot.plugin.settings import Settings
     from pytest_pafot.report.views import CampaignView, FindingView, Report
 
-MESSAGE = "page"
-NEW = "new"
 ORDER = ("ego", "both", "npc", "none")
 """Of findings by responsibility: what the policy answers for comes first."""
 
@@ -140,7 +138,7 @@ class Pages:
     def pytest_runtest_logreport(self, report: Any) -> None:
         """Take what items show; add it to the row of an ordinary report."""
         message = messages.received(report)
-        if message is not None and message["kind"] == MESSAGE:
+        if message is not None and message["kind"] == messages.PAGE:
             self._take(report.nodeid, message)
             return
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
@@ -228,7 +226,7 @@ def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:
 def _place(finding: FindingView) -> tuple[bool, int, int, str]:
     """New before known, by responsibility, the most frequent first."""
     who = ORDER.index(finding.responsibility) if finding.responsibility in ORDER else len(ORDER)
-    return not finding.label.startswith(NEW), who, -finding.runs, finding.node_id
+    return not finding.label.startswith(messages.NEW), who, -finding.runs, finding.node_id
 
 
 def _written(target: str, path: Path, report: Report, *, has_pictures: bool) -> list[Line]:
