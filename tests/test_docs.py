@@ -325,13 +325,13 @@ def test_the_picture_shows_what_the_readme_runs():
     readme = text_of(ROOT / "README.md")
     (command, *_) = re.findall(r"^\$ (.*)$", readme, re.MULTILINE)
     picture = html.unescape(re.sub("<[^>]*>", "", text_of(ROOT / "docs" / "terminal.svg"))).replace("\xa0", " ")
-    assert command in picture, "run: python docs/picture.py"
+    assert command in picture, "run: python docs/tools/picture.py"
     assert set(re.findall(r"saved-[a-z0-9-]+", readme)) <= set(re.findall(r"saved-[a-z0-9-]+", picture))
     assert str(ROOT) not in picture
 
 
 def generator():
-    spec = importlib.util.spec_from_file_location("docs_generate", ROOT / "docs" / "generate.py")
+    spec = importlib.util.spec_from_file_location("docs_generate", ROOT / "docs" / "tools" / "generate.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -340,7 +340,7 @@ def generator():
 def test_the_reference_is_as_the_code_has_it():
     module = generator()
     text = text_of(module.REFERENCE)
-    assert module.generated(text) == text, "run: python docs/generate.py"
+    assert module.generated(text) == text, "run: python docs/tools/generate.py"
 
 
 def test_every_generated_section_is_in_the_reference():
@@ -358,8 +358,11 @@ def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
     assert from_dict(dict(finding.world)) == Highway()
 
 
-def test_the_generator_runs_as_a_script():
-    code = "import runpy; print(len(runpy.run_path('docs/generate.py')['sections']()))"
+@pytest.mark.parametrize("tool", sorted((ROOT / "docs" / "tools").glob("*.py")), ids=lambda path: path.stem)
+def test_every_tool_of_the_documents_finds_what_it_imports(tool):
+    if tool.stem == "picture":
+        pytest.importorskip("rich")
+    code = f"import runpy; runpy.run_path({str(tool.relative_to(ROOT))!r})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -1,7 +1,7 @@
 """Make terminal.svg, the picture in the README, from the real output of a session.
 
 It writes the two files of the README into an empty folder, runs its command there and renders what the terminal
-shows. It needs rich besides the plugin: ``python -m pip install rich && python docs/picture.py``.
+shows. It needs rich besides the plugin: ``python -m pip install rich && python docs/tools/picture.py``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.terminal_theme import TerminalTheme
 from rich.text import Text
 
-README = Path(__file__).parents[1] / "README.md"
-PICTURE = Path(__file__).with_name("terminal.svg")
+README = Path(__file__).parents[2] / "README.md"
+PICTURE = Path(__file__).parents[1] / "terminal.svg"
 COLUMNS = 104
 
 _FILE = re.compile(r"```python\n# (\S+)\n(.*?)```", re.DOTALL)

@@ -2,7 +2,7 @@
 
 It runs both searches, opens their pages in a headless Chromium, light and dark, and stores what it shows. It needs
 Chromium, and Pillow and fiss-planner besides the plugin:
-``python -m pip install ".[report,fiss]" && python docs/report_picture.py``.
+``python -m pip install ".[report,fiss]" && python docs/tools/report_picture.py``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from PIL import Image
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))
 

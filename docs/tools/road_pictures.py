@@ -2,7 +2,7 @@
 
 Random scenarios run against a vehicle that keeps its lane and its speed; the first collision for which it is
 responsible is pictured, half a second before the impact. It needs Pillow besides the plugin:
-``python -m pip install ".[report]" && python docs/road_pictures.py``.
+``python -m pip install ".[report]" && python docs/tools/road_pictures.py``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot import Run, World  # noqa: E402

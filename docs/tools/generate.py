@@ -1,6 +1,6 @@
 """Write the tables of reference.md that come from the code.
 
-Run it after a change of either: ``python docs/generate.py``.
+Run it after a change of either: ``python docs/tools/generate.py``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.world import Highway, NpcLimits, Observation, VehicleState, World
 
-REFERENCE = Path(__file__).with_name("reference.md")
+REFERENCE = Path(__file__).parents[1] / "reference.md"
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
