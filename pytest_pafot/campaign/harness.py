@@ -14,6 +14,7 @@ import pytest
 
 from pytest_pafot.campaign.own_worlds import described
 from pytest_pafot.campaign.verdict import Test, Verdict, bound_test, judge, no_skip, skips
+from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.files import sweep
 from pytest_pafot.execution.crash_records import InFlight
 from pytest_pafot.execution.worker_pool import Errand
@@ -21,7 +22,6 @@ from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.request import Request, RequestError, build_world, hint_at_world
-from pytest_pafot.plugin.saved_items import corpus_root
 from pytest_pafot.run import Run
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ class Bench:
             with InFlight(folder, owner or owner_of(self.item), world=data) as flight:
                 yield flight
         finally:
-            if folder == corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
+            if folder == layout.corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
                 with suppress(OSError):  # It holds findings, or was never made.
                     folder.rmdir()
 
@@ -222,7 +222,7 @@ class Bench:
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""
-        return places.relative(path, self.item.config.rootpath)
+        return layout.relative(path, self.item.config.rootpath)
 
 
 def is_same_run(a: Run, b: Run) -> bool:

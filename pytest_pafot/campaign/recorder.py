@@ -15,12 +15,13 @@ from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.harness import Bench
 from pytest_pafot.campaign.summary import Find
 from pytest_pafot.campaign.verdict import Verdict, plain_failure
+from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.files import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
 from pytest_pafot.corpus.text import text_of
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.worker_pool import Lost
 from pytest_pafot.findings.finding import Expect, Finding, Found, message_of, portable
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin import saved_items as places
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 NOT_SAVED = "--pafot-save=none"
 
 UNSEEN_CRASH = Expect(
-    failure=places.CRASH,
+    failure=PROCESS_CRASH,
     outcome=Outcome.ADS_ERROR,  # The ADS is the code that a process can die in.
     time=0.0,
     message="the process ended while it ran this scenario",
@@ -66,7 +67,7 @@ class Kept:
     @property
     def is_firm(self) -> bool:
         """Whether its runs are expected to repeat, so that it can be shrunk."""
-        return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.failure == places.CRASH)
+        return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -317,7 +318,7 @@ class Keeper:
         path, finding = free_path(self.bench.folder, finding, self.replayed)
         while finding.id in self.kept:
             finding = replace(finding, id=f"{finding.id}-again")
-            path = self.bench.folder / f"{finding.id}{places.SUFFIX}"
+            path = self.bench.folder / f"{finding.id}{layout.SUFFIX}"
         node_id = places.saved_node_id(self.bench.item, finding.id)
         find = Find(id=finding.id, node_id=node_id, headline=headline, is_timed=is_timed)
         if self.bench.request.settings.save == "none":

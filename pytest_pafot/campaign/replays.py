@@ -13,6 +13,7 @@ from pytest_pafot.campaign.harness import Bench, is_same_run
 from pytest_pafot.campaign.recorder import cause, what_happened
 from pytest_pafot.campaign.summary import ascii_text
 from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.separate_process import tried_apart
 from pytest_pafot.execution.worker_pool import Lost, ProcessLostError
 from pytest_pafot.findings.finding import Finding
@@ -23,7 +24,6 @@ from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
 from pytest_pafot.plugin.request import Request, RequestError
-from pytest_pafot.plugin.saved_items import Saved
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome
 
@@ -109,7 +109,7 @@ def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:
 
 def _means(bench: Bench, saved: Saved, owner: str) -> Tried:
     """How a scenario is run: in another process where one died in it, or hung, or the ADS shall run in no other way."""
-    if bench.request.settings.isolate or saved.is_deadly or left_behind(bench.item, bench.request, owner):
+    if bench.request.settings.isolate or saved.needs_own_process or left_behind(bench.item, bench.request, owner):
         return partial(tried_apart, bench, saved.path)
     return bench.tried
 
@@ -123,7 +123,7 @@ def _labelled(bench: Bench, finding: Finding, world: Any, tried: Tried) -> tuple
     __tracebackhide__ = True
     run, verdict = tried(finding.scenario, world, bench.item.nodeid)
     label: str = replay_label(finding, run, verdict.failure if verdict.failed else None, bench.versions)
-    if finding.expect.failure == places.CRASH:
+    if finding.expect.is_crash:
         label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
     if label == "fixed" and worlds.changes(finding.world, bench.world):
         label = "drifted"  # It passes elsewhere than where it failed.
@@ -139,7 +139,7 @@ def _labelled(bench: Bench, finding: Finding, world: Any, tried: Tried) -> tuple
 def _conclude_lost(bench: Bench, saved: Saved, finding: Finding, lost: Lost) -> NoReturn:
     """Fail for a scenario whose process did not come back."""
     __tracebackhide__ = True
-    was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.failure == places.CRASH
+    was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
     label = "still failing" if was_lost else "drifted"
     detail = "" if was_lost else _detail(bench, finding, f"the process {lost.how}")
     _tell(bench, label, detail)
@@ -191,7 +191,7 @@ def _detail(bench: Bench, finding: Finding, now: str) -> str:
     ]
     changed += worlds.changes(finding.world, bench.world)
     then = _event(finding.expect.outcome, finding.expect.time)
-    if finding.expect.failure == places.CRASH:
+    if finding.expect.is_crash:
         then = "the process died"
     event = [] if then == now else [f"{then} in the file, {now} now"]
     return "; ".join([*event, *changed]) or "another run than before"

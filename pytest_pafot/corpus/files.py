@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, get_args
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus.fields import RESTORE, CorpusError, Field
-from pytest_pafot.corpus.layout import CORPUS, folder_of, safe_name
+from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.locks import hold, is_held, pid_of
 from pytest_pafot.corpus.schema import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
 from pytest_pafot.corpus.text import DEFAULT_GENE_SECONDS, text_of
@@ -32,23 +32,19 @@ from pytest_pafot.scenario import SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
 
 __all__ = [
-    "CORPUS",
     "SUFFIX",
     "CorpusError",
     "CorpusWriteError",
-    "folder_of",
     "free_path",
     "list_files",
     "parsed",
     "read",
     "rewrite",
-    "safe_name",
     "save",
     "sweep",
     "write",
 ]
 
-SUFFIX = ".pafot.yaml"
 TEMPORARY = ".pafot-"
 """How the names of files begin that are being written."""
 

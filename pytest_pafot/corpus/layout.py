@@ -1,4 +1,7 @@
-"""Folder names for tests: readable, distinct for distinct tests, and valid on every file system."""
+"""Where the saved scenarios of tests lie: the corpus that serves a test file, the folder of a module and of a test.
+
+Folder names are readable, distinct for distinct tests, and valid on every file system. Nothing here reads a file.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,12 @@ import hashlib
 import re
 from pathlib import Path
 
+SUFFIX = ".pafot.yaml"
+"""Of the name of a saved scenario's file; what stands before it is the finding's id."""
+
 CORPUS = "pafot_corpus"
+"""Name of the folder beside a test file, unless the option ``corpus`` names another."""
+
 MAX_NAME = 80
 DIGEST = 10
 
@@ -15,15 +23,75 @@ _WITH_PARAMETERS = re.compile(r"([^@\[\]]+)\[([^@\[\]]+)\]")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.@,=+~-]|$)", re.IGNORECASE)
 
 
-def folder_of(test_file: Path, module: str, test_name: str) -> Path:
-    """Where the findings of one test live.
+def files_in(folder: Path) -> list[Path]:
+    """The corpus files in a folder, sorted by name; none in one that is missing or cannot be listed."""
+    try:
+        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
+    except OSError:
+        return []  # It has no items; whoever writes a finding into it is told what is wrong with it.
+
+
+def modules_in(root: Path) -> list[Path]:
+    """The folders of a corpus, each of a module, by name; none where there is no corpus."""
+    return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+
+
+def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
+    """The corpus that serves a test file: beside it, or for an absolute path in one place for all."""
+    folder = Path(corpus)
+    if not folder.is_absolute():
+        return test_file.parent / folder
+    try:
+        return folder / test_file.parent.relative_to(rootpath)
+    except ValueError:
+        return folder
+
+
+def is_corpus(path: Path, corpus: Path) -> bool:
+    """Whether a folder is one that a corpus option names."""
+    if corpus.is_absolute():
+        return path == corpus
+    return path.name == corpus.name and path.parts[-len(corpus.parts) :] == corpus.parts
+
+
+def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
+    """Where the folders of all tests of a module lie."""
+    return corpus_root(test_file, corpus, rootpath) / safe_name(test_file.stem)
+
+
+def folder_of_test(test_file: Path, test_name: str, corpus: str, rootpath: Path) -> Path:
+    """Where the findings of one test lie.
 
     Args:
-        test_file: the file that holds the test; the corpus lies beside it.
-        module: name of the test's module.
+        test_file: that holds the test.
         test_name: the test with its class and parameters, as in ``TestBraking::test_it[4-slow]``.
+        corpus: as the option gives it, see :func:`corpus_root`.
+        rootpath: of the session.
     """
-    return Path(test_file).parent / CORPUS / safe_name(module) / safe_name(test_name)
+    return corpus_root(test_file, corpus, rootpath) / safe_name(test_file.stem) / safe_name(test_name)
+
+
+def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
+    """The test file that a corpus file belongs to, whatever its content; None outside of a corpus."""
+    if len(file.parents) < 3:
+        return None
+    root, module = file.parents[2], file.parents[1].name
+    folder = Path(corpus)
+    if folder.is_absolute():
+        directory = rootpath / root.relative_to(folder) if root.is_relative_to(folder) else None
+    else:
+        directory = root.parents[len(folder.parts) - 1] if root.parts[-len(folder.parts) :] == folder.parts else None
+    return None if directory is None else module_named(directory, module)
+
+
+def module_named(directory: Path, folder: str) -> Path:
+    """The test file of a directory whose corpus folder has this name; it may not exist."""
+    return next((file for file in directory.glob("*.py") if safe_name(file.stem) == folder), directory / f"{folder}.py")
+
+
+def relative(path: Path, rootpath: Path) -> str:
+    """A path as people read it."""
+    return path.relative_to(rootpath).as_posix() if path.is_relative_to(rootpath) else str(path)
 
 
 def safe_name(text: str) -> str:

@@ -25,7 +25,7 @@ from typing import Any
 from pytest_pafot.execution.captured_output import Echo, listening
 from pytest_pafot.execution.crash_records import InFlight, InFlightError, leftovers
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.plugin.saved_items import CRASH
+from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.driving.guard import LastResort, last_resort
@@ -103,7 +103,7 @@ class Lost:
         """What running the scenario is expected to show. Nobody saw it; the ADS is the code that a process dies in."""
         outcome = Outcome.HANG if self.is_hang else Outcome.ADS_ERROR
         message = f"the process that ran this scenario {self.how}"
-        return Expect(failure=CRASH, outcome=outcome, time=0.0, message=message)
+        return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
 
 
 class ProcessLostError(Exception):

@@ -15,7 +15,7 @@ from typing import Any
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.shrink import SpeedInterval
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
+from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
@@ -79,6 +79,11 @@ class Expect:
     ego_manoeuvre: Manoeuvre | None = None
     preventable_by: tuple[str, ...] = ()
     traceback: str = ""
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether the process that ran the scenario died."""
+        return self.failure == PROCESS_CRASH
 
     @property
     def signature(self) -> Signature:

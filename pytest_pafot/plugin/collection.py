@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.corpus import layout
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.options import BY_NAME, corpus_name
-from pytest_pafot.plugin.saved_items import Candidates, Saved
+from pytest_pafot.plugin.saved_items import Candidates
 from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit, Seen, base_line
 
 ORPHANS = pytest.StashKey[dict[Path, list[Path]]]()
@@ -27,7 +29,7 @@ SEARCH = "search"
 
 def accept_files(config: pytest.Config) -> None:
     """Let corpus files be given on the command line: their test files are collected, and filtered later."""
-    given = [arg for arg in config.args if arg.endswith(places.SUFFIX)]
+    given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
     if not given:
         return
     explicit = config.stash[EXPLICIT] = Explicit()
@@ -59,7 +61,7 @@ class Collection:
         """What pytest runs in is none, nor, but by the usual name, what it was asked for."""
         if folder.name == BY_NAME["corpus"].default:
             return not self._config.rootpath.is_relative_to(folder)
-        return self._corpus is not None and places.is_corpus(folder, self._corpus) and folder not in self._asked_for
+        return self._corpus is not None and layout.is_corpus(folder, self._corpus) and folder not in self._asked_for
 
     @cached_property
     def _corpus(self) -> Path | None:
@@ -142,7 +144,7 @@ class Collection:
         roots = dict(self._seen.roots)
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
-            roots |= {places.corpus_root(file, corpus, rootpath): directory for directory, file in files.items()}
+            roots |= {layout.corpus_root(file, corpus, rootpath): directory for directory, file in files.items()}
         if not self._seen.roots and not any(root.is_dir() for root in roots):
             return
         from pytest_pafot.plugin import orphans, strays  # noqa: PLC0415
@@ -150,7 +152,7 @@ class Collection:
         collected = {item.path for item in items}
         gone = self._config.stash[ORPHANS] = orphans.find(self._seen, roots, collected, rootpath)
         self._config.stash[STRAYS] = {
-            places.relative(file, rootpath): strays.home(file, self._seen, collected, rootpath)
+            layout.relative(file, rootpath): strays.home(file, self._seen, collected, rootpath)
             for file in strays.find(roots, {*self._seen.folders, *gone}, rootpath)
         }
 
@@ -163,7 +165,7 @@ class Collection:
         corpus = corpus_name(self._config, arguments)
         if corpus is None:
             return []
-        module_folder = places.folder_of_module(metafunc.definition.path, corpus, self._config.rootpath)
+        module_folder = layout.folder_of_module(metafunc.definition.path, corpus, self._config.rootpath)
         return places.read_saved(module_folder, metafunc.definition)
 
 
@@ -234,7 +236,7 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
         raise pytest.UsageError(f"{file}: expected a saved scenario, found no such file")
     corpus = corpus_name(config, {})
-    module = None if corpus is None else places.module_of_file(file, corpus, config.rootpath)
+    module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
         raise pytest.UsageError(

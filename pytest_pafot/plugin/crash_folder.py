@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pytest_pafot.corpus import layout
 from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.marks import SAVED_MARK
 
@@ -20,7 +21,7 @@ FOLDER = "pafot"
 def flight_folder(item: pytest.Item, request: Request) -> Path:
     """In pytest's cache, which no repository keeps; without a cache in the corpus."""
     cached = _cached_folder(item.config)
-    return cached or places.corpus_root(item.path, request.settings.corpus, item.config.rootpath)
+    return cached or layout.corpus_root(item.path, request.settings.corpus, item.config.rootpath)
 
 
 def unclaimed(config: pytest.Config) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.corpus import layout
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
@@ -50,4 +50,4 @@ class Corpus:
     @property
     def paths(self) -> list[Path]:
         """Of the files."""
-        return sorted(self.folder.glob(f"*/*{places.SUFFIX}"))
+        return sorted(self.folder.glob(f"*/*{layout.SUFFIX}"))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.corpus import layout
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.options import BY_NAME, corpus_name
 
@@ -58,4 +58,4 @@ def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     from pytest_pafot.plugin.fixture_values import Corpus  # noqa: PLC0415
 
     corpus = corpus_name(request.config, arguments_of(request.node) or {}) or str(BY_NAME["corpus"].default)
-    return Corpus(folder=places.folder_of_module(request.path, corpus, request.config.rootpath))
+    return Corpus(folder=layout.folder_of_module(request.path, corpus, request.config.rootpath))

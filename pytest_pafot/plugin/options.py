@@ -15,6 +15,8 @@ from typing import Any, Literal, NamedTuple
 
 import pytest
 
+from pytest_pafot.corpus.layout import CORPUS
+
 Kind = Literal["integer", "seconds", "text", "page", "switch", "workers"]
 Source = Literal["command line", "marker", "environment", "ini"]
 
@@ -152,7 +154,7 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         name="corpus",
         kind="text",
-        default="pafot_corpus",
+        default=CORPUS,
         help="Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
     ),
     Option(

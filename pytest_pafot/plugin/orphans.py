@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.corpus import layout
+from pytest_pafot.corpus.saved import read_saved_file
 from pytest_pafot.plugin.session import Seen
 
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
@@ -60,15 +61,14 @@ def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
     top = rootpath if inside else folder.parents[2 + len(_relative_parts(directory, rootpath)) - 1]
     if any(each.is_symlink() for each in (folder, *folder.parents) if each != top and each.is_relative_to(top)):
         return []
-    from pytest_pafot.corpus.layout import safe_name  # noqa: PLC0415
 
     def is_own(file: Path) -> bool:
         module, _, test = _test_of(file).partition("::")
         path = rootpath / module
-        is_there = (safe_name(path.stem), safe_name(test)) == (folder.parent.name, folder.name)
+        is_there = (layout.safe_name(path.stem), layout.safe_name(test)) == (folder.parent.name, folder.name)
         return is_there and path.parent == directory and (inside or path.exists())
 
-    return [file for file in places.files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
+    return [file for file in layout.files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
 
 
 def _relative_parts(directory: Path, rootpath: Path) -> tuple[str, ...]:
@@ -77,13 +77,13 @@ def _relative_parts(directory: Path, rootpath: Path) -> tuple[str, ...]:
 
 def _test_of(file: Path) -> str:
     """The node id that a file names, also where the file is broken."""
-    finding = places.read_saved_file(file).finding
+    finding = read_saved_file(file).finding
     return named_test(file) if finding is None else finding.test
 
 
 def count(folder: Path) -> int:
     """Saved scenarios in a folder."""
-    return len(places.files_in(folder))
+    return len(layout.files_in(folder))
 
 
 def named_test(file: Path) -> str:
@@ -96,7 +96,7 @@ def named_test(file: Path) -> str:
 
 
 def _folders(root: Path) -> Iterator[Path]:
-    for module in places.modules_in(root):
+    for module in layout.modules_in(root):
         yield from sorted(folder for folder in module.iterdir() if count(folder) and _is_of_one_test(folder))
 
 
@@ -108,12 +108,12 @@ def _is_of_one_test(folder: Path) -> bool:
 def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, rootpath: Path) -> bool:
     if folder in seen.folders:
         return False
-    module = places.module_named(directory, folder.parent.name)
+    module = layout.module_named(directory, folder.parent.name)
     if not module.exists():
         return True
     if module not in collected:
         return False
-    prefix = places.relative(module, rootpath)
+    prefix = layout.relative(module, rootpath)
     for name in _classes(folder):
         prefix = f"{prefix}::{name}"
         if prefix not in seen.classes:
@@ -125,5 +125,5 @@ def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, 
 
 def _classes(folder: Path) -> list[str]:
     """The classes around the test that a folder belongs to, from the first file that names it."""
-    name = next(filter(None, map(named_test, places.files_in(folder))), "")
+    name = next(filter(None, map(named_test, layout.files_in(folder))), "")
     return name.partition("[")[0].split("::")[1:-1]

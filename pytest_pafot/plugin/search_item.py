@@ -21,6 +21,7 @@ from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Shrinking
 from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import Verdict, no_skip, skips
+from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution.crash_records import InFlight, Leftover
 from pytest_pafot.execution.known_decisions import Resuming
 from pytest_pafot.execution.prefetch import METHOD, Isolated, ahead_of, isolated_of
@@ -210,7 +211,7 @@ class Searching:
                 for leftover in left_behind(self.bench.item, self.bench.request)
             ]
             self.notes += [note for each in settled for note in each.notes]
-            saved = places.saved_in(self.bench.folder)
+            saved = saved_in(self.bench.folder)
             keeper.replayed = frozenset(each.path for each in saved)
             hunt = Hunt(
                 stage=Stage(
@@ -258,7 +259,7 @@ class Searching:
         hunt: Hunt,
         space: SearchSpace | None,
         keeper: Keeper,
-        saved: list[places.Saved],
+        saved: list[Saved],
         ahead: LockStep | Isolated,
     ) -> str:
         """Run the campaign; returns why it ended."""
@@ -426,7 +427,7 @@ def _is_deadly(bench: Bench) -> bool:
     """Whether a session died in this search, and left a record of it or a file whose scenario still kills."""
     if left_behind(bench.item, bench.request):
         return True
-    crashes = [each for each in places.saved_in(bench.folder) if each.is_crash]
+    crashes = [each for each in saved_in(bench.folder) if each.is_crash]
     replayed = [replay_for_search(bench, each) for each in crashes]
     return any(each is not None and each.observed == each.signature for each in replayed)
 
@@ -497,7 +498,7 @@ def _warnings(hunt: Hunt) -> list[str]:
     return warnings
 
 
-def _lethal(saved: list[places.Saved]) -> frozenset[Scenario]:
+def _lethal(saved: list[Saved]) -> frozenset[Scenario]:
     return frozenset(each.finding.scenario for each in saved if each.finding is not None and each.is_crash)
 
 

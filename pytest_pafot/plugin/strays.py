@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.corpus import layout
 from pytest_pafot.plugin.orphans import named_test
 from pytest_pafot.plugin.session import Seen
 
@@ -20,8 +20,8 @@ def find(roots: Mapping[Path, Path], folders: set[Path], rootpath: Path) -> list
     """
     on_the_way: set[Path] = set()
     for root, directory in roots.items():
-        on_the_way |= {*_up(root, rootpath), *_up(directory, rootpath), *places.modules_in(root)}
-    return [file for folder in sorted(on_the_way - folders) for file in places.files_in(folder)]
+        on_the_way |= {*_up(root, rootpath), *_up(directory, rootpath), *layout.modules_in(root)}
+    return [file for folder in sorted(on_the_way - folders) for file in layout.files_in(folder)]
 
 
 def home(file: Path, seen: Seen, collected: set[Path], rootpath: Path) -> str:
@@ -30,13 +30,11 @@ def home(file: Path, seen: Seen, collected: set[Path], rootpath: Path) -> str:
     module, _, test = name.partition("::")
     if rootpath / module not in collected:
         return f"the folder of {name or 'its test'}"
-    from pytest_pafot.corpus.layout import safe_name  # noqa: PLC0415
-
     test_file = rootpath / module
-    tail = (safe_name(test_file.stem), safe_name(test))
+    tail = (layout.safe_name(test_file.stem), layout.safe_name(test))
     of_test = [folder for folder in seen.folders if folder.parts[-2:] == tail]
     known = [folder for folder in of_test if seen.roots[folder.parents[1]] == test_file.parent]
-    return places.relative(known[0], rootpath) if known else f"the folder of {name}"
+    return layout.relative(known[0], rootpath) if known else f"the folder of {name}"
 
 
 def _up(folder: Path, top: Path) -> list[Path]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.corpus import layout
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.collection import ORPHANS, STRAYS
 from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.report_pages import LINES
@@ -106,7 +106,7 @@ class Reporter:
             searches=self._searches,
             replays=self._replays,
             orphans=self._left(self._orphans),
-            removed=list(Counter(places.relative(file.parent, root) for file in self._removed).items()),
+            removed=list(Counter(layout.relative(file.parent, root) for file in self._removed).items()),
             strays=sorted(self._strays.items()),
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
             problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
@@ -242,7 +242,7 @@ class Reporter:
         from pytest_pafot.plugin import orphans  # noqa: PLC0415
 
         files = [file for own in self._orphans.values() for file in own]
-        names = [f"  {places.relative(file, self._config.rootpath)}" for file in files]
+        names = [f"  {layout.relative(file, self._config.rootpath)}" for file in files]
         self._write_lines(["", "pafot: --pafot-prune removes", *names] if names else [])
         self._removed, failures = orphans.prune(files)
         self._problems += failures
@@ -251,7 +251,7 @@ class Reporter:
         """Folders of saved scenarios of no test, with the number of those that are there."""
         from pytest_pafot.plugin import orphans  # noqa: PLC0415
 
-        counts = ((places.relative(folder, self._config.rootpath), orphans.count(folder)) for folder in folders)
+        counts = ((layout.relative(folder, self._config.rootpath), orphans.count(folder)) for folder in folders)
         return [(name, number) for name, number in counts if number]
 
 

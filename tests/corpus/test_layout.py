@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.layout import folder_of, safe_name
+from pytest_pafot.corpus.layout import CORPUS, folder_of_test, safe_name
 
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
 
 def test_a_corpus_lies_beside_the_file_of_its_test():
-    folder = folder_of(Path("tests/deep/test_safety.py"), "test_safety", "test_it[4-slow]")
+    folder = folder_of_test(Path("tests/deep/test_safety.py"), "test_it[4-slow]", CORPUS, Path())
     assert folder == Path("tests/deep/pafot_corpus/test_safety/test_it@4-slow")
 
 

@@ -1,0 +1,63 @@
+"""A corpus file as it was found: with its finding, or with the reason why it cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pytest_pafot.corpus.layout import SUFFIX, files_in
+
+if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of findings
+    from pytest_pafot.findings.finding import Finding
+
+
+class Saved(NamedTuple):
+    """A corpus file as collected.
+
+    Attributes:
+        path: of the file.
+        finding: its content; None when it cannot be read.
+        error: why it cannot be read.
+    """
+
+    path: Path
+    finding: Finding | None = None
+    error: str = ""
+
+    @property
+    def id(self) -> str:
+        """The name of the file, which is the finding's id."""
+        return self.path.name.removesuffix(SUFFIX)
+
+    @property
+    def xfail(self) -> str | None:
+        """The reason why the failure is accepted, or None."""
+        return None if self.finding is None else self.finding.xfail
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether a process died in this scenario."""
+        return self.finding is not None and self.finding.expect.is_crash
+
+    @property
+    def needs_own_process(self) -> bool:
+        """Whether running it may end the process, or never end."""
+        return self.is_crash or (self.finding is not None and self.finding.expect.outcome == "hang")
+
+    def __repr__(self) -> str:
+        return f"<saved {self.id}>"
+
+
+def read_saved_file(path: Path) -> Saved:
+    """A file as it is; one that cannot be read says why when its item runs."""
+    from pytest_pafot.corpus.files import CorpusError, read  # noqa: PLC0415  (yaml, which few sessions need)
+
+    try:
+        return Saved(path=path, finding=read(path))
+    except (CorpusError, OSError) as error:
+        return Saved(path=path, error=str(error))
+
+
+def saved_in(folder: Path) -> list[Saved]:
+    """All files of one test, by id."""
+    return [read_saved_file(path) for path in files_in(folder)]
