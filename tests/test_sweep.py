@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot import Highway
 from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, sweep
-from pytest_pafot.searching import SearchSpace, company, sample
+from pytest_pafot.searching import SearchSpace, interaction, sample
 from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
 from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
@@ -28,9 +28,9 @@ def interpreted(module):
     return copy
 
 
-NAMES = {sweep: "sweep", company: "company"}
+NAMES = {sweep: "sweep", interaction: "interaction"}
 SWEEPS = {"as installed": sweep, "interpreted": interpreted(sweep)}
-COMPANIES = {"as installed": company, "interpreted": interpreted(company)}
+INTERACTIONS = {"as installed": interaction, "interpreted": interpreted(interaction)}
 
 
 def swept(module, trace):
@@ -47,7 +47,7 @@ def by_arrays(trace):
 
 
 def kept(module, trace):
-    found = module.Company(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
+    found = module.InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
     return found.interacted, found.alone / len(trace.states) >= 0.5
 
 
@@ -127,8 +127,8 @@ class TestSweep:
         assert by_arrays(trace)[0] == math.inf
 
 
-@pytest.mark.parametrize("module", COMPANIES.values(), ids=COMPANIES)
-class TestCompany:
+@pytest.mark.parametrize("module", INTERACTIONS.values(), ids=INTERACTIONS)
+class TestInteraction:
     @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
     def test_is_that_of_the_arrays_in_any_states(self, module, seed, spread):
         trace = drawn(seed, spread=spread)
@@ -145,7 +145,7 @@ class TestCompany:
 
 
 @pytest.mark.parametrize("sizes", [(1, 2), (2, 3), (2,)])
-@pytest.mark.parametrize("make", [sweep.Sweep, company.Company])
+@pytest.mark.parametrize("make", [sweep.Sweep, interaction.InteractionSweep])
 def test_arrays_that_do_not_belong_together_are_refused(make, sizes):
     rest = ((1.0, 0.0), 3.0) if make is sweep.Sweep else (1.5, 2.0, 100.0)
     with pytest.raises(ValueError, match="expected the shapes"):
@@ -161,7 +161,7 @@ def test_roads_that_turn_are_left_to_the_arrays():
 
 
 @pytest.mark.skipif(not sweep.is_compiled(), reason="nothing is compiled here")
-@pytest.mark.parametrize("module", [sweep, company])
+@pytest.mark.parametrize("module", [sweep, interaction])
 def test_the_compiled_pass_is_that_of_the_present_source(module):
     compiled = Path(module.__file__)
     for suffix in (".py", ".pxd"):

@@ -25,7 +25,7 @@ from pytest_pafot.searching.events import (
     LocalSearchFinished,
     LocalSearchStarted,
 )
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.health_check import Health
 from pytest_pafot.trace import Outcome
 
 if TYPE_CHECKING:

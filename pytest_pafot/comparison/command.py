@@ -14,7 +14,7 @@ from typing import Any
 
 from pytest_pafot.comparison.plan import Plan, PlanError, checked, world_of
 from pytest_pafot.comparison.processes import WorkerDied
-from pytest_pafot.comparison.tasks import run_all
+from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.scenario import ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
 from pytest_pafot.searching.space import space_on
@@ -142,13 +142,13 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
 
 def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]) -> None:
     """Figures, and the report that shows them."""
-    from pytest_pafot.comparison import figures, markdown, tables  # noqa: PLC0415
+    from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
     from pytest_pafot.comparison.paper import PAPER_GENERATIONS  # noqa: PLC0415
     from pytest_pafot.comparison.rows import write_whole  # noqa: PLC0415
 
-    frame = tables.read(results)
-    seconds = tables.horizon(frame)
-    whole = tables.measured(frame)
+    frame = run_measures.read(results)
+    seconds = run_measures.horizon(frame)
+    whole = run_measures.measured(frame)
     longest = float(world_of(plan).longest_run)
     data = figures.Data(
         frame=frame,
@@ -163,7 +163,7 @@ def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]
         command=command,
         frame=frame,
         whole=whole,
-        equal=tables.measured(frame, seconds),
+        equal=run_measures.measured(frame, seconds),
         horizon=seconds,
         longest=longest,
         wall_seconds=markdown.wall_seconds(folder),

@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pytest_pafot.comparison import tables
+from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.markdown import BIN_SECONDS
 from pytest_pafot.comparison.paper import PAPER, Reported
 from pytest_pafot.comparison.rows import write_whole
-from pytest_pafot.comparison.tables import SECONDS_PER_HOUR, Measures
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Measures
 from pytest_pafot.trace import FloatArray
 
 SETTINGS: Any = {
@@ -84,7 +84,7 @@ class Data:
 
     def of(self, algorithm: str) -> list[Measures]:
         """Its runs."""
-        return tables.of(algorithm, self.runs)
+        return run_measures.of(algorithm, self.runs)
 
     def simulated(self, algorithm: str, run: int | None = None) -> pd.DataFrame:
         """Rows of unique scenarios."""
@@ -264,7 +264,7 @@ def _collision_times(axes: Axes, data: Data) -> None:
 def _first_failure(axes: Axes, data: Data) -> None:
     for name in data.algorithms:
         runs, style = data.of(name), data.style(name)
-        estimate = tables.survival_of(runs)
+        estimate = run_measures.survival_of(runs)
         hours = np.array([0.0, *estimate.times]) / SECONDS_PER_HOUR
         shares = 100 * np.array([1.0, *estimate.shares])
         axes.step(

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pytest_pafot.comparison import statistics, tables
+from pytest_pafot.comparison import run_measures, statistics
 from pytest_pafot.comparison.paper import PAPER, PEAKS
 from pytest_pafot.comparison.plan import Plan, versions
-from pytest_pafot.comparison.tables import SECONDS_PER_HOUR, Comparison, Measures
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Comparison, Measures
 
 BIN_SECONDS = 10.0
 """Width of the intervals in which the paper tells when collisions happen [s]."""
@@ -182,14 +182,14 @@ authors' released code.
 def _distinct(material: Material) -> str:
     rows = []
     for name, runs in _by_algorithm(material):
-        equal = tables.of(name, material.equal)
-        estimate = tables.survival_of(equal)
+        equal = run_measures.of(name, material.equal)
+        estimate = run_measures.survival_of(equal)
         found = sum(each.distinct > 0 for each in equal)
         rows.append(
             [
                 name,
-                f"{tables.distinct_in_all(material.frame, name)}",
-                f"{tables.faults_in_all(material.frame, name)}",
+                f"{run_measures.distinct_in_all(material.frame, name)}",
+                f"{run_measures.faults_in_all(material.frame, name)}",
                 f"{np.mean([each.distinct for each in runs]):.2f}",
                 f"{np.mean([each.distinct_per_hour for each in runs]):.2f}",
                 f"{np.mean([each.distinct for each in equal]):.2f}",
@@ -215,7 +215,7 @@ time to the first failure counts runs without one as censored (Kaplan-Meier).
 
 
 def _tests(material: Material) -> str:
-    found = tables.comparisons(material.whole, material.equal, material.plan.algorithms)
+    found = run_measures.comparisons(material.whole, material.equal, material.plan.algorithms)
     if not found:
         return "## Statistics\n\nOne algorithm alone, so that nothing is compared."
     adjusted = statistics.holm([each.p for each in found])
@@ -260,7 +260,7 @@ def _terms(material: Material) -> str:
 
 
 def _by_algorithm(material: Material) -> Iterable[tuple[str, list[Measures]]]:
-    return [(name, tables.of(name, material.whole)) for name in material.plan.algorithms]
+    return [(name, run_measures.of(name, material.whole)) for name in material.plan.algorithms]
 
 
 def _collision_times(material: Material, algorithm: str) -> list[float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.searching.prefixes import Prefixes
+from pytest_pafot.searching.decision_cache import DecisionCache
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
@@ -26,7 +26,7 @@ class Resuming:
     """
 
     is_wanted: bool | None = None
-    _prefixes: Prefixes = field(default_factory=Prefixes, init=False)
+    _prefixes: DecisionCache = field(default_factory=DecisionCache, init=False)
 
     def saw(self, ads: Any) -> None:
         """Learn whether the ADS is declared pure."""

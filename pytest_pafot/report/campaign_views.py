@@ -19,7 +19,7 @@ from pytest_pafot.searching.events import (
     LocalSearchFinished,
     Restarted,
 )
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.health_check import Health
 
 
 def campaign_view(

@@ -9,10 +9,10 @@ from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check
 from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.genetic import PafotSearch
-from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.loop import Algorithm, Evaluate, SearchState, run_campaign
+from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.pafot import PafotSearch
 from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
+from pytest_pafot.searching.search_loop import Algorithm, Evaluate, SearchState, run_campaign
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [

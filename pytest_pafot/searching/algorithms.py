@@ -10,7 +10,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.searching.loop import Algorithm
+from pytest_pafot.searching.search_loop import Algorithm
 from pytest_pafot.searching.space import SearchSpace
 
 
@@ -37,7 +37,7 @@ class Entry:
 CATALOGUE: Mapping[str, Entry] = MappingProxyType(
     {
         "distinct": Entry("distinct", "DistinctSearch", reads_near_misses=True),
-        "pafot": Entry("genetic", "PafotSearch"),
+        "pafot": Entry("pafot", "PafotSearch"),
         "av-fuzzer": Entry("av_fuzzer", "AvFuzzerSearch", fitness="av-fuzzer", knows_grid=False),
         "random": Entry("random_search", "RandomSearch"),
         "random-manoeuvre": Entry("random_search", "RandomManoeuvreSearch", knows_grid=False),

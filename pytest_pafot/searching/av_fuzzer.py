@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
+from pytest_pafot.searching.ask_tell import asked_again, check_evaluations, check_order
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
@@ -25,7 +26,6 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
-from pytest_pafot.searching.turns import asked_again, check_evaluations, check_order
 from pytest_pafot.trace import FloatArray
 
 LANE_CHANGE = 34.0

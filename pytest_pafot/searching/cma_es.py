@@ -19,11 +19,11 @@ from cmaes import CatCMAwM
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
-from pytest_pafot.searching.repair import repaired
 from pytest_pafot.searching.space import SearchSpace, fresh_seed
-from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
+from pytest_pafot.searching.valid_scenario import repaired
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,12 +19,12 @@ import numpy as np
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
 from pytest_pafot.searching.parameters import check_counts, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 SPEED_NICHE = 5.0
 """Width of a niche in closing speed [m/s]."""

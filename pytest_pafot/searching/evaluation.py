@@ -14,7 +14,7 @@ from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.criticality import sweep
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
-from pytest_pafot.searching.company import Company
+from pytest_pafot.searching.interaction import InteractionSweep
 from pytest_pafot.trace import ALONG, HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
@@ -104,7 +104,7 @@ class Evaluation:
         near_misses: tuple[NearMiss, ...] = (),
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
-        interaction, left_behind = company_of(trace)
+        interaction, left_behind = interaction_of(trace)
         arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
             scenario=trace.scenario,
@@ -163,13 +163,13 @@ class Evaluation:
         return next(enough, longest)
 
 
-def company_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
+def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]:
     """See :func:`interacted` and :func:`outran`, on straight roads both in one pass where that is compiled."""
     if not sweeps or trace.track is not None:
         return interacted(trace), outran(trace)
-    company = Company(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
+    near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
     collided = trace.outcome is Outcome.COLLISION
-    return collided or company.interacted, company.alone / len(trace.states) >= 0.5
+    return collided or near.interacted, near.alone / len(trace.states) >= 0.5
 
 
 def interacted(trace: Trace) -> bool:

@@ -16,12 +16,12 @@ import numpy as np
 from ribs.archives import GridArchive
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.parameters import check_counts, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 NO_IMPACT = 0
 """The cell of a run without a collision; all of these share one niche, in which the nearest miss stays."""

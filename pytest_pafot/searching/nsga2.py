@@ -17,12 +17,12 @@ from pymoo.core.problem import Problem
 from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
 
 from pytest_pafot.scenario import Scenario, positions_of
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.parameters import check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.trace import FloatArray
 
 WORST = 1e9

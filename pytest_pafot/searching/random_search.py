@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
-from pytest_pafot.searching.turns import check_ask, check_evaluations, end_of_generation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.searching.repair import repaired
+from pytest_pafot.searching.valid_scenario import repaired
 
 LEAST_GENES = 3
 """Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""

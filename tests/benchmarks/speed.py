@@ -48,8 +48,8 @@ from pytest_pafot.searching import (
     run_campaign,
     sample,
 )
+from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.searching.prefixes import Prefixes
 from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world import kernel
 from tests.benchmarks.crowd import crowd
@@ -376,7 +376,7 @@ def pure(rounds: int) -> None:
 
 def _saved_by_shrinking(seed: int) -> float:
     """Share of the decisions that shrinking a collision need not ask for, after its run."""
-    world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), Prefixes(), [0, 0]
+    world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), DecisionCache(), [0, 0]
 
     def attempt(scenario: Scenario) -> Scenario | None:
         decisions = prefixes.recall(scenario)
@@ -399,7 +399,7 @@ def steady() -> Callable[[Any], tuple[float, float]]:
 
 def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[str]]:
     """Processor time [s] of a search, decisions asked for, and what each run showed."""
-    world, fitness, prefixes = Highway(), resolve("default"), Prefixes()
+    world, fitness, prefixes = Highway(), resolve("default"), DecisionCache()
     asked, history = 0, []
 
     def evaluate(scenarios: Any) -> list[Evaluation]:

@@ -9,9 +9,9 @@ import pytest
 
 from pytest_pafot import Highway
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.comparison.algorithm_run import facts_of, run_rows
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.rows import COLUMNS, text_of
-from pytest_pafot.comparison.simulation import facts_of, run_rows
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 

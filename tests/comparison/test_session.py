@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.comparison import tasks as session
+from pytest_pafot.comparison import resumable_runs
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.processes import WorkerDied, side_by_side
-from pytest_pafot.comparison.tasks import Progress, run_all
+from pytest_pafot.comparison.resumable_runs import Progress, run_all
 from pytest_pafot.world import Highway
 
 
@@ -50,7 +50,7 @@ def test_two_workers_leave_the_same_bytes_as_one(tmp_path, quick, quiet, whole):
 
 def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, quiet, whole, monkeypatch):
     begun = []
-    rows = session.run_rows
+    rows = resumable_runs.run_rows
 
     def watched(plan, algorithm, run, tick):
         begun.append((algorithm, run))
@@ -59,7 +59,7 @@ def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, q
                 raise KeyboardInterrupt
             yield row
 
-    monkeypatch.setattr(session, "run_rows", watched)
+    monkeypatch.setattr(resumable_runs, "run_rows", watched)
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
             run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)

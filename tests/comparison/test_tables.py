@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from pytest_pafot.comparison import tables
+from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.rows import Row, text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
@@ -36,13 +36,13 @@ def frame(tmp_path):
     def read(*parts):
         path = tmp_path / "results.csv"
         path.write_text(text_of([row for part in parts for row in part]))
-        return tables.read(path)
+        return run_measures.read(path)
 
     return read
 
 
 def test_a_run_by_hand(frame):
-    (measures,) = tables.measured(
+    (measures,) = run_measures.measured(
         frame(
             rows(
                 {},
@@ -69,38 +69,41 @@ def test_a_run_by_hand(frame):
 
 
 def test_up_to_a_time_only_what_had_ended_by_then_counts(frame):
-    (measures,) = tables.measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
+    (measures,) = run_measures.measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
     assert (measures.unique, measures.unique_collisions, measures.distinct, measures.seconds) == (2, 1, 0, 75.0)
     assert measures.first_failure == math.inf
 
 
 def test_the_horizon_is_the_time_of_the_shortest_run(frame):
-    assert tables.horizon(frame(rows({}, {}), rows({}, hit(9.0), run=1), rows({}, {}, {}, algorithm="random"))) == 69.0
+    assert (
+        run_measures.horizon(frame(rows({}, {}), rows({}, hit(9.0), run=1), rows({}, {}, {}, algorithm="random")))
+        == 69.0
+    )
 
 
 def test_a_run_without_a_collision_has_no_time_to_one_and_infinite_seconds_for_one(frame):
-    (measures,) = tables.measured(frame(rows({}, {})))
+    (measures,) = run_measures.measured(frame(rows({}, {})))
     assert math.isnan(measures.collision_seconds)
     assert (measures.seconds_per_collision, measures.share, measures.distinct) == (math.inf, 0.0, 0)
 
 
 def test_a_first_failure_that_did_not_come_is_censored_at_the_end_of_its_run(frame):
-    runs = tables.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
-    assert tables.first_failures(runs) == ([68.0, 120.0], [False, True])
-    assert tables.survival_of(runs).median == 68.0
+    runs = run_measures.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
+    assert run_measures.first_failures(runs) == ([68.0, 120.0], [False, True])
+    assert run_measures.survival_of(runs).median == 68.0
 
 
 def test_distinct_failures_of_all_runs_are_counted_once(frame):
     data = frame(
         rows(hit(5.0, "ego", "a"), hit(6.0, "ego", "b")), rows(hit(5.0, "ego", "b"), hit(5.0, "npc", "c"), run=1)
     )
-    assert tables.distinct_in_all(data, "pafot") == 2
+    assert run_measures.distinct_in_all(data, "pafot") == 2
 
 
 def test_faults_of_the_ads_are_counted_among_them(frame):
     raised = {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True}
     data = frame(rows(hit(5.0, "ego", "a"), raised, raised), rows(raised, algorithm="random"))
-    assert [tables.distinct_in_all(data, "pafot"), tables.faults_in_all(data, "pafot")] == [2, 1]
+    assert [run_measures.distinct_in_all(data, "pafot"), run_measures.faults_in_all(data, "pafot")] == [2, 1]
 
 
 def test_a_signature_that_reads_like_nothing_or_a_number_stays_a_text(frame):
@@ -117,8 +120,8 @@ def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(fra
     data = frame(
         runs("pafot", [5.0, 6.0, 7.0]), runs("random", [25.0, 26.0, 27.0]), runs("av-fuzzer", [5.0, 26.0, 7.5])
     )
-    whole, equal = tables.measured(data), tables.measured(data, tables.horizon(data))
-    found = tables.comparisons(whole, equal, ["pafot", "random", "av-fuzzer"])
+    whole, equal = run_measures.measured(data), run_measures.measured(data, run_measures.horizon(data))
+    found = run_measures.comparisons(whole, equal, ["pafot", "random", "av-fuzzer"])
     assert {(each.first, each.second) for each in found} == {("pafot", "random"), ("pafot", "av-fuzzer")}
     assert {each.test for each in found} == {"Mann-Whitney U", "Fisher exact", "log-rank"}
     assert {each.at for each in found} == {"generations", "seconds"}
@@ -130,4 +133,4 @@ def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(fra
 
 def test_one_algorithm_alone_is_compared_with_nothing(frame):
     data = frame(rows({}))
-    assert tables.comparisons(tables.measured(data), tables.measured(data), ["pafot"]) == []
+    assert run_measures.comparisons(run_measures.measured(data), run_measures.measured(data), ["pafot"]) == []

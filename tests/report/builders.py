@@ -18,8 +18,8 @@ from pytest_pafot.report.views import Report
 from pytest_pafot.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.searching.genetic import PafotSearch
-from pytest_pafot.searching.loop import run_campaign
+from pytest_pafot.searching.pafot import PafotSearch
+from pytest_pafot.searching.search_loop import run_campaign
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
     GenerationFinished,
     LocalSearchFinished,
@@ -15,8 +16,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.genetic import PafotSearch, PafotState
-from pytest_pafot.searching.memory import Memory
+from pytest_pafot.searching.pafot import PafotSearch, PafotState
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import Outcome
 
@@ -244,7 +244,7 @@ def test_a_local_search_never_swaps_npcs(make_population):
 def test_a_child_whose_run_is_known_from_the_population_is_bred_again(make_population, local):
     crashed_early = tuple(replace(member, genes_started=2) for member in make_population())
     state = PafotState(population=crashed_early, local_population=crashed_early, local_generation=2 * local)
-    known = Memory.of(crashed_early)
+    known = EvaluationCache.of(crashed_early)
     children = [child for generation in bred(PafotSearch(), state, 100) for child in generation]
     assert all(known.recall(child) is None for child in children)
 

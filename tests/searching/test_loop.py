@@ -16,7 +16,7 @@ from pytest_pafot.searching.events import (
     LocalSearchStarted,
     Restarted,
 )
-from pytest_pafot.searching.loop import generation_rng
+from pytest_pafot.searching.search_loop import generation_rng
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import Outcome
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.searching.memory import Memory
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 
@@ -20,7 +20,7 @@ def chain(*genes):
 
 
 def remembered(*evaluations):
-    memory = Memory()
+    memory = EvaluationCache()
     for evaluation in evaluations:
         memory.add(evaluation)
     return memory
@@ -31,7 +31,7 @@ def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, gene
     world = cheap_world(crash_speed=crash_speed, genes=3)
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes)
-    memory = Memory()
+    memory = EvaluationCache()
     scenario = sample(space, rng)
     for _ in range(30):
         recalled = memory.recall(scenario)
@@ -118,6 +118,6 @@ def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
 def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
     """Where their NPCs start is repaired by the seed."""
     scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
-    memory = Memory.of([make_evaluation(scenario)])
+    memory = EvaluationCache.of([make_evaluation(scenario)])
     assert memory.recall(scenario) is not None
     assert memory.recall(replace(scenario, seed=4)) is None

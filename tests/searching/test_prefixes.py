@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway, LaneInstruction, Outcome, PositionInstruction, Scenario
+from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.searching.operators import mutate
-from pytest_pafot.searching.prefixes import Prefixes
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.world import WorldError
 from pytest_pafot.world.kernel.action import BadAction
@@ -57,7 +57,7 @@ def differences(trace, other):
 
 
 def remembering(*scenarios, world=WORLD):
-    prefixes = Prefixes()
+    prefixes = DecisionCache()
     for scenario in scenarios:
         prefixes.remember(driven(scenario, world=world)[0])
     return prefixes
@@ -86,7 +86,7 @@ def shared_decisions(child, parent=PARENT):
 def test_a_family_of_runs_drives_the_same_with_the_decisions_of_those_before(
     name, seed, npcs, lanes, gene_seconds, ego_lane
 ):
-    world, prefixes, rng = WORLDS[name], Prefixes(decisions=200), np.random.default_rng(seed)
+    world, prefixes, rng = WORLDS[name], DecisionCache(decisions=200), np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds, ego_lane=ego_lane)
     scenario = laned(sample(space, rng), rng) if lanes else sample(space, rng)
     for _ in range(4 if name == "highway-env" else 12):
@@ -159,7 +159,7 @@ def test_the_seed_matters_where_genes_were_repaired_and_not_for_chains_as_driven
     to_the_left = Scenario(npcs=((PI(8, 22.0), PI(8, 22.0)),), ego_lane=0, gene_seconds=3.0)
     trace, _ = driven(to_the_left)
     assert trace.executed.npcs != to_the_left.npcs, "there is no lane to the left"
-    prefixes = Prefixes()
+    prefixes = DecisionCache()
     prefixes.remember(trace)
     assert prefixes.recall(to_the_left) == trace.actions
     assert prefixes.recall(replace(to_the_left, seed=5)) == ()
@@ -180,7 +180,7 @@ def test_of_a_run_that_a_collision_ended_all_decisions_are_shared_by_what_began_
     careless = [(1.0, 0.0)] * 60
     trace = WORLD.rollout(crash, Counting, decisions=careless)
     assert trace.outcome is Outcome.COLLISION
-    prefixes = Prefixes()
+    prefixes = DecisionCache()
     prefixes.remember(trace)
     begun = -(-trace.ticks // 45)
     assert 1 <= begun < 4
@@ -199,7 +199,7 @@ def test_an_ads_that_raised_is_asked_again_and_raises_again():
             return super().__call__(observation)
 
     trace = WORLD.rollout(PARENT, Failing)
-    prefixes = Prefixes()
+    prefixes = DecisionCache()
     prefixes.remember(trace)
     assert len(prefixes.recall(PARENT)) == 6
     assert differences(WORLD.rollout(PARENT, Failing, decisions=prefixes.recall(PARENT)), trace) == []
@@ -209,7 +209,7 @@ def test_the_oldest_runs_are_forgotten_first_and_what_is_seen_again_stays():
     scenarios = [replace(PARENT, ego_speed=float(speed)) for speed in (18, 19, 20)]
     runs = [driven(scenario)[0] for scenario in scenarios]
     counts = [len(run.actions) for run in runs]
-    prefixes = Prefixes(decisions=sum(counts) - 1)
+    prefixes = DecisionCache(decisions=sum(counts) - 1)
     for run in runs:
         prefixes.remember(run)
     assert [len(prefixes.recall(each)) for each in scenarios] == [0, *counts[1:]]
@@ -219,7 +219,7 @@ def test_the_oldest_runs_are_forgotten_first_and_what_is_seen_again_stays():
 
 
 def test_a_run_with_more_decisions_than_there_is_room_for_is_not_kept():
-    prefixes = Prefixes(decisions=10)
+    prefixes = DecisionCache(decisions=10)
     prefixes.remember(driven(PARENT)[0])
     assert prefixes.recall(PARENT) == ()
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.repair import repaired
+from pytest_pafot.searching.valid_scenario import repaired
 
 _Chains = tuple[tuple[float, ...], ...]
 _Key = tuple[object, ...]
 
 
-class Memory:
+class EvaluationCache:
     """Evaluations, found again by everything that their runs depended on.
 
     A run that ended in gene ``d`` depended on the first ``d`` genes of each NPC and on the start alone. Another
@@ -26,7 +26,7 @@ class Memory:
         self._depths: list[int] = []
 
     @classmethod
-    def of(cls, evaluations: Iterable[Evaluation]) -> Memory:
+    def of(cls, evaluations: Iterable[Evaluation]) -> EvaluationCache:
         """A memory of these evaluations."""
         memory = cls()
         for evaluation in evaluations:

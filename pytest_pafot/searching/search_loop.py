@@ -9,8 +9,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_order
 from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     CampaignFinished,
@@ -21,9 +23,7 @@ from pytest_pafot.searching.events import (
     GenerationFinished,
     Restarted,
 )
-from pytest_pafot.searching.memory import Memory
 from pytest_pafot.searching.operators import improves
-from pytest_pafot.searching.turns import check_order
 
 Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
 """Simulates scenarios and judges them; the results are in the order of the scenarios."""
@@ -223,7 +223,7 @@ class _Evaluator:
         self._evaluate = evaluate
         self._batch = batch
         self._foresee = foresee
-        self._memory = Memory()
+        self._memory = EvaluationCache()
 
     def foresee(self, scenarios: Sequence[Scenario]) -> None:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""

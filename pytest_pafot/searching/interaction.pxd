@@ -2,7 +2,7 @@ cimport cython
 from libc cimport math
 
 @cython.final
-cdef class Company:
+cdef class InteractionSweep:
     cdef readonly bint interacted
     cdef readonly Py_ssize_t alone
     cdef const double[:, :, ::1] _states

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
+from pytest_pafot.comparison.algorithm_run import Tick, run_rows
 from pytest_pafot.comparison.plan import RUNS, Plan, PlanError, file_name
 from pytest_pafot.comparison.processes import side_by_side
 from pytest_pafot.comparison.rows import text_of, write_whole
-from pytest_pafot.comparison.simulation import Tick, run_rows
 
 QUESTION = "comparison.json"
 RESULTS = "results.csv"

@@ -16,13 +16,14 @@ _Actions = tuple[Any, ...]
 _Chains = tuple[tuple[tuple[object, float], ...], ...]
 
 
-class Prefixes:
+class DecisionCache:
     """Decisions of the last runs of one ADS in one world, found again by what they depended on.
 
     Up to the end of its gene ``g`` a run depends on the first ``g`` genes of each NPC and on the start alone; the
     decision at that very tick, before the next gene begins, is the last one that does. For what two scenarios must
-    have in common see :class:`pytest_pafot.searching.memory.Memory`: the chains as driven, or as asked for with the
-    seed. Where NPCs with Lane-Instructions start may be drawn by the seed, which is then always part of it.
+    have in common see :class:`~pytest_pafot.searching.evaluation_cache.EvaluationCache`: the chains as driven, or as
+    asked for with the seed. Where NPCs with Lane-Instructions start may be drawn by the seed, which is then always part
+    of it.
 
     Only an ADS that decides from its observation alone decides the same there.
 

@@ -13,7 +13,7 @@ import math
 from pytest_pafot.trace import FloatArray
 
 
-class Company:
+class InteractionSweep:
     """One pass over a run.
 
     Args:
@@ -21,7 +21,7 @@ class Company:
         sizes: of a trace, shape [vehicles, 2].
         headway: of an interaction [s].
         gap: likewise [m].
-        far: how far behind nobody keeps the ego company [m].
+        far: farther behind than this, an NPC is left behind [m].
 
     Attributes:
         interacted: whether a follower in one lane was ever nearer than the headway or the gap.

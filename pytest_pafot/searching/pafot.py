@@ -14,7 +14,9 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations
 from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     GenerationFinished,
@@ -23,11 +25,9 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.memory import Memory
 from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
 from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.searching.turns import check_ask, check_evaluations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +159,7 @@ class PafotSearch:
         local = state.local_generation > 0
         population = state.local_population if local else state.population
         kept = elites(population, self.elite_share)
-        known = Memory.of(population)
+        known = EvaluationCache.of(population)
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
         while len(children) < self.population - len(kept):
@@ -181,7 +181,7 @@ class PafotSearch:
         first, second = (mutate(child, self.space, rng) if rng.random() < mutation_rate else child for child in (a, b))
         return first, second
 
-    def _mutant(self, incumbent: Evaluation, known: Memory, rng: np.random.Generator) -> Scenario:
+    def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: np.random.Generator) -> Scenario:
         """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""
         mutant = mutate(incumbent.executed, self.space, rng)
         for _ in range(self.breeding_attempts):
@@ -219,7 +219,7 @@ class PafotSearch:
 
     def _local_search(self, state: PafotState, incumbent: Evaluation, rng: np.random.Generator) -> PafotState:
         """A fresh population: the incumbent, and mutants of it that each differ from it by one mutation."""
-        known = Memory.of([incumbent])
+        known = EvaluationCache.of([incumbent])
         mutants = tuple(self._mutant(incumbent, known, rng) for _ in range(self.population - 1))
         return replace(state, local_generation=1, kept=(incumbent,), fresh=mutants)
 
