@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, strategies
+from pytest_pafot.campaign.arguments import SearchArguments
+from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.request import Request
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.text import text_of
@@ -22,10 +25,7 @@ from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.plugin.arguments import SearchArguments
-from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.reference import options_table
-from pytest_pafot.plugin.request import Request
 from pytest_pafot.run import Moment, Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights

@@ -11,6 +11,7 @@ import pytest
 from pytest_pafot.campaign import own_worlds as worlds
 from pytest_pafot.campaign.harness import Bench, is_same_run
 from pytest_pafot.campaign.recorder import cause, what_happened
+from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.summary import ascii_text
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.saved import Saved
@@ -23,7 +24,6 @@ from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
-from pytest_pafot.plugin.request import Request, RequestError
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome
 

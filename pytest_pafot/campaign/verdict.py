@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-from pytest_pafot.plugin.request import RequestError
+from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.rejection import Rejected
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
+from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.worker_pool import GRACE, Crew, Errand, Lost, trace_from
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.request import RequestError
 from pytest_pafot.plugin.session import is_worker
 
 if TYPE_CHECKING:

@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
-from pytest_pafot.plugin.options import BY_NAME, corpus_name
+from pytest_pafot.plugin.options import corpus_name
 from pytest_pafot.plugin.saved_items import Candidates
 from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit, Seen, base_line
 

@@ -12,8 +12,8 @@ from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.marks import SAVED_MARK
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
     from pytest_pafot.execution.crash_records import Leftover
-    from pytest_pafot.plugin.request import Request
 
 FOLDER = "pafot"
 

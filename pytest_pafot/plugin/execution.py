@@ -13,7 +13,7 @@ from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import Bench
-    from pytest_pafot.plugin.request import Request
+    from pytest_pafot.campaign.request import Request
 
 
 class Execution:
@@ -31,7 +31,7 @@ class Execution:
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
-        from pytest_pafot.plugin.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
 
         problem = ""
         try:

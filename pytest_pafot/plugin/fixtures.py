@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.options import BY_NAME, corpus_name
+from pytest_pafot.plugin.options import corpus_name
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.fixture_values import Corpus, Simulate

@@ -12,7 +12,7 @@ from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, argume
 from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
-    from pytest_pafot.plugin.request import Request
+    from pytest_pafot.campaign.request import Request
 
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 
@@ -28,9 +28,9 @@ class Checks:
         if arguments is None:
             _refuse_raw_mark(item)
             return
+        from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
         from pytest_pafot.plugin.crash_folder import left_behind  # noqa: PLC0415
         from pytest_pafot.plugin.refusals import checked  # noqa: PLC0415
-        from pytest_pafot.plugin.request import RequestError  # noqa: PLC0415
 
         problem = ""
         try:

@@ -1,8 +1,6 @@
-"""The options, in one typed table, and the sources of their values.
+"""Where the values of options come from.
 
-Command line, ini and toml keys, ``PAFOT_*`` variables, marker arguments and the reference documentation are all
-made from :data:`OPTIONS`. Precedence: command line, marker, environment, a profile that was named, ini, the
-automatic profile, the default.
+Precedence: command line, marker, environment, a profile that was named, ini, the automatic profile, the default.
 """
 
 from __future__ import annotations
@@ -10,210 +8,37 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Mapping
-from pathlib import PurePath
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import CORPUS
+from pytest_pafot.campaign.options import (
+    BY_NAME,
+    FULL,
+    LOCAL,
+    OPTIONS,
+    PROFILES,
+    Kind,
+    Option,
+    OptionError,
+    Settings,
+    is_ci,
+)
+from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers"]
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
+
 Source = Literal["command line", "marker", "environment", "ini"]
 
-SEED_LIMIT = 2**63
-
-AUTO = "auto"
-
-FULL, LOCAL = "ci", "local"
-
-PROFILES: Mapping[str, Mapping[str, object]] = {
-    FULL: {"generations": 100, "seed": 0},
-    LOCAL: {"generations": 10},
+_INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
+    "integer": "int",
+    "seconds": "float",
+    "text": "string",
+    "page": "string",
+    "switch": "bool",
+    "workers": "string",
 }
-"""``ci`` is automatic when the variable CI is set, ``local`` otherwise. ``local`` has a fresh base seed."""
-
-
-class OptionError(ValueError):
-    """A value that an option cannot take; the message names the place, what was expected and received."""
-
-
-class Option(NamedTuple):
-    """One option and everything that is generated from it.
-
-    Attributes:
-        name: as marker argument; ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>`` follow from it.
-        kind: how values are read.
-        default: without any source and profile.
-        help: one sentence.
-        least: smallest number that is accepted.
-        choices: the texts that are accepted, or nothing for any.
-        everywhere: False for what concerns the session and is a deliberate act: command line only.
-        is_argument: False for what concerns the session as a whole: no marker argument.
-    """
-
-    name: str
-    kind: Kind
-    default: object
-    help: str
-    least: float = 0
-    choices: tuple[str, ...] = ()
-    everywhere: bool = True
-    is_argument: bool = True
-
-    @property
-    def flag(self) -> str:
-        """On the command line."""
-        return f"--pafot-{self.name.replace('_', '-')}"
-
-    @property
-    def key(self) -> str:
-        """In ini and toml files, and the attribute of ``config.option``."""
-        return f"pafot_{self.name}"
-
-    @property
-    def variable(self) -> str:
-        """In the environment."""
-        return f"PAFOT_{self.name.upper()}"
-
-    @property
-    def metavar(self) -> str:
-        """What the help shows for a value."""
-        shown = {"integer": "N", "seconds": "SECONDS", "page": "PATH", "switch": "", "workers": "N"}
-        return shown.get(self.kind, self.name.upper())
-
-    def read(self, value: object) -> Any:
-        """The typed value of a text or of a Python value.
-
-        Raises:
-            OptionError: expected, received; without the place, which the caller knows.
-        """
-        typed = _READERS[self.kind](self, value)
-        if self.choices and typed not in self.choices:
-            *others, last = self.choices
-            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}")
-        return typed
-
-
-OPTIONS: tuple[Option, ...] = (
-    Option(
-        name="generations",
-        kind="integer",
-        default=10,
-        help="Generations of each search; 0 replays saved scenarios only. 10, or 100 in the profile ci.",
-    ),
-    Option(name="population", kind="integer", default=4, least=2, help="Scenarios per generation."),
-    Option(
-        name="seed",
-        kind="integer",
-        default=None,
-        help="Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci.",
-    ),
-    Option(
-        name="algorithm",
-        kind="text",
-        default="distinct",
-        choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
-        help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
-        "looking for other failures once it has found one, the others are baselines; the last three need "
-        "pytest-pafot[search].",
-    ),
-    Option(
-        name="max_time",
-        kind="seconds",
-        default=None,
-        help="End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
-    ),
-    Option(
-        name="total_time",
-        kind="seconds",
-        default=None,
-        is_argument=False,
-        help="End the searches of the session so many seconds of wall-clock time after its start, shrinking included; "
-        "each gets an equal share of what is left when it begins. A search that this cuts is not reproducible.",
-    ),
-    Option(
-        name="stop_after",
-        kind="integer",
-        default=None,
-        least=1,
-        help="End each search after so many distinct findings that are new.",
-    ),
-    Option(
-        name="shrink_rollouts",
-        kind="integer",
-        default=300,
-        help="Runs that simplifying each new finding may take; 0 keeps findings as they were found.",
-    ),
-    Option(
-        name="max_saved",
-        kind="integer",
-        default=20,
-        least=1,
-        help="Saved scenarios of each test; further new findings are counted and named, and not saved.",
-    ),
-    Option(
-        name="corpus",
-        kind="text",
-        default=CORPUS,
-        help="Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
-    ),
-    Option(
-        name="save",
-        kind="text",
-        default="new",
-        choices=("new", "none"),
-        help="Whether new findings are written to the corpus.",
-    ),
-    Option(
-        name="workers",
-        kind="workers",
-        default=1,
-        least=1,
-        help="Processes that simulate the scenarios of a generation once runs turn out to take long; auto is one for "
-        "each core. What is found is the same. 1 under pytest-xdist.",
-    ),
-    Option(
-        name="isolate",
-        kind="switch",
-        default=False,
-        help="Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
-        "session goes on. What is found is the same.",
-    ),
-    Option(
-        name="report",
-        kind="page",
-        default=None,
-        help="Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
-    ),
-    Option(
-        name="prune",
-        kind="switch",
-        default=False,
-        everywhere=False,
-        help="Remove saved scenarios whose test was collected and no longer exists; lists them first.",
-    ),
-    Option(
-        name="profile",
-        kind="text",
-        default=None,
-        choices=tuple(PROFILES),
-        help="Defaults for an occasion: ci (100 generations, seed 0; automatic when CI is set) or local.",
-    ),
-    Option(
-        name="strict_drift",
-        kind="switch",
-        default=False,
-        help="Fail saved scenarios that pass under other versions than those that found them.",
-    ),
-    Option(
-        name="strict_health",
-        kind="switch",
-        default=False,
-        help="Fail searches with a health warning, such as scenarios without any interaction.",
-    ),
-)
-
-BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -246,9 +71,61 @@ def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | No
         return None
 
 
-def is_ci(environ: Mapping[str, str]) -> bool:
-    """Whether the profile ``ci`` is automatic: CI is set to anything but an empty text, 0 or false."""
-    return environ.get("CI", "").lower() not in ("", "0", "false")
+def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
+    """Check the arguments of a mark.
+
+    Args:
+        config: of the session, for options.
+        arguments: of the mark, with those that it gives by position under :data:`POSITIONAL`.
+        fresh_seed: the base seed when no source gives one.
+
+    Raises:
+        RequestError: on the first wrong argument or option.
+    """
+    from pytest_pafot.campaign.request import RequestError, check_names, checked_request  # noqa: PLC0415
+
+    given = {"ads": DEFAULT_ADS, "arg": DEFAULT_ARG, **arguments}
+    positional = given.pop(POSITIONAL, ())
+    if positional:
+        name = getattr(positional[0], "__name__", "")
+        example = "generations=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
+        raise RequestError(
+            f"@pafot.search: expected keyword arguments only, received {positional!r:.200}; write the argument's name, "
+            f"as in @pafot.search({example})"
+        )
+    check_names(given)
+    try:
+        settings = resolve(config, arguments, fresh_seed)
+    except OptionError as error:
+        raise RequestError(str(error)) from None
+    return checked_request(given, settings)
+
+
+def resolve(
+    config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
+) -> Settings:
+    """The settings of an item.
+
+    Args:
+        config: of the session, for command line and ini.
+        marker: the arguments of the item's marker; those that are no options are not looked at.
+        fresh_seed: the base seed when no source gives one.
+        environ: where PAFOT_* variables and CI are looked up.
+
+    Raises:
+        OptionError: naming the source, what was expected and received.
+    """
+    sources = Sources(config=config, marker=marker, environ=environ)
+    named = sources.first(BY_NAME["profile"], ("command line", "marker", "environment", "ini"))
+    automatic = FULL if is_ci(environ) else LOCAL
+    values = {
+        option.name: value_of(option, sources, named, automatic)
+        for option in OPTIONS
+        if option.everywhere and option.name != "profile"
+    }
+    if values["seed"] is None:
+        values["seed"] = fresh_seed
+    return Settings(profile=named or automatic, **values)
 
 
 class Sources(NamedTuple):
@@ -311,88 +188,3 @@ def _argparse_type(option: Option) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     return read
-
-
-def _read_integer(option: Option, value: object) -> int:
-    try:
-        number = int(value, 10) if isinstance(value, str) else value
-    except ValueError:
-        number = None
-    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
-        too_much = isinstance(number, int) and number >= SEED_LIMIT
-        limit = f" and less than {SEED_LIMIT}" if too_much else ""
-        raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
-    return number
-
-
-def _read_workers(option: Option, value: object) -> int:
-    if value == AUTO:
-        return cores()
-    try:
-        return _read_integer(option, value)
-    except OptionError:
-        raise OptionError(f"expected {AUTO} or a whole number, at least {option.least:g}, received {value!r}") from None
-
-
-def cores() -> int:
-    """Those that this process may use, at least one."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _read_seconds(option: Option, value: object) -> float:
-    try:
-        seconds = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else -1.0
-    except ValueError:
-        seconds = -1.0
-    if not option.least <= seconds < float("inf"):
-        raise OptionError(f"expected seconds, at least {option.least:g}, received {value!r}")
-    return seconds
-
-
-def _read_text(option: Option, value: object) -> str:
-    if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
-        raise OptionError(f"expected a text, received {value!r}")
-    return str(os.fspath(value))
-
-
-def _read_page(option: Option, value: object) -> str:
-    text = _read_text(option, value)
-    if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
-        return text
-    raise OptionError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
-
-
-def is_page_file(text: str) -> bool:
-    """Whether the option ``report`` names a file, rather than a folder."""
-    return text.lower().endswith((".html", ".htm"))
-
-
-def _read_switch(option: Option, value: object) -> bool:
-    if isinstance(value, bool):
-        return value
-    words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
-    word = value.lower() if isinstance(value, str) else None
-    if word not in words:
-        raise OptionError(f"expected true or false, received {value!r}")
-    return words[word]
-
-
-_READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
-    "integer": _read_integer,
-    "seconds": _read_seconds,
-    "text": _read_text,
-    "page": _read_page,
-    "switch": _read_switch,
-    "workers": _read_workers,
-}
-
-_INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
-    "integer": "int",
-    "seconds": "float",
-    "text": "string",
-    "page": "string",
-    "switch": "bool",
-    "workers": "string",
-}

@@ -24,10 +24,10 @@ from pytest_pafot.report.plain import to_plain
 from pytest_pafot.searching.events import Event
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.options import Settings
     from pytest_pafot.campaign.summary import Find
     from pytest_pafot.campaign.verdict import Verdict
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.plugin.settings import Settings
     from pytest_pafot.report.views import FindingView, ShrinkView
     from pytest_pafot.run import Run
     from pytest_pafot.trace import Trace

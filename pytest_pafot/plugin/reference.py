@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pytest_pafot.plugin.options import OPTIONS, PROFILES, Option
+from pytest_pafot.campaign.options import OPTIONS, PROFILES, Option
 
 HEADER = ("Command line", "ini / toml key", "Variable", "Marker argument", "Default", "Meaning")
 

@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import is_asynchronous
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE
-from pytest_pafot.plugin.request import Request, RequestError, read_request
+from pytest_pafot.plugin.options import request_of_mark
 from pytest_pafot.plugin.session import SEARCH_PART, SHARED
 from pytest_pafot.report.terminal import wrapped_to
 
@@ -26,7 +27,7 @@ def checked(item: pytest.Item, arguments: dict[str, Any]) -> Request:
         RequestError: when the item cannot be searched or replayed as it is written.
     """
     _check_function(item)
-    request = read_request(item.config, arguments, item.config.stash[SHARED].fresh_seed)
+    request = request_of_mark(item.config, arguments, item.config.stash[SHARED].fresh_seed)
     _check_parameter(item, request.arg)
     _check_fixtures(item, request)
     return request

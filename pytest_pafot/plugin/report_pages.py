@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
-from pytest_pafot.plugin.options import BY_NAME, is_page_file
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.options import Settings
     from pytest_pafot.plugin.page_messages import Showing
-    from pytest_pafot.plugin.settings import Settings
     from pytest_pafot.report.views import CampaignView, FindingView, Report
 
 ORDER = ("ego", "both", "npc", "none")

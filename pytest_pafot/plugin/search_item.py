@@ -14,8 +14,10 @@ from pytest_pafot.attribution.near_misses import NearMiss, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.confirmation import difference
 from pytest_pafot.campaign.harness import Bench
+from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
 from pytest_pafot.campaign.recorder import Keeper
 from pytest_pafot.campaign.replays import replay_for_search
+from pytest_pafot.campaign.request import RequestError, build_space
 from pytest_pafot.campaign.search import Hunt, Stage
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Shrinking
@@ -32,9 +34,7 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
-from pytest_pafot.plugin.options import FULL, LOCAL, PROFILES
 from pytest_pafot.plugin.report_pages import showing_of
-from pytest_pafot.plugin.request import RequestError, build_space
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.time_limits import TimeLimit, searches_left, time_limit
 from pytest_pafot.report import terminal
@@ -46,8 +46,8 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world.driving.failure import is_interruption
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
     from pytest_pafot.plugin.page_messages import Showing
-    from pytest_pafot.plugin.request import Request
     from pytest_pafot.trace import Trace
 
 DONE = "all generations done"

@@ -95,8 +95,8 @@ def is_worker(config: pytest.Config) -> bool:
 
 def base_line(config: pytest.Config) -> str:
     """The profile and the base seed of searches whose mark gives none, in one line; empty when none runs."""
-    from pytest_pafot.plugin.options import OptionError  # noqa: PLC0415
-    from pytest_pafot.plugin.settings import resolve  # noqa: PLC0415
+    from pytest_pafot.campaign.options import OptionError  # noqa: PLC0415
+    from pytest_pafot.plugin.options import resolve  # noqa: PLC0415
 
     try:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)

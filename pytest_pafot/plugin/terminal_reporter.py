@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import ORPHANS, STRAYS
-from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.report_pages import LINES
 from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line, terminal_width
 

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.settings import Settings
 
 
 class TimeLimit(NamedTuple):

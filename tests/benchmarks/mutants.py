@@ -27,11 +27,11 @@ from typing import Any
 
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.replays import world_of
+from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus import files as corpus
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.text import text_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.plugin.request import RequestError
 from tests.support.mutations import MUTATIONS, misread
 
 GOLDEN = Path(__file__).parents[1] / "corpus" / "format_1"

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 from example_ads import defects
 from pytest_pafot import Run, Scenario
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.simplification import driven, starts_of
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.plugin.options import BY_NAME
 from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, by_ego, searched
 
 HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"

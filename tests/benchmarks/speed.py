@@ -36,9 +36,9 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.simplification import driven
 from pytest_pafot.findings.shrink import shrink
-from pytest_pafot.plugin.options import BY_NAME
 from pytest_pafot.searching import (
     Evaluation,
     PafotSearch,

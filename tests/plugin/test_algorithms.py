@@ -46,10 +46,10 @@ def test_a_find_without_cells_is_on_the_page(project):
 
 def test_av_fuzzer_climbs_its_own_fitness_unless_another_is_asked_for(project):
     project.write(
-        "from pytest_pafot.plugin.request import read_request\n"
+        "from pytest_pafot.plugin.options import request_of_mark\n"
         "def test_it(pytestconfig):\n"
         "    def fitness(**arguments):\n"
-        "        return read_request(pytestconfig, arguments, 1).fitness\n"
+        "        return request_of_mark(pytestconfig, arguments, 1).fitness\n"
         "    assert fitness(algorithm='av-fuzzer') == 'av-fuzzer'\n"
         "    assert fitness(algorithm='av-fuzzer', fitness='default') == 'default'\n"
         "    assert fitness(algorithm='random') == fitness() == 'default'\n"

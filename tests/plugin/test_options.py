@@ -2,11 +2,11 @@
 
 import pytest
 
-from pytest_pafot.plugin.arguments import SearchArguments
-from pytest_pafot.plugin.options import OPTIONS, OptionError, is_ci
+from pytest_pafot.campaign.arguments import SearchArguments
+from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
+from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
+from pytest_pafot.plugin.options import resolve
 from pytest_pafot.plugin.reference import options_table
-from pytest_pafot.plugin.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
-from pytest_pafot.plugin.settings import resolve
 
 
 def settings(project, *args, ini="", marker=None, environ=None):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import searching
-from pytest_pafot.plugin.options import BY_NAME
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.searching import ALGORITHMS, PafotSearch, RandomSearch, SearchSpace, algorithm_named, fitness_of
 from pytest_pafot.searching.fitness import FITNESSES
 

@@ -1,0 +1,243 @@
+"""What one search is asked for: the arguments of a mark or of ``pafot.explore``, checked, beside its settings."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.campaign.arguments import SearchArguments
+from pytest_pafot.campaign.options import BY_NAME, Settings
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.space import SearchSpace
+    from pytest_pafot.trace import Trace
+
+ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
+SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
+BLAMES = ("any", "ego")
+
+
+class RequestError(Exception):
+    """A search that cannot be run as it is asked for; the message is complete for the user."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A checked request for a search or a replay.
+
+    Attributes:
+        settings: the options.
+        ads: name of the fixture that gives the factory, or the factory itself.
+        arg: the parameter of the test function that receives the run.
+        blame: ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody.
+        decision_limit: slowest decision of the ADS that is no finding [s].
+        fitness: a name, or a function of a trace.
+        world: given by the mark, or None for the fixture's.
+        road: arguments of :class:`~pytest_pafot.world.Highway` that the mark gives.
+        space: arguments of :class:`~pytest_pafot.searching.space.SearchSpace` that the mark gives.
+        place: where the arguments stand, for messages.
+    """
+
+    settings: Settings
+    ads: str | Callable[..., Any]
+    arg: str = "run"
+    blame: str = "any"
+    decision_limit: float | None = None
+    fitness: str | Callable[[Trace], float] = "default"
+    world: Any = None
+    road: Mapping[str, Any] = field(default_factory=dict)
+    space: Mapping[str, Any] = field(default_factory=dict)
+    place: str = "@pafot.search"
+
+    def error(self, arguments: str, problem: object) -> RequestError:
+        """What is wrong with arguments, such as ``world=...``."""
+        return RequestError(f"{self.place}({arguments}): {problem}")
+
+
+def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
+    """The request that arguments make.
+
+    Args:
+        arguments: by name, ``ads`` among them; those that are options are in the settings.
+        settings: the options.
+        place: where the arguments stand, for messages.
+
+    Raises:
+        RequestError: on the first wrong argument.
+    """
+    try:
+        if arguments.get("world") is not None:
+            _check_world(arguments)
+        return Request(
+            settings=settings,
+            ads=_ads(arguments["ads"]),
+            arg=_identifier("arg", arguments.get("arg", "run")),
+            blame=_blame(arguments.get("blame", "any")),
+            decision_limit=_positive("decision_limit", arguments.get("decision_limit")),
+            fitness=_fitness(arguments.get("fitness"), settings.algorithm),
+            world=arguments.get("world"),
+            road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
+            space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+            place=place,
+        )
+    except _ArgumentError as error:
+        raise RequestError(f"{place}({error.argument}=...): {error}") from None
+
+
+def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
+    """Check that there are arguments of these names.
+
+    Raises:
+        RequestError: on the first that there is not, with the one that may be meant.
+    """
+    known = SearchArguments.__annotations__
+    unknown = next((name for name in arguments if name not in known), None)
+    if unknown is None:
+        return
+    if unknown in BY_NAME:
+        raise RequestError(
+            f"{place}({unknown}=...): this concerns the whole session; give {BY_NAME[unknown].flag} on the command line"
+        )
+    near = difflib.get_close_matches(unknown, known, n=1)
+    expected = f"did you mean {near[0]!r}? Expected" if near else "expected"
+    raise RequestError(f"{place}({unknown}=...): {expected} one of {', '.join(sorted(known))}, received {unknown!r}")
+
+
+def build_world(request: Request, fixture_world: Any) -> Any:
+    """The world of a search: the mark's, else the fixture's with the mark's road arguments.
+
+    Where the mark says how long the chains are, runs on a Highway that it does not give itself last as long.
+
+    Raises:
+        RequestError: when the road arguments do not fit the world.
+    """
+    from pytest_pafot.searching.space import SearchSpace  # noqa: PLC0415
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    if request.world is not None:
+        return request.world
+    changes = dict(request.road)
+    is_timed = bool({"genes", "gene_seconds"} & set(request.space))
+    if changes and not isinstance(fixture_world, Highway):
+        raise request.error(
+            f"{next(iter(changes))}=...",
+            f"expected the fixture pafot_world to give a pafot.Highway, received {fixture_world!r}; describe the whole "
+            "road with world= instead",
+        )
+    if not (changes or is_timed) or not isinstance(fixture_world, Highway):
+        return fixture_world
+    if is_timed:
+        try:
+            space = SearchSpace(**request.space)
+        except (TypeError, ValueError) as error:
+            raise request.error(", ".join(request.space), error) from None
+        changes["duration"] = space.genes * space.gene_seconds
+    try:
+        return replace(fixture_world, **changes)
+    except (TypeError, ValueError) as error:
+        raise request.error(f"{', '.join(request.road) or 'genes'}=...", error) from None
+
+
+def build_space(request: Request, world: Any) -> SearchSpace:
+    """The space of scenarios on a world, with as many genes as a run of it comes to unless the mark says how many.
+
+    Raises:
+        RequestError: when an argument is out of range, no scenario can be made, or the world cannot be built.
+    """
+    import numpy as np  # noqa: PLC0415
+
+    from pytest_pafot.searching.space import sample, space_on  # noqa: PLC0415
+    from pytest_pafot.world import WorldError  # noqa: PLC0415
+
+    given = ", ".join(request.space)
+    try:
+        space = space_on(world, request.space)
+        given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
+        sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
+    except WorldError as error:
+        raise request.error("world=...", error) from None
+    except (TypeError, ValueError) as error:
+        raise request.error(given, error) from None
+    return space
+
+
+def hint_at_world(given: Any) -> str:
+    """The world that is meant by the id of an environment, or by an environment; empty for anything else."""
+    spec = getattr(given, "spec", None)  # of an environment that gymnasium made
+    env_id = given if isinstance(given, str) else getattr(spec, "id", None)
+    config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
+    return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""
+
+
+class _ArgumentError(Exception):
+    def __init__(self, argument: str, problem: str) -> None:
+        super().__init__(problem)
+        self.argument = argument
+
+
+def _check_world(arguments: Mapping[str, Any]) -> None:
+    double = next((name for name in ROAD_ARGUMENTS if arguments.get(name) is not None), None)
+    if double is not None:
+        raise _ArgumentError(
+            f"world=..., {double}",
+            f"expected either a whole world or its parts, received both; give {double} to the world",
+        )
+    world = arguments["world"]
+    if isinstance(world, type) or not callable(getattr(world, "rollout", None)):
+        raise _ArgumentError(
+            "world", f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}"
+        )
+
+
+def _ads(value: object) -> str | Callable[..., Any]:
+    if callable(value) or (isinstance(value, str) and value.isidentifier()):
+        return value
+    from pytest_pafot.world.driving.ads import hint_at_object  # noqa: PLC0415
+    from pytest_pafot.world.kernel.action import shown  # noqa: PLC0415
+
+    hint = hint_at_object(value)
+    if isinstance(value, str):
+        hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
+    raise _ArgumentError(
+        "ads",
+        "expected the name of a fixture or a factory such as `lambda: MyPlanner()`, received "
+        f"{shown(value)}{f'. {hint}' if hint else ''}",
+    )
+
+
+def _identifier(name: str, value: object) -> str:
+    if not isinstance(value, str) or not value.isidentifier():
+        raise _ArgumentError(name, f"expected a name, received {value!r}")
+    return value
+
+
+def _blame(value: object) -> str:
+    if value not in BLAMES:
+        raise _ArgumentError("blame", f"expected {' or '.join(BLAMES)}, received {value!r}")
+    return str(value)
+
+
+def _positive(name: str, value: object) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (math.isfinite(value) and value > 0):
+        raise _ArgumentError(name, f"expected seconds, more than 0, received {value!r}")
+    return float(value)
+
+
+def _fitness(value: object, algorithm: str) -> Any:
+    from pytest_pafot.searching.algorithms import fitness_of  # noqa: PLC0415
+    from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
+
+    if value is None:
+        return fitness_of(algorithm)
+    if not isinstance(value, (str, Weights)) and not callable(value):
+        raise _ArgumentError(
+            "fitness",
+            "expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a Trace that returns a float, "
+            f"received {value!r}",
+        )
+    return value
