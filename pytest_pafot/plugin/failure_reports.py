@@ -15,7 +15,7 @@ import pytest
 
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.report.terminal import MARKER, fitted_lines
+from pytest_pafot.report.wrapping import MARKER, fitted_lines
 
 SUMMARY = pytest.StashKey[str]()
 """What the summary line of a failing item says."""

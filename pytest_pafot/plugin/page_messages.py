@@ -18,9 +18,9 @@ from pytest_pafot.campaign.simplification import speed_sentences
 from pytest_pafot.corpus.text import text_of
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.messages import NEW, PAGE
-from pytest_pafot.report.campaign_views import campaign_view
-from pytest_pafot.report.finding_views import finding_view, shrink_view
-from pytest_pafot.report.plain import to_plain
+from pytest_pafot.report.campaign_view import campaign_view
+from pytest_pafot.report.finding_view import finding_view, shrink_view
+from pytest_pafot.report.page_codec import encode
 from pytest_pafot.searching.events import Event
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import Find
     from pytest_pafot.campaign.verdict import Verdict
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.report.views import FindingView, ShrinkView
+    from pytest_pafot.report.page_data import FindingView, ShrinkView
     from pytest_pafot.run import Run
     from pytest_pafot.trace import Trace
 
@@ -149,7 +149,7 @@ class Showing:
             cut_by=cut_by,
         )
         self._tell(
-            campaign=to_plain(campaign),
+            campaign=encode(campaign),
             runs={find.node_id: 1 + find.repeats for find in finds} | dict(known),
             labels={find.node_id: label_of(find) for find in finds},
             base_seed=self.settings.seed,
@@ -162,7 +162,7 @@ class Showing:
         return f"pytest {node_id} --pafot-generations={settings.generations} --pafot-seed={settings.seed}"
 
     def _show(self, view: FindingView) -> None:
-        self._tell(view=to_plain(view))
+        self._tell(view=encode(view))
 
     def _tell(self, **data: object) -> None:
         messages.send(self.item, PAGE, {"target": self.settings.report, **data})

@@ -17,7 +17,7 @@ from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE
 from pytest_pafot.plugin.options import request_of_mark
 from pytest_pafot.plugin.session import SEARCH_PART, SHARED
-from pytest_pafot.report.terminal import wrapped_to
+from pytest_pafot.report.wrapping import wrapped_to
 
 
 def checked(item: pytest.Item, arguments: dict[str, Any]) -> Request:

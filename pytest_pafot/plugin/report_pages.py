@@ -25,7 +25,7 @@ from pytest_pafot.plugin.marks import SEARCH_MARK
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
     from pytest_pafot.plugin.page_messages import Showing
-    from pytest_pafot.report.views import CampaignView, FindingView, Report
+    from pytest_pafot.report.page_data import CampaignView, FindingView, Report
 
 ORDER = ("ego", "both", "npc", "none")
 """Of findings by responsibility: what the policy answers for comes first."""
@@ -70,10 +70,10 @@ class _Page:
         if "replayed" in message:
             self.replayed[message["replayed"]] += 1
         if "campaign" in message:
-            from pytest_pafot.report.plain import from_plain  # noqa: PLC0415
-            from pytest_pafot.report.views import CampaignView  # noqa: PLC0415
+            from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
+            from pytest_pafot.report.page_data import CampaignView  # noqa: PLC0415
 
-            campaign = from_plain(CampaignView, message["campaign"])
+            campaign = decode(CampaignView, message["campaign"])
             self.campaigns[campaign.node_id] = campaign
             self.seeds[message["base_seed"]] = None
 
@@ -93,7 +93,7 @@ class _Page:
             errors: node ids of what failed by no finding, and what pytest shows of it.
             is_interrupted: whether the session was.
         """
-        from pytest_pafot.report.views import Report  # noqa: PLC0415
+        from pytest_pafot.report.page_data import Report  # noqa: PLC0415
 
         findings = _by_test(map(completed, self.findings.values()))
         return Report(
@@ -210,10 +210,10 @@ def _has_rows(config: pytest.Config) -> bool:
 def _finding(message: Mapping[str, Any]) -> FindingView | None:
     if "view" not in message:
         return None
-    from pytest_pafot.report.plain import from_plain  # noqa: PLC0415
-    from pytest_pafot.report.views import FindingView  # noqa: PLC0415
+    from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
+    from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
 
-    return from_plain(FindingView, message["view"])
+    return decode(FindingView, message["view"])
 
 
 def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:

@@ -392,11 +392,11 @@ class Searching:
     def _conclude(self, hunt: Hunt, keeper: Keeper, search: SearchSummary) -> None:
         __tracebackhide__ = True
         if keeper.count:
-            self.bench.item.stash[SUMMARY] = terminal.search_summary(search)
+            self.bench.item.stash[SUMMARY] = terminal.failure_line(search)
             if self.bench.item.config.getoption("usepdb", False) and keeper.first is not None:
-                keeper.first.add_note(terminal.search_failure(search))
+                keeper.first.add_note(terminal.failure_message(search))
                 raise keeper.first  # The debugger then stands where the test function failed.
-            pytest.fail(terminal.search_failure(search), pytrace=False)
+            pytest.fail(terminal.failure_message(search), pytrace=False)
         if search.reason == "replay only":
             return
         if hunt.skip is not None and hunt.verdicts["skipped"] == hunt.runs:

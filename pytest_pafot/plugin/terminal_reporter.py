@@ -34,7 +34,7 @@ class Reporter:
         self._expanded: set[str] = set()
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
-        self._replays: list[terminal.Replay] = []
+        self._replays: list[terminal.ReplaySummary] = []
         self._orphans: dict[Path, list[Path]] = {}
         self._removed: list[Path] = []
         self._strays: dict[str, str] = {}
@@ -102,7 +102,7 @@ class Reporter:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         root = self._config.rootpath
-        session = terminal.Session(
+        session = terminal.SessionSummary(
             searches=self._searches,
             replays=self._replays,
             orphans=self._left(self._orphans),
@@ -149,7 +149,7 @@ class Reporter:
             self._notes[message["text"]] = None
         elif kind == "replay":
             self._replays.append(
-                terminal.Replay(node_id=report.nodeid, label=message["label"], detail=message["detail"])
+                terminal.ReplaySummary(node_id=report.nodeid, label=message["label"], detail=message["detail"])
             )
 
     def _tell_base_seed(self) -> None:

@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from pytest_pafot.report.scene import Box, CellPlace, Point, Scene, instruction_at, scene_at
-from pytest_pafot.report.views import FindingView
+from pytest_pafot.report.page_data import FindingView
+from pytest_pafot.report.picture import DrawnCell, DrawnVehicle, Picture, Point, instruction_at, picture_at
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -86,7 +86,7 @@ def still(finding: FindingView, time: float) -> bytes:
             f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
         )
     content = io.BytesIO()
-    _frame(_pillow(), finding, scene_at(finding, time)).save(content, format="PNG", optimize=True)
+    _frame(_pillow(), finding, picture_at(finding, time)).save(content, format="PNG", optimize=True)
     return content.getvalue()
 
 
@@ -98,7 +98,7 @@ def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
 
 
 def _encoded(pillow: Any, finding: FindingView, kind: Format, rate: int) -> bytes:
-    frames = [_frame(pillow, finding, scene_at(finding, time)) for time in moments(finding, rate)]
+    frames = [_frame(pillow, finding, picture_at(finding, time)) for time in moments(finding, rate)]
     palette = pillow.Image.new("P", (1, 1))
     palette.putpalette(_palette(pillow, len(finding.vehicles) - 1))
     reduced = [frame.quantize(palette=palette, dither=pillow.Image.Dither.NONE) for frame in frames]
@@ -145,13 +145,13 @@ def _pillow() -> Any:
     return PIL
 
 
-def _frame(pillow: Any, finding: FindingView, scene: Scene) -> Image:
-    sheet = _Sheet(pillow, finding, scene)
+def _frame(pillow: Any, finding: FindingView, picture: Picture) -> Image:
+    sheet = _Sheet(pillow, finding, picture)
     sheet.road()
     sheet.cells()
     sheet.trails()
     sheet.targets()
-    for vehicle, box in enumerate(scene.boxes):
+    for vehicle, box in enumerate(picture.vehicles):
         if box is not None:
             sheet.vehicle(vehicle, box)
     sheet.impact()
@@ -162,11 +162,11 @@ def _frame(pillow: Any, finding: FindingView, scene: Scene) -> Image:
 class _Sheet:
     """One frame in the making; lengths in metres become pixels here."""
 
-    def __init__(self, pillow: Any, finding: FindingView, scene: Scene) -> None:
+    def __init__(self, pillow: Any, finding: FindingView, picture: Picture) -> None:
         self._pillow = pillow
         self._finding = finding
-        self._scene = scene
-        ego = scene.boxes[0]
+        self._picture = picture
+        ego = picture.vehicles[0]
         self._origin = 0.0 if ego is None else ego.along
         half = finding.road.lane_width / 2
         if finding.road.shapes and ego is not None:
@@ -212,7 +212,7 @@ class _Sheet:
         self._draw.rectangle((0, (HEAD + self._road_height) * SMOOTH, *large), fill=PAPER)
 
     def cells(self) -> None:
-        for cell in self._scene.cells:
+        for cell in self._picture.cells:
             if cell.exists:
                 self._cell(cell, EDGE, 1, shrink=3)
                 length = self._finding.vehicles[0].length
@@ -222,7 +222,7 @@ class _Sheet:
                 self._text(corner, str(cell.cell), SOFT, 10, "mm")
 
     def trails(self) -> None:
-        for vehicle, trail in enumerate(self._scene.trails):
+        for vehicle, trail in enumerate(self._picture.trails):
             points = [self._place(point) for point in trail]
             if vehicle == 0 and len(points) > 1:
                 self._line(points, EDGE, 2)
@@ -230,15 +230,15 @@ class _Sheet:
                 self._dot(x, y, 1.2, NPC_INKS[(vehicle - 1) % 8])
 
     def targets(self) -> None:
-        for npc, target in enumerate(self._scene.targets):
-            box = self._scene.boxes[npc + 1]
+        for npc, target in enumerate(self._picture.targets):
+            box = self._picture.vehicles[npc + 1]
             if target is None or box is None:
                 continue
             ink = NPC_INKS[npc % 8]
             self._cell(target, ink, 2, shrink=1)
             self._dashed(self._place((box.along, box.across)), self._place((target.along, target.across)), ink)
 
-    def vehicle(self, vehicle: int, box: Box) -> None:
+    def vehicle(self, vehicle: int, box: DrawnVehicle) -> None:
         x, y = self._place((box.along, box.across))
         is_high = self._finding.road.shapes and not HEAD * SMOOTH < y < (HEAD + self._road_height) * SMOOTH
         if is_high or not -60 * SMOOTH < x < (WIDTH + 60) * SMOOTH:
@@ -252,9 +252,9 @@ class _Sheet:
         self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
 
     def impact(self) -> None:
-        if self._scene.impact is None:
+        if self._picture.impact is None:
             return
-        x, y = self._place(self._scene.impact)
+        x, y = self._place(self._picture.impact)
         radii = [(13 if spike % 2 == 0 else 6) * SMOOTH for spike in range(16)]
         star = [
             (x + radius * math.cos(spike * math.pi / 8), y + radius * math.sin(spike * math.pi / 8))
@@ -267,10 +267,10 @@ class _Sheet:
             self._frame_around()
         self._text((10 * SMOOTH, HEAD * SMOOTH / 2), _cut(self._finding.headline, 88), INK, 13, "lm")
         foot = (HEAD + self._road_height + FOOT / 2) * SMOOTH
-        self._text((10 * SMOOTH, foot), f"{self._scene.time:.1f} s", INK, 12, "lm")
-        self._text((64 * SMOOTH, foot), _cut(_state(self._finding, self._scene), 110), SOFT, 12, "lm")
+        self._text((10 * SMOOTH, foot), f"{self._picture.time:.1f} s", INK, 12, "lm")
+        self._text((64 * SMOOTH, foot), _cut(_state(self._finding, self._picture), 110), SOFT, 12, "lm")
 
-    def _pointer(self, vehicle: int, box: Box, y: float) -> None:
+    def _pointer(self, vehicle: int, box: DrawnVehicle, y: float) -> None:
         ink = NPC_INKS[(vehicle - 1) % 8]
         is_behind = box.along < self._origin
         while any(side == is_behind and abs(other - y) < 16 * SMOOTH for side, other in self._taken):
@@ -280,17 +280,17 @@ class _Sheet:
         tip = [(edge, y), (edge + 9 * inward, y - 7 * SMOOTH), (edge + 9 * inward, y + 7 * SMOOTH)]
         self._draw.polygon(tip, fill=ink)
         away = f"NPC {vehicle - 1}, {abs(box.along - self._origin):.0f} m {'behind' if is_behind else 'ahead'}"
-        ego = self._scene.boxes[0]
+        ego = self._picture.vehicles[0]
         if self._finding.road.shapes and ego is not None:
             away = f"NPC {vehicle - 1}, {math.dist((box.along, box.across), (ego.along, ego.across)):.0f} m away"
         self._text((edge + 14 * inward, y), away, INK, 12, "lm" if is_behind else "rm", has_halo=True)
 
-    def _cell(self, cell: CellPlace, ink: str, width: int, *, shrink: float) -> None:
+    def _cell(self, cell: DrawnCell, ink: str, width: int, *, shrink: float) -> None:
         half = self._finding.vehicles[0].length / 2
         side = self._finding.road.lane_width / 2 * SCALE * SMOOTH - shrink * SMOOTH
         if self._finding.road.shapes:
             length, across = self._finding.vehicles[0].length, 2 * side / (SCALE * SMOOTH)
-            box_of = Box(
+            box_of = DrawnVehicle(
                 along=cell.along, across=cell.across, heading=cell.heading, length=length, width=across, speed=0.0
             )
             corners = self._corners(box_of, (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
@@ -300,7 +300,7 @@ class _Sheet:
         box = (self._x(cell.along - half), y - side, self._x(cell.along + half), y + side)
         self._draw.rounded_rectangle(box, 3 * SMOOTH, outline=ink, width=width * SMOOTH)
 
-    def _corners(self, box: Box, *shares: Point) -> list[Point]:
+    def _corners(self, box: DrawnVehicle, *shares: Point) -> list[Point]:
         cos, sin = math.cos(box.heading), math.sin(box.heading)
         offsets = [(a * box.length, b * box.width) for a, b in shares]
         return [self._place((box.along + a * cos - b * sin, box.across + a * sin + b * cos)) for a, b in offsets]
@@ -334,10 +334,10 @@ class _Sheet:
         return (HEAD + (across - self._left + SHOULDER) * SCALE) * SMOOTH
 
 
-def _state(finding: FindingView, scene: Scene) -> str:
-    parts = [f"ego {scene.boxes[0].speed:.1f} m/s"] if scene.boxes and scene.boxes[0] is not None else []
-    for npc, box in enumerate(scene.boxes[1:]):
-        told = instruction_at(finding, npc, scene.time)
+def _state(finding: FindingView, picture: Picture) -> str:
+    parts = [f"ego {picture.vehicles[0].speed:.1f} m/s"] if picture.vehicles and picture.vehicles[0] is not None else []
+    for npc, box in enumerate(picture.vehicles[1:]):
+        told = instruction_at(finding, npc, picture.time)
         goal = f" to cell {told[0].cell}" if told is not None and told[0].cell and told[1] == "approach" else ""
         parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
     return "   ".join(parts)

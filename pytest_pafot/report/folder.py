@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pytest_pafot.report.animation import Format, animate
 from pytest_pafot.report.markup import finding_keys
 from pytest_pafot.report.page import render_page
-from pytest_pafot.report.views import Report
+from pytest_pafot.report.page_data import Report
 
 PAGE = "index.html"
 SUFFIXES = {"apng": ".png", "gif": ".gif"}

@@ -10,7 +10,7 @@ from textwrap import dedent
 from urllib.parse import quote
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.views import (
+from pytest_pafot.report.page_data import (
     CampaignView,
     CoverageRow,
     FindingView,

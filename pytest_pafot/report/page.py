@@ -11,8 +11,8 @@ from importlib.resources import files
 from string import Template
 
 from pytest_pafot.report import markup
-from pytest_pafot.report.plain import to_plain
-from pytest_pafot.report.views import FindingView, Report
+from pytest_pafot.report.page_codec import encode
+from pytest_pafot.report.page_data import FindingView, Report
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
@@ -48,7 +48,7 @@ def data_json(report: Report) -> str:
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
     slim = replace(report, findings=findings, errors=())
-    plain = json.dumps(to_plain(slim), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    plain = json.dumps(encode(slim), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

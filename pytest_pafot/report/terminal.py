@@ -7,18 +7,15 @@ user's own words. The values travel between processes as plain data.
 from __future__ import annotations
 
 import os
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary, ascii_text
+from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
 
 WIDTH = 80
 MAX_FINDS = 20
 """Finds that are listed one by one."""
-
-MARKER = "E   "
-"""Before each line of a failure's message, as pytest writes it."""
 
 MAX_NAMED = 3
 """Finds that one line names."""
@@ -27,7 +24,7 @@ MAX_QUIET_REPLAYS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Replay:
+class ReplaySummary:
     """How the replay of a saved scenario went.
 
     Attributes:
@@ -49,7 +46,7 @@ _LEFT_ALONE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class SessionSummary:
     """Everything that the summary of a session shows.
 
     Attributes:
@@ -66,7 +63,7 @@ class Session:
     """
 
     searches: Sequence[SearchSummary] = ()
-    replays: Sequence[Replay] = ()
+    replays: Sequence[ReplaySummary] = ()
     orphans: Sequence[tuple[str, int]] = ()
     removed: Sequence[tuple[str, int]] = ()
     pruned: bool = False
@@ -127,14 +124,14 @@ def find_section(
     return "\n".join(fitted)
 
 
-def search_summary(search: SearchSummary) -> str:
+def failure_line(search: SearchSummary) -> str:
     """Why a searching item fails, in one line."""
     ids = [*(find.id for find in search.finds), *search.unsaved]
     more = f" and {len(ids) - MAX_NAMED} more" if len(ids) > MAX_NAMED else ""
     return f"{_plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
 
 
-def search_failure(search: SearchSummary) -> str:
+def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
     firm = [_counted(find.id, find.repeats) for find in search.finds if not find.is_flaky]
@@ -158,7 +155,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     return [ascii_text(search.node_id), *(line for text in texts for line in _wrapped(text, width))]
 
 
-def replay_lines(replays: Iterable[Replay], width: int = WIDTH) -> list[str]:
+def replay_lines(replays: Iterable[ReplaySummary], width: int = WIDTH) -> list[str]:
     """All replays: a count by label, then those that a reader should look at."""
     replays = list(replays)
     if not replays:
@@ -177,7 +174,7 @@ def replay_lines(replays: Iterable[Replay], width: int = WIDTH) -> list[str]:
     return lines
 
 
-def session_lines(session: Session, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """The whole summary; empty when there is nothing to tell."""
     lines: list[str] = []
     for search in session.searches:
@@ -256,39 +253,6 @@ def _counted(id_: str, repeats: int) -> str:
 def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - MAX_FINDS} more" if len(names) > MAX_FINDS else ""
     return f"{', '.join(names[:MAX_FINDS])}{more}"
-
-
-def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
-    """Lines of a width at most. Where ``run.explain()`` breaks its longest sentence, it is put together first."""
-    whole: list[str] = []
-    is_open = False
-    for line in lines:
-        margin = len(whole[-1]) - len(_unmarked(whole[-1])) + 2 if is_open else 0
-        if is_open and len(line) - len(_unmarked(line)) == margin:
-            whole[-1] += f" {_unmarked(line)}"
-        else:
-            whole.append(line)
-            is_open = _unmarked(line).startswith("responsible: ")
-    return [part for line in whole for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
-
-
-def _unmarked(line: str) -> str:
-    return line.removeprefix(MARKER).lstrip(" ")
-
-
-def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
-    """A line in lines of a width, broken between words; each has the prefix and the indentation of the first."""
-    text = line.removeprefix(prefix)
-    indent = prefix + text[: len(text) - len(text.lstrip())]
-    wrapped = textwrap.wrap(
-        text.strip(),
-        width=width,
-        initial_indent=indent,
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return wrapped if len(line) > width else [line]
 
 
 def _wrapped(text: str, width: int) -> list[str]:

@@ -7,7 +7,8 @@ import pytest
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.report import terminal
-from pytest_pafot.report.terminal import Replay, Session
+from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
+from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
 
 FIND = Find(
     id="front-2-1f3a9c",
@@ -49,7 +50,7 @@ def test_a_search_survives_the_way_through_plain_data():
 
 
 def test_the_summary_has_every_figure_and_fits_in_80_columns():
-    lines = terminal.session_lines(Session(searches=[SEARCH]), verbose=True)
+    lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True)
     text = " ".join(" ".join(lines).split())
     for part in (
         "48 runs in 12.3 s, 3 not run again, 18 failing, 9 npc at fault, 2 invalid, 1 rejected, 1 skipped",
@@ -67,7 +68,7 @@ def test_the_summary_has_every_figure_and_fits_in_80_columns():
 
 
 def test_nothing_to_tell_is_nothing_told():
-    assert terminal.session_lines(Session()) == []
+    assert terminal.session_lines(SessionSummary()) == []
 
 
 def test_progress_is_one_line_that_is_cut_at_the_left_of_the_name():
@@ -105,9 +106,9 @@ def test_a_find_that_could_not_be_saved_shows_its_file():
 
 def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
     replays = [
-        Replay(node_id="t[saved-a]", label="fixed"),
-        Replay(node_id="t[saved-b]", label="still failing"),
-        Replay(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
+        ReplaySummary(node_id="t[saved-a]", label="fixed"),
+        ReplaySummary(node_id="t[saved-b]", label="still failing"),
+        ReplaySummary(node_id="t[saved-c]", label="drifted", detail="numpy 1 then, 2 now"),
     ]
     assert terminal.replay_lines(replays) == [
         "replayed 3 saved scenarios: 1 drifted, 1 fixed, 1 still failing",
@@ -118,12 +119,12 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
 
 
 def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
-    kept = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)]))
+    kept = terminal.session_lines(SessionSummary(orphans=[("corpus/test_a", 2)]))
     assert kept[0] == "orphaned: 2 saved scenarios of no test in corpus/test_a"
     assert "--pafot-prune" in kept[1]
-    gone = terminal.session_lines(Session(removed=[("corpus/test_a", 2)], pruned=True))
+    gone = terminal.session_lines(SessionSummary(removed=[("corpus/test_a", 2)], pruned=True))
     assert gone == ["removed: 2 saved scenarios of no test in corpus/test_a"]
-    left = terminal.session_lines(Session(orphans=[("corpus/test_a", 2)], pruned=True))
+    left = terminal.session_lines(SessionSummary(orphans=[("corpus/test_a", 2)], pruned=True))
     assert left[0] == kept[0]
     assert left[1].startswith("  left alone: --pafot-prune removes files whose line `test:` names a test of")
 
@@ -142,7 +143,7 @@ def test_a_find_says_at_once_why_there_is_no_file_of_it():
 def test_finds_that_do_not_repeat_are_listed_apart():
     flaky = replace(FIND, id="rear-6-222222", difference="running it again gave another run")
     search = replace(SEARCH, finds=(flaky, FIND))
-    assert terminal.search_failure(search).splitlines()[1:] == [
+    assert terminal.failure_message(search).splitlines()[1:] == [
         "  front-2-1f3a9c (18 runs)",
         "  rear-6-222222 (18 runs) is flaky, so never called fixed: running it again gave another run",
     ]
@@ -153,13 +154,13 @@ def test_finds_beyond_the_limit_are_counted_and_named():
     search = replace(SEARCH, unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
     text = " ".join(" ".join(terminal.search_lines(search)).split())
     assert "2 further findings not saved (--pafot-max-saved): front-2-aaaaaa (3 runs), rear-6-bbbbbb (1 run)" in text
-    assert terminal.search_failure(search).startswith("3 new findings in 48 runs, ")
+    assert terminal.failure_message(search).startswith("3 new findings in 48 runs, ")
 
 
 def test_the_summary_line_of_a_search_names_some_of_its_finds():
     finds = tuple(replace(FIND, id=f"front-2-{n}") for n in range(5))
-    assert terminal.search_summary(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
-    assert terminal.search_summary(replace(SEARCH, finds=finds)) == (
+    assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
+    assert terminal.failure_line(replace(SEARCH, finds=finds)) == (
         "5 new findings: front-2-0, front-2-1, front-2-2 and 2 more"
     )
 
@@ -170,15 +171,15 @@ def test_the_runs_that_shrinking_took_are_counted_apart():
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_lines_are_broken_between_words_to_the_width_of_the_terminal(width):
-    lines = terminal.session_lines(Session(searches=[SEARCH]), verbose=True, width=width)
+    lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=width)
     assert max(map(len, lines)) <= width
     assert " ".join(" ".join(lines).split()) == " ".join(
-        " ".join(terminal.session_lines(Session(searches=[SEARCH]), verbose=True, width=999)).split()
+        " ".join(terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=999)).split()
     )
 
 
 def test_a_broken_line_keeps_its_mark_and_its_indentation():
-    assert terminal.wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
+    assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
 
 
 def test_the_sentence_that_an_explanation_breaks_is_put_together_and_broken_to_the_width():
@@ -188,7 +189,7 @@ def test_the_sentence_that_an_explanation_breaks_is_put_together_and_broken_to_t
         "E     from [s]  NPC 0",
         "E          0.0  2",
     ]
-    assert terminal.fitted_lines(lines, 99) == [
+    assert fitted_lines(lines, 99) == [
         "E     responsible: ego, because it did not brake", "E     from [s]  NPC 0", "E          0.0  2",
     ]  # fmt: skip
 

@@ -12,9 +12,9 @@ import pytest_pafot as pafot
 from pytest_pafot.corpus.text import text_of
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.report.campaign_views import campaign_view
-from pytest_pafot.report.finding_views import finding_view
-from pytest_pafot.report.views import Report
+from pytest_pafot.report.campaign_view import campaign_view
+from pytest_pafot.report.finding_view import finding_view
+from pytest_pafot.report.page_data import Report
 from pytest_pafot.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve

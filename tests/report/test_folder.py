@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.report.folder import report_files
 from pytest_pafot.report.page import render_page
-from pytest_pafot.report.views import Report
+from pytest_pafot.report.page_data import Report
 from tests.report.builders import real_report
 
 pytest.importorskip("PIL.Image", reason="Pillow draws the animations")

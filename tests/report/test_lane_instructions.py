@@ -5,8 +5,8 @@ import pytest
 from pytest_pafot.report.animation import _state
 from pytest_pafot.report.markup import _instruction_table
 from pytest_pafot.report.page import render_page
-from pytest_pafot.report.scene import instruction_at, scene_at
-from pytest_pafot.report.views import Report
+from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.picture import instruction_at, picture_at
 from pytest_pafot.scenario import LaneInstruction, Scenario
 from tests.report.builders import view_of
 from tests.support.browser import Browser, find_chromium
@@ -29,8 +29,8 @@ def test_an_instruction_has_its_lane_and_no_cell(view):
 
 def test_no_line_leads_to_a_cell(view):
     assert instruction_at(view, 0, 1.0)[1] == "approach"
-    assert scene_at(view, 1.0).targets == (None,)
-    assert _state(view, scene_at(view, 1.0)).endswith("NPC 0 20.0 m/s")
+    assert picture_at(view, 1.0).targets == (None,)
+    assert _state(view, picture_at(view, 1.0)).endswith("NPC 0 20.0 m/s")
 
 
 def test_the_table_says_where_to_in_words(view):

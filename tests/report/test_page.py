@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.report.finding_views import shrink_view
+from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.page import data_json, render_frame, render_page
-from pytest_pafot.report.plain import from_plain
-from pytest_pafot.report.views import CampaignView, FindingView, Report
+from pytest_pafot.report.page_codec import decode
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report
 from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
 from tests.support.traces import trace_of, vehicle
 
@@ -92,7 +92,7 @@ def test_everything_in_words_is_there_without_scripts(page):
 
 def test_the_data_is_the_report_but_for_texts_that_the_page_holds(page):
     data = json.loads(Reader(page).raw["script:application/json"])
-    back = from_plain(Report, data)
+    back = decode(Report, data)
     slim = tuple(replace(finding, yaml="", explanation="") for finding in real_report().findings)
     assert back == replace(real_report(), findings=slim)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.scene import scene_at
-from pytest_pafot.report.views import Report
+from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.picture import picture_at
 from tests.report.builders import HOSTILE, bend_report, real_report
 from tests.support.browser import Browser, find_chromium
 
@@ -182,15 +182,15 @@ def test_the_picture_in_the_browser_is_the_one_of_the_scene(opened):
         for time in (0.0, 0.777, 2.0, finding.duration):
             page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
             page.until(f"Math.abs({TIME} - {time}) < 0.0011")
-            scene = scene_at(finding, page.evaluate(TIME))
+            picture = picture_at(finding, page.evaluate(TIME))
             drawn = drawn_vehicles(page)
-            for (along, across), box in zip(drawn, scene.boxes, strict=True):
+            for (along, across), box in zip(drawn, picture.vehicles, strict=True):
                 assert along == pytest.approx(box.along, abs=0.02)
                 assert across == pytest.approx(box.across, abs=0.02)
             rings = (
                 "[...document.querySelectorAll('article.current .target')].map(each => each.getAttribute('visibility'))"
             )
-            assert page.evaluate(rings) == ["hidden" if target is None else "visible" for target in scene.targets]
+            assert page.evaluate(rings) == ["hidden" if target is None else "visible" for target in picture.targets]
 
 
 def test_a_road_that_is_not_straight_is_drawn_as_the_world_has_it(browser, tmp_path):
@@ -201,18 +201,18 @@ def test_a_road_that_is_not_straight_is_drawn_as_the_world_has_it(browser, tmp_p
     for time in (0.0, 2.777, finding.duration):
         page.evaluate(f"location.hash = 'finding={finding.id}&t={time}'")
         page.until(f"Math.abs({TIME} - {time}) < 0.0011")
-        scene = scene_at(finding, page.evaluate(TIME))
+        picture = picture_at(finding, page.evaluate(TIME))
         drawn = drawn_vehicles(page)
-        for (along, across), box in zip(drawn, scene.boxes, strict=True):
+        for (along, across), box in zip(drawn, picture.vehicles, strict=True):
             assert (along, across) == pytest.approx((box.along, box.across), abs=0.02)
-        for name, places in (("cell", scene.cells), ("target", scene.targets)):
+        for name, places in (("cell", picture.cells), ("target", picture.targets)):
             rects = f"[...document.querySelectorAll('article.current rect.{name}')]"
             shown = page.evaluate(f"{rects}.map(each => each.getAttribute('visibility'))")
             assert shown == ["visible" if place is not None and place.exists else "hidden" for place in places]
         angles = page.evaluate(
             "[...document.querySelectorAll('article.current rect.cell')].map(each => each.getAttribute('transform'))"
         )
-        for angle, place in zip(angles, scene.cells, strict=True):
+        for angle, place in zip(angles, picture.cells, strict=True):
             turn = float(angle.removeprefix("rotate(").split()[0])
             assert math.cos(math.radians(turn)) == pytest.approx(math.cos(place.heading), abs=0.01)
     lanes = page.evaluate("document.querySelectorAll('article.current .lane-ground').length")

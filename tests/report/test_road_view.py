@@ -7,7 +7,7 @@ import pytest
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.animation import animate
-from pytest_pafot.report.scene import scene_at
+from pytest_pafot.report.picture import picture_at
 from pytest_pafot.trace import HEADING, LANE, X, Y
 from tests.report.builders import bend_trace, view_of
 
@@ -28,8 +28,8 @@ def test_lanes_are_lines_in_the_world_and_straight_roads_have_none(view):
 
 def test_vehicles_are_where_they_are_in_the_world(view):
     trace = bend_trace()
-    boxes = scene_at(view, trace.duration).boxes
-    for box, state in zip(boxes, trace.states[-1], strict=True):
+    vehicles = picture_at(view, trace.duration).vehicles
+    for box, state in zip(vehicles, trace.states[-1], strict=True):
         assert (box.along, box.across) == pytest.approx((state[X], state[Y]), abs=0.01)
         assert math.cos(box.heading) == pytest.approx(math.cos(state[HEADING]), abs=0.01)
 
@@ -38,9 +38,9 @@ def test_cells_follow_the_bend_and_lie_on_lanes(view):
     trace = bend_trace()
     width = trace.lanes[0].width
     for time in (0.0, 2.5, 5.0, trace.duration):
-        scene = scene_at(view, time)
-        ego = scene.boxes[0]
-        places = {cell.cell: cell for cell in scene.cells if cell.exists}
+        picture = picture_at(view, time)
+        ego = picture.vehicles[0]
+        places = {cell.cell: cell for cell in picture.cells if cell.exists}
         assert set(places) in ({1, 2, 6, 7, 8}, {2, 3, 4, 5, 6})
         for cell, place in places.items():
             away = math.hypot(place.along - ego.along, place.across - ego.across)

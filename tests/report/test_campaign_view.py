@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pytest_pafot.report.campaign_views import campaign_view
+from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     CampaignFinished,

@@ -11,8 +11,7 @@ import numpy as np
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.grid import cell_at
-from pytest_pafot.report.shapes import grid_views, lane_views
-from pytest_pafot.report.views import (
+from pytest_pafot.report.page_data import (
     EventView,
     FindingView,
     InstructionView,
@@ -21,6 +20,7 @@ from pytest_pafot.report.views import (
     ShrinkView,
     VehicleView,
 )
+from pytest_pafot.report.road_view import grid_views, lane_views
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.views import LaneView, Place
+from pytest_pafot.report.page_data import LaneView, Pose
 from pytest_pafot.trace import ALONG, LANE, FloatArray, Lane, Trace, X, Y
 
 DENSE = 0.5
@@ -34,7 +34,7 @@ def lane_views(trace: Trace) -> tuple[LaneView, ...]:
     return tuple(views)
 
 
-def grid_views(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Place | None, ...], ...]:
+def grid_views(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Pose | None, ...], ...]:
     """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
     lanes = _Dense.of(trace.lanes)
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
@@ -57,7 +57,7 @@ class _Dense:
         x, y, heading = (np.concatenate([part[column] for part in parts]) for column in range(3))
         return cls(x, y, heading, np.repeat(np.arange(len(lanes)), [len(part[0]) for part in parts]))
 
-    def cells(self, ego: FloatArray, rows: float, lanes: Sequence[Lane]) -> tuple[Place | None, ...]:
+    def cells(self, ego: FloatArray, rows: float, lanes: Sequence[Lane]) -> tuple[Pose | None, ...]:
         """The places of the cells around an ego."""
         number = int(ego[LANE])
         if number < 0:
@@ -66,13 +66,13 @@ class _Dense:
         near = own[0] + int(np.hypot(self.x[own] - ego[X], self.y[own] - ego[Y]).argmin())
         return tuple(self._cell(cell, near, own, rows, lanes[number].width) for cell in Cell)
 
-    def _cell(self, cell: Cell, near: int, own: npt.NDArray[np.intp], rows: float, width: float) -> Place | None:
+    def _cell(self, cell: Cell, near: int, own: npt.NDArray[np.intp], rows: float, width: float) -> Pose | None:
         base = near + round(cell.row * rows / DENSE)
         if not own[0] <= base <= own[-1]:
             return None
         x, y, heading = float(self.x[base]), float(self.y[base]), float(self.heading[base])
         if cell.column == 0:
-            return _place(x, y, heading)
+            return _pose(x, y, heading)
         x, y = x - cell.column * width * np.sin(heading), y + cell.column * width * np.cos(heading)
         turned = np.abs((self.heading - heading + np.pi) % (2 * np.pi) - np.pi)
         distance = np.hypot(self.x - x, self.y - y)
@@ -80,10 +80,10 @@ class _Dense:
         best = int(distance.argmin())
         if distance[best] > width / 2:
             return None
-        return _place(float(self.x[best]), float(self.y[best]), float(self.heading[best]))
+        return _pose(float(self.x[best]), float(self.y[best]), float(self.heading[best]))
 
 
-def _place(x: float, y: float, heading: float) -> Place:
+def _pose(x: float, y: float, heading: float) -> Pose:
     return round(x, 2), round(y, 2), round(heading, 3)
 
 

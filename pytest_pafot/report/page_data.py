@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 Numbers = tuple[float | None, ...]
-Place = tuple[float, float, float]
+Pose = tuple[float, float, float]
 """Along [m], across [m], heading [rad]."""
 
 
@@ -191,7 +191,7 @@ class FindingView:
     preventable_by: tuple[str, ...] = ()
     preventable_tried: tuple[str, ...] = ()
     shrink: ShrinkView | None = None
-    grid: tuple[tuple[Place | None, ...], ...] = ()
+    grid: tuple[tuple[Pose | None, ...], ...] = ()
 
     @property
     def duration(self) -> float:

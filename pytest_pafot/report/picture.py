@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.views import FindingView, InstructionView, Numbers
+from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers
 
 TRAIL_SECONDS = 4.0
 TRAIL_STEP = 0.125
@@ -23,7 +23,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class DrawnVehicle:
     """A vehicle at a moment: centre [m], heading [rad], size [m], speed [m/s]."""
 
     along: float
@@ -35,7 +35,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CellPlace:
+class DrawnCell:
     """A cell of the grid around the ego.
 
     Attributes:
@@ -53,12 +53,12 @@ class CellPlace:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class Picture:
     """A finding at a moment.
 
     Attributes:
         time: [s].
-        boxes: of the vehicles, the ego first; None for one whose position is unknown.
+        vehicles: of the vehicles, the ego first; None for one whose position is unknown.
         cells: the eight around the ego.
         targets: per NPC, the cell that it is on its way to, or None.
         trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
@@ -67,38 +67,38 @@ class Scene:
     """
 
     time: float
-    boxes: tuple[Box | None, ...]
-    cells: tuple[CellPlace, ...]
-    targets: tuple[CellPlace | None, ...]
+    vehicles: tuple[DrawnVehicle | None, ...]
+    cells: tuple[DrawnCell, ...]
+    targets: tuple[DrawnCell | None, ...]
     trails: tuple[tuple[Point, ...], ...]
     impact: Point | None
 
 
-def scene_at(finding: FindingView, time: float) -> Scene:
-    """The scene at a time, positions between frames interpolated.
+def picture_at(finding: FindingView, time: float) -> Picture:
+    """The picture at a time, positions between frames interpolated.
 
     Raises:
         ValueError: for a finding without frames, or a moment at which nobody knows where the ego was.
     """
     if not finding.times:
         raise ValueError(f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it")
-    boxes = tuple(box_at(finding, vehicle, time) for vehicle in range(len(finding.vehicles)))
-    ego = boxes[0]
+    vehicles = tuple(vehicle_at(finding, vehicle, time) for vehicle in range(len(finding.vehicles)))
+    ego = vehicles[0]
     if ego is None:
         raise ValueError(f"time: expected a moment with a position of the ego, received {time} s of {finding.id}")
-    cells = tuple(cell_place(finding, ego, cell, time) for cell in Cell)
+    cells = tuple(drawn_cell(finding, ego, cell, time) for cell in Cell)
     rows = [instruction_at(finding, npc, time) for npc in range(len(finding.vehicles) - 1)]
-    return Scene(
+    return Picture(
         time=time,
-        boxes=boxes,
+        vehicles=vehicles,
         cells=cells,
         targets=tuple(_target(finding, cells, row) for row in rows),
-        trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(boxes))),
-        impact=_impact(finding, boxes, time),
+        trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(vehicles))),
+        impact=_impact(finding, vehicles, time),
     )
 
 
-def box_at(finding: FindingView, vehicle: int, time: float) -> Box | None:
+def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle | None:
     """A vehicle at a time."""
     view = finding.vehicles[vehicle]
     before, after, share = _frame_at(finding, time)
@@ -106,7 +106,7 @@ def box_at(finding: FindingView, vehicle: int, time: float) -> Box | None:
     along, across, heading, speed = values
     if along is None or across is None:
         return None
-    return Box(
+    return DrawnVehicle(
         along=along,
         across=across,
         heading=heading or 0.0,
@@ -132,7 +132,7 @@ def nearest_lane(lanes: Sequence[float], across: float) -> int:
     return min(range(len(lanes)), key=lambda lane: (round(abs(lanes[lane] - across), 9), lane))
 
 
-def cell_place(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellPlace:
+def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
     """Where a cell is."""
     if finding.road.shapes:
         return _place_in_the_world(finding, ego, cell, time)
@@ -141,7 +141,7 @@ def cell_place(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellP
     lane = nearest_lane(road.lanes, ego.across)
     goal = lane + cell.column
     exists = 0 <= goal < len(road.lanes)
-    return CellPlace(
+    return DrawnCell(
         cell=int(cell),
         along=ego.along + cell.row * ((ego.length + other) / 2 + road.clearance),
         across=road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width,
@@ -150,8 +150,8 @@ def cell_place(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellP
 
 
 def _target(
-    finding: FindingView, cells: Sequence[CellPlace], row: tuple[InstructionView, Phase] | None
-) -> CellPlace | None:
+    finding: FindingView, cells: Sequence[DrawnCell], row: tuple[InstructionView, Phase] | None
+) -> DrawnCell | None:
     """The cell of an NPC that is on its way; None where the road does not say where a cell without a lane would be."""
     if row is None or row[0].cell == 0 or row[1] != "approach":
         return None
@@ -159,16 +159,16 @@ def _target(
     return place if place.exists or not finding.road.shapes else None
 
 
-def _place_in_the_world(finding: FindingView, ego: Box, cell: Cell, time: float) -> CellPlace:
+def _place_in_the_world(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
     """As recorded for the frames; it moves with the ego between them."""
     before, after, share = _frame_at(finding, time)
     frame = after if share > 0.5 else before
     place = finding.grid[frame][cell - 1]
     if place is None:
-        return CellPlace(cell=int(cell), along=ego.along, across=ego.across, exists=False)
+        return DrawnCell(cell=int(cell), along=ego.along, across=ego.across, exists=False)
     origin = finding.vehicles[0].along[frame], finding.vehicles[0].across[frame]
     dx, dy = ego.along - (origin[0] or 0.0), ego.across - (origin[1] or 0.0)
-    return CellPlace(cell=int(cell), along=place[0] + dx, across=place[1] + dy, exists=True, heading=place[2])
+    return DrawnCell(cell=int(cell), along=place[0] + dx, across=place[1] + dy, exists=True, heading=place[2])
 
 
 def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
@@ -184,11 +184,11 @@ def _between(track: Numbers, before: int, after: int, share: float) -> float | N
     return None if a is None or b is None else a + (b - a) * share
 
 
-def _trail(finding: FindingView, vehicle: int, time: float, ego: Box) -> tuple[Point, ...]:
+def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -> tuple[Point, ...]:
     count = int(min(TRAIL_SECONDS, time) / TRAIL_STEP)
     points = []
     for moment in [*(time - step * TRAIL_STEP for step in range(count, 0, -1)), time]:
-        box, origin = box_at(finding, vehicle, moment), box_at(finding, 0, moment)
+        box, origin = vehicle_at(finding, vehicle, moment), vehicle_at(finding, 0, moment)
         if box is not None and origin is not None:
             is_relative = vehicle > 0 and not finding.road.shapes
             along = box.along - origin.along + ego.along if is_relative else box.along
@@ -196,11 +196,11 @@ def _trail(finding: FindingView, vehicle: int, time: float, ego: Box) -> tuple[P
     return tuple(points)
 
 
-def _impact(finding: FindingView, boxes: Sequence[Box | None], time: float) -> Point | None:
+def _impact(finding: FindingView, vehicles: Sequence[DrawnVehicle | None], time: float) -> Point | None:
     event = finding.event
     if event.kind != "collision" or event.npc is None or time < event.time - 1e-6:
         return None
-    ego, other = boxes[0], boxes[event.npc + 1]
+    ego, other = vehicles[0], vehicles[event.npc + 1]
     if ego is None or other is None:
         return None
     cos, sin = (math.cos(ego.heading), math.sin(ego.heading)) if finding.road.shapes else (1.0, 0.0)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.views import CampaignView, CoverageRow, GenerationView
+from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView
 from pytest_pafot.searching.coverage import CELLS, SPEED_BIN, STEPS, Coverage, Key, speed_bins
 from pytest_pafot.searching.events import (
     CampaignFinished,

@@ -11,19 +11,19 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 T = TypeVar("T")
 
 
-def to_plain(value: object) -> Any:
+def encode(value: object) -> Any:
     """A value as dicts, lists, text and numbers, which JSON and pytest-xdist carry."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {name: to_plain(getattr(value, name)) for name in _hints(type(value))}
+        return {name: encode(getattr(value, name)) for name in _hints(type(value))}
     if isinstance(value, (tuple, list)):
-        return [to_plain(inner) for inner in value]
+        return [encode(inner) for inner in value]
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     raise TypeError(f"expected a view, a tuple, text or a number, received {type(value).__name__} {value!r:.60}")
 
 
-def from_plain(kind: type[T], plain: Mapping[str, Any]) -> T:
-    """The inverse of :func:`to_plain` for a dataclass whose fields are dataclasses, tuples, text and numbers.
+def decode(kind: type[T], plain: Mapping[str, Any]) -> T:
+    """The inverse of :func:`encode` for a dataclass whose fields are dataclasses, tuples, text and numbers.
 
     Raises:
         ValueError: when keys are missing or unknown.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.report.scene import box_at, instruction_at, nearest_lane, scene_at
+from pytest_pafot.report.picture import instruction_at, nearest_lane, picture_at, vehicle_at
 from tests.report.builders import cut_in_trace, scenario, view_of
 from tests.support.traces import trace_of, vehicle
 
@@ -16,19 +16,19 @@ def driving(*npcs, **more):
 
 def test_positions_between_frames_are_interpolated():
     view = driving(vehicle(10.0, 0.0, speed=20.0, ticks=30))
-    assert box_at(view, 0, 0.5).along == pytest.approx(10.0, abs=0.01)
-    assert box_at(view, 0, 1.2345).along == pytest.approx(24.69, abs=0.01)
+    assert vehicle_at(view, 0, 0.5).along == pytest.approx(10.0, abs=0.01)
+    assert vehicle_at(view, 0, 1.2345).along == pytest.approx(24.69, abs=0.01)
 
 
 def test_times_outside_of_the_run_show_its_start_and_its_end():
     view = driving(vehicle(10.0, 0.0, speed=20.0, ticks=30))
-    assert box_at(view, 0, -1.0).along == 0.0
-    assert box_at(view, 0, 99.0).along == pytest.approx(40.0)
+    assert vehicle_at(view, 0, -1.0).along == 0.0
+    assert vehicle_at(view, 0, 99.0).along == pytest.approx(40.0)
 
 
 def test_cells_lie_around_the_ego_with_the_clearance_between():
-    scene = scene_at(driving(vehicle(10.0, 0.0, speed=20.0, ticks=30)), 0.0)
-    places = {cell.cell: (cell.along, cell.across) for cell in scene.cells}
+    picture = picture_at(driving(vehicle(10.0, 0.0, speed=20.0, ticks=30)), 0.0)
+    places = {cell.cell: (cell.along, cell.across) for cell in picture.cells}
     assert places == {
         1: (8.0, 0.0), 2: (8.0, 4.0), 3: (8.0, 8.0), 4: (0.0, 8.0),
         5: (-8.0, 8.0), 6: (-8.0, 4.0), 7: (-8.0, 0.0), 8: (0.0, 0.0),
@@ -37,7 +37,7 @@ def test_cells_lie_around_the_ego_with_the_clearance_between():
 
 def test_cells_beyond_the_road_do_not_exist():
     view = view_of(trace_of(vehicle(0.0, 0.0, speed=20.0, ticks=15), vehicle(30.0, 0.0, speed=20.0, ticks=15)))
-    assert {cell.cell for cell in scene_at(view, 0.0).cells if not cell.exists} == {1, 7, 8}
+    assert {cell.cell for cell in picture_at(view, 0.0).cells if not cell.exists} == {1, 7, 8}
 
 
 def test_the_grid_belongs_to_the_lane_whose_centre_is_nearest():
@@ -58,30 +58,30 @@ def test_an_npc_is_on_its_way_until_it_arrives_and_free_after_its_last_gene():
 
 def test_only_an_npc_on_its_way_has_a_target():
     view = driving(vehicle(9.0, 0.0, speed=20.0, ticks=30), arrivals=((15, None),))
-    assert scene_at(view, 0.5).targets[0].cell == 1
-    assert scene_at(view, 1.5).targets == (None,)
+    assert picture_at(view, 0.5).targets[0].cell == 1
+    assert picture_at(view, 1.5).targets == (None,)
 
 
 def test_an_npc_that_keeps_its_place_beside_the_ego_leaves_no_trail():
-    scene = scene_at(driving(vehicle(9.0, 0.0, speed=20.0, ticks=30)), 2.0)
-    assert {round(along - 40.0, 2) for along, _ in scene.trails[1]} == {9.0}
-    assert scene.trails[0][0][0] == pytest.approx(0.0, abs=0.01)
+    picture = picture_at(driving(vehicle(9.0, 0.0, speed=20.0, ticks=30)), 2.0)
+    assert {round(along - 40.0, 2) for along, _ in picture.trails[1]} == {9.0}
+    assert picture.trails[0][0][0] == pytest.approx(0.0, abs=0.01)
 
 
 def test_the_impact_is_between_the_two_vehicles_and_not_before_it_happens():
     view = view_of(cut_in_trace())
-    assert scene_at(view, view.event.time - 0.2).impact is None
-    scene = scene_at(view, view.event.time)
-    ego, npc = scene.boxes[0], scene.boxes[view.event.npc + 1]
-    assert ego.along <= scene.impact[0] <= npc.along
+    assert picture_at(view, view.event.time - 0.2).impact is None
+    picture = picture_at(view, view.event.time)
+    ego, npc = picture.vehicles[0], picture.vehicles[view.event.npc + 1]
+    assert ego.along <= picture.impact[0] <= npc.along
 
 
 def test_a_vehicle_whose_position_is_unknown_is_left_out():
     view = driving(vehicle(9.0, 0.0, speed=20.0, ticks=30))
     unknown = replace(view.vehicles[1], along=(None,) * len(view.times))
-    assert scene_at(replace(view, vehicles=(view.vehicles[0], unknown)), 1.0).boxes[1] is None
+    assert picture_at(replace(view, vehicles=(view.vehicles[0], unknown)), 1.0).vehicles[1] is None
 
 
 def test_a_finding_without_frames_is_refused():
     with pytest.raises(ValueError, match="expected frames to draw, received none"):
-        scene_at(replace(view_of(cut_in_trace()), times=()), 0.0)
+        picture_at(replace(view_of(cut_in_trace()), times=()), 0.0)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given, settings
 
-from pytest_pafot.report.plain import from_plain, to_plain
-from pytest_pafot.report.views import CampaignView, FindingView, Report, ShrinkView
+from pytest_pafot.report.page_codec import decode, encode
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report, ShrinkView
 from tests.report.builders import real_report, values_of
 
 
@@ -16,29 +16,29 @@ def test_any_view_comes_back_from_json_as_it_was(kind):
     @given(values_of(kind))
     @settings(max_examples=25)
     def check(view):
-        assert from_plain(kind, json.loads(json.dumps(to_plain(view)))) == view
+        assert decode(kind, json.loads(json.dumps(encode(view)))) == view
 
     check()
 
 
 def test_a_real_report_comes_back_as_it_was():
     report = real_report()
-    assert from_plain(Report, json.loads(json.dumps(to_plain(report), allow_nan=False))) == report
+    assert decode(Report, json.loads(json.dumps(encode(report), allow_nan=False))) == report
 
 
 def test_whole_numbers_of_json_become_the_floats_that_they_were():
     finding = real_report().findings[0]
-    plain = to_plain(finding)
+    plain = encode(finding)
     plain["road"]["lane_width"] = 4
-    back = from_plain(FindingView, plain)
+    back = decode(FindingView, plain)
     assert type(back.road.lane_width) is float
 
 
 def test_an_unknown_key_is_refused_by_name():
-    plain = to_plain(ShrinkView(original=(), shrunk=(), original_npcs=2, shrunk_npcs=1, original_instructions=4,
+    plain = encode(ShrinkView(original=(), shrunk=(), original_npcs=2, shrunk_npcs=1, original_instructions=4,
                                 shrunk_instructions=2, rollouts=9))  # fmt: skip
     with pytest.raises(ValueError, match=r"ShrinkView: expected the keys .* received .*'more'"):
-        from_plain(ShrinkView, plain | {"more": 1})
+        decode(ShrinkView, plain | {"more": 1})
 
 
 def test_what_is_no_plain_data_is_refused():
@@ -47,4 +47,4 @@ def test_what_is_no_plain_data_is_refused():
         field: object
 
     with pytest.raises(TypeError, match="received complex"):
-        to_plain(Odd(field=1j))
+        encode(Odd(field=1j))

@@ -1,0 +1,42 @@
+"""Lines broken between words to the width of the terminal."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+
+MARKER = "E   "
+"""Before each line of a failure's message, as pytest writes it."""
+
+
+def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
+    """Lines of a width at most. Where ``run.explain()`` breaks its longest sentence, it is put together first."""
+    whole: list[str] = []
+    is_open = False
+    for line in lines:
+        margin = len(whole[-1]) - len(_unmarked(whole[-1])) + 2 if is_open else 0
+        if is_open and len(line) - len(_unmarked(line)) == margin:
+            whole[-1] += f" {_unmarked(line)}"
+        else:
+            whole.append(line)
+            is_open = _unmarked(line).startswith("responsible: ")
+    return [part for line in whole for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
+
+
+def _unmarked(line: str) -> str:
+    return line.removeprefix(MARKER).lstrip(" ")
+
+
+def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
+    """A line in lines of a width, broken between words; each has the prefix and the indentation of the first."""
+    text = line.removeprefix(prefix)
+    indent = prefix + text[: len(text) - len(text.lstrip())]
+    wrapped = textwrap.wrap(
+        text.strip(),
+        width=width,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return wrapped if len(line) > width else [line]
