@@ -151,10 +151,11 @@ def build_space(request: Request, world: Any) -> SearchSpace:
 
     from pytest_pafot.searching.space import sample, space_on  # noqa: PLC0415
     from pytest_pafot.world import WorldError  # noqa: PLC0415
+    from pytest_pafot.world.protocol import road_start  # noqa: PLC0415
 
     given = ", ".join(request.space)
     try:
-        space = space_on(world, request.space)
+        space = space_on(world, request.space, road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
     except WorldError as error:

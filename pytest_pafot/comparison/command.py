@@ -19,6 +19,7 @@ from pytest_pafot.scenario import ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
+from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 
@@ -113,11 +114,9 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         WorldError: for an environment that cannot be used.
     """
     world = _world(arguments)
-    if isinstance(world, World):
-        world.check()
     given = ((name, getattr(arguments, name)) for name in ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed"))
     try:
-        space = space_on(world, {name: value for name, value in given if value is not None})
+        space = space_on(world, {name: value for name, value in given if value is not None}, road_start(world))
     except WorldError:
         raise
     except ValueError as error:
@@ -186,7 +185,9 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
                 f"--{name.replace('_', '-')}: expected no such option with --env, whose environment has its own road, "
                 f"received {given[name]!r}"
             )
-    return replace(World(arguments.env), **given)
+    world = replace(World(arguments.env), **given)
+    world.check()
+    return world
 
 
 def _workers(given: int | None) -> int:

@@ -20,6 +20,7 @@ from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world import from_dict as world_from_dict
+from pytest_pafot.world.protocol import road_start
 
 Mode = Literal["collisions", "ego"]
 
@@ -112,7 +113,7 @@ def _check_searches(plan: Plan) -> None:
         space = SearchSpace(**plan.space)
         for name in plan.algorithms:
             algorithm_named(name, space, **plan.parameters)
-            check_road(name, world_of(plan))
+            check_road(name, is_straight=road_start(world_of(plan)) is None)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

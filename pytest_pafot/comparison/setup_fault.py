@@ -9,13 +9,12 @@ from pytest_pafot.comparison.plan import PlanError
 from pytest_pafot.findings.finding import first_decision_cause
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError
-from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.first_decision import first_decision
+from pytest_pafot.world.protocol import WorldLike, first_decision
 
 
 def check_set_up(
-    world: Highway | World, factory: Callable[..., Any], scenario: Scenario, errors: Sequence[AdsError | None]
+    world: WorldLike, factory: Callable[..., Any], scenario: Scenario, errors: Sequence[AdsError | None]
 ) -> None:
     """Check that an ADS drives at all.
 
@@ -43,7 +42,7 @@ def check_set_up(
     )
 
 
-def _given_in(world: Highway | World, scenario: Scenario) -> str:
+def _given_in(world: WorldLike, scenario: Scenario) -> str:
     asked = first_decision(world, scenario)
     if asked is None:
         return ""

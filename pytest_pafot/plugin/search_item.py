@@ -44,6 +44,7 @@ from pytest_pafot.searching import Algorithm, algorithm_named, check_road, reads
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world.driving.failure import is_interruption
+from pytest_pafot.world.protocol import road_start
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
@@ -458,7 +459,7 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
     settings = bench.request.settings
     try:
         algorithm = algorithm_named(settings.algorithm, space, population=settings.population)
-        check_road(settings.algorithm, bench.world)
+        check_road(settings.algorithm, is_straight=road_start(bench.world) is None)
     except ValueError as error:
         raise RequestError(str(error)) from None
     return algorithm

@@ -73,13 +73,13 @@ def algorithm_named(name: str, space: SearchSpace, **parameters: Any) -> Algorit
     return made
 
 
-def check_road(name: str, world: Any) -> None:
-    """Check an algorithm against the road of a world.
+def check_road(name: str, *, is_straight: bool) -> None:
+    """Check an algorithm against a road that is straight, or not.
 
     Raises:
         ValueError: for one with Lane-Instructions where the road is not straight, with those that can be used.
     """
-    if CATALOGUE[name].knows_grid or getattr(world, "start", None) is None:
+    if CATALOGUE[name].knows_grid or is_straight:
         return
     others = ", ".join(other for other, entry in CATALOGUE.items() if entry.knows_grid)
     raise ValueError(

@@ -60,32 +60,31 @@ class SearchSpace:
         return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
 
 
-def space_on(world: Any, given: Mapping[str, Any]) -> SearchSpace:
+def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
     """The space of scenarios on a world, with as many genes as a run of it comes to unless it is given how many.
 
     On a road that is not straight the environment says where and how fast the ego starts, and all genes together last
     as long as a run: as many of about ten seconds as fit, at least three.
 
     Args:
-        world: with ``speed_limit`` and ``longest_run``; where it also has a ``start``, with ``physics_hz``.
+        world: with ``speed_limit`` [m/s] and ``longest_run`` [s].
         given: fields of :class:`SearchSpace` that are wanted, but for the speed limit.
+        start: where the road gives it, the ego's lane and speed [m/s], and the world's ticks per second.
 
     Raises:
         TypeError, ValueError: when a field is unknown or out of range, or the world cannot be built.
     """
     speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
-    start = getattr(world, "start", None)  # A world of the user's own need not have it.
-    wanted = given if start is None else _shared_out(given, start, longest_run, world.physics_hz)
+    wanted = given if start is None else _shared_out(given, start, longest_run)
     space = SearchSpace(**wanted, speed_limit=speed_limit)
     if "genes" in wanted:
         return space
     return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
 
 
-def _shared_out(
-    given: Mapping[str, Any], start: tuple[int, float], longest_run: float, physics_hz: int
-) -> dict[str, Any]:
-    wanted = {"ego_lane": start[0], "ego_speed": start[1], **given}
+def _shared_out(given: Mapping[str, Any], start: tuple[int, float, int], longest_run: float) -> dict[str, Any]:
+    lane, speed, physics_hz = start
+    wanted = {"ego_lane": lane, "ego_speed": speed, **given}
     if "genes" not in wanted:
         least = 1 if "gene_seconds" in wanted else LEAST_GENES
         about = wanted.get("gene_seconds", SearchSpace().gene_seconds)

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.observation import Observation
+from pytest_pafot.world.protocol import FirstDecision
 
 
-@dataclass(frozen=True, slots=True)
-class FirstDecision:
-    """How a world asks.
-
-    Attributes:
-        is_si: whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own.
-        text: a sentence that says what it is given and must return.
-    """
-
-    is_si: bool
-    text: str
-
-
-def first_decision(world: Highway | World, scenario: Scenario) -> FirstDecision | None:
+def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
     """How a world asks at first in a scenario; None where it does not come so far."""
     seen: list[Any] = []
     trace = world.rollout(scenario, lambda: seen.append)  # returns None, so that the message says what is expected

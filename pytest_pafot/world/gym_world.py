@@ -102,6 +102,16 @@ class World(References):
         if isinstance(road, StraightRoad):
             checks.road_is_long_enough(road, 2 * self.rules.ego_start, self.rules.duration)
 
+    def check_fits(self, scenario: Scenario) -> None:
+        """Check the environment, and a scenario against it.
+
+        Raises:
+            ScenarioError: naming the field that does not fit.
+            WorldError: when the environment cannot be used.
+        """
+        self.check()
+        checks.fits(scenario, self.rules)
+
     @property
     def road(self) -> StraightRoad | NetworkRoad:
         """The environment's road; where it is not straight, the ego's way through it."""
@@ -155,8 +165,7 @@ class World(References):
         from pytest_pafot.world.driving.policy import Policy, View  # noqa: PLC0415
         from pytest_pafot.world.engines.object_engine import run  # noqa: PLC0415
 
-        self.check()
-        checks.fits(scenario, self.rules)
+        self.check_fits(scenario)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads_factory = _once(made(ads_factory))
         if self.wrappers is not None or self._steps_itself(is_vehicle_class(ads_factory)):
@@ -179,6 +188,17 @@ class World(References):
 
         return run(self.rules, scenario, env.road, make_ego)
 
+    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of the plain environment.
+
+        Args:
+            scenario: to run, as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            ads_factory: called once, gives the ADS.
+        """
+        from pytest_pafot.world.engines.gym_replay import replay_in_gym  # noqa: PLC0415
+
+        return replay_in_gym(self, scenario, ads_factory)
+
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step, where this world has that and the ADS has ``batch``; else one by one.
 
@@ -196,9 +216,8 @@ class World(References):
         """
         from pytest_pafot.world.engines.lock_step import rollouts  # noqa: PLC0415
 
-        self.check()
         for scenario in scenarios:
-            checks.fits(scenario, self.rules)
+            self.check_fits(scenario)
         if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
         return rollouts(scenarios, ads_factory, self._stepped, self.rollout, self.hang_limit)

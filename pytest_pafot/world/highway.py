@@ -113,6 +113,17 @@ class Highway(References):
         self._check(scenario, ads_factory)
         return simulate(self, self.rules, scenario, made(ads_factory), decisions)
 
+    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of highway-env's own highway-v0.
+
+        Args:
+            scenario: to run, as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
+            ads_factory: called once, gives the ADS.
+        """
+        from pytest_pafot.world.engines.gym_replay import replay_in_gym  # noqa: PLC0415
+
+        return replay_in_gym(self, scenario, ads_factory)
+
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
 
@@ -134,11 +145,19 @@ class Highway(References):
             self._check(scenario, ads_factory)
         return rollouts(scenarios, ads_factory, partial(stepped, self), self.rollout, self.hang_limit)
 
+    def check_fits(self, scenario: Scenario) -> None:
+        """Check a scenario against this world.
+
+        Raises:
+            ScenarioError: naming the field that does not fit.
+        """
+        checks.fits(scenario, self.rules)
+
     def _check(self, scenario: Scenario, ads_factory: AdsFactory) -> None:
         """Refuse what cannot run here."""
         from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env  # noqa: PLC0415
 
-        checks.fits(scenario, self.rules)
+        self.check_fits(scenario)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "

@@ -8,6 +8,7 @@ import numpy as np
 
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
+from pytest_pafot.world.protocol import road_start
 from tests.support.world_cases import LENGTH, STANDING, WIDTH, beyond
 
 ENVIRONMENTS = (
@@ -28,7 +29,7 @@ WITH_GAPS = ("roundabout-v0", "roundabout-v1")
 
 def space_of(world, npcs=2):
     """What the plugin searches in a world of its own start."""
-    return space_on(world, {"npcs": npcs})
+    return space_on(world, {"npcs": npcs}, road_start(world))
 
 
 def wrapped(angle):

@@ -1,0 +1,166 @@
+"""What a search asks of a world: what each one has, and what some can do besides.
+
+A world of the user's own needs to be no more than :class:`WorldLike`. Each capability beyond that is a protocol here,
+with a function that gives the world as one that has it, or None; nobody else looks for methods or classes of worlds.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.driving.ads import AdsFactory
+
+REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
+"""What :class:`WorldLike` has."""
+
+HANG_LIMIT = 30.0
+"""Longest decision where a world does not say [s]."""
+
+
+class WorldLike(Protocol):
+    """What a search needs of any world."""
+
+    @property
+    def speed_limit(self) -> float:
+        """Highest target speed of NPCs [m/s]."""
+
+    @property
+    def longest_run(self) -> float:
+        """How long a run lasts that nothing ends early [s]."""
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
+        """Simulate a scenario with a fresh ADS, which ``ads_factory()`` gives; equal scenarios give equal traces."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The world as plain data: numbers, text, lists, mappings."""
+
+
+class LockStepping(WorldLike, Protocol):
+    """A world in which many runs go from decision to decision together; ``has_lock_step = False`` says that not now."""
+
+    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory, /) -> list[Trace]:
+        """The traces of :meth:`WorldLike.rollout`, in lock step where the ADS has a method ``batch``."""
+
+
+class Resumable(WorldLike, Protocol):
+    """A world that can be given the first decisions of a run."""
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /, *, decisions: Sequence[Any] = ()) -> Trace:
+        """Simulate a scenario; the ADS is not asked for ``decisions``, which are as ``Trace.actions`` has them."""
+
+
+class GymReplaying(WorldLike, Protocol):
+    """A world whose runs can be driven a second time, by ``env.step`` of a plain gymnasium environment."""
+
+    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
+        """Simulate a scenario by other means, to confirm a find."""
+
+
+class RoadStart(NamedTuple):
+    """How the ego starts where its road says so.
+
+    Attributes:
+        lane: counted from 0 at the left.
+        speed: [m/s].
+        physics_hz: ticks per second, in whole numbers of which genes last.
+    """
+
+    lane: int
+    speed: float
+    physics_hz: int
+
+
+@dataclass(frozen=True, slots=True)
+class FirstDecision:
+    """How a world asks an ADS.
+
+    Attributes:
+        is_si: whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own.
+        text: a sentence that says what it is given and must return.
+    """
+
+    is_si: bool
+    text: str
+
+
+def missing(world: object) -> list[str]:
+    """What a world lacks of :data:`REQUIRED`; properties, which may make an environment, are not evaluated."""
+    return [name for name in REQUIRED if not hasattr(type(world), name) and not hasattr(world, name)]
+
+
+def lock_stepping(world: Any) -> LockStepping | None:
+    """The world, where its runs can take place in lock step.
+
+    Raises:
+        WorldError: by a world that finds out only now that it cannot be used.
+    """
+    can = hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True)
+    return world if can else None
+
+
+def resumable(world: Any) -> Resumable | None:
+    """The world, where its ``rollout`` takes ``decisions``."""
+    try:
+        parameters = inspect.signature(world.rollout).parameters
+    except (TypeError, ValueError):  # builtins without a signature
+        return None
+    return world if "decisions" in parameters else None
+
+
+def gym_replaying(world: Any) -> GymReplaying | None:
+    """The world, where its own class says how to replay in gymnasium.
+
+    What it inherits does not count: a class that derives from a world may do anything in its ``rollout``, which that
+    world's environment would not confirm.
+    """
+    return world if "rollout_in_gym" in vars(type(world)) else None
+
+
+def road_start(world: Any) -> RoadStart | None:
+    """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do.
+
+    Raises:
+        WorldError: by a world that finds out only now that it cannot be used.
+    """
+    start: tuple[int, float] | None = getattr(world, "start", None)
+    return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
+
+
+def prevention(world: Any) -> Callable[[Scenario], tuple[str, ...]] | None:
+    """What gives the names of the reference drivers that survive a scenario of a world, where it tries any."""
+    found: Callable[[Scenario], tuple[str, ...]] | None = getattr(world, "preventable_by", None)
+    return found
+
+
+def reference_drivers(world: Any) -> tuple[str, ...]:
+    """Names of the reference drivers that a world tries, where it tells them."""
+    return tuple(getattr(world, "reference_drivers", ()))
+
+
+def hang_limit(world: Any) -> float:
+    """Longest decision of the ADS in wall-clock time [s]."""
+    return float(getattr(world, "hang_limit", HANG_LIMIT))
+
+
+def check_fits(world: Any, scenario: Scenario) -> None:
+    """Check a scenario against a world, where it can do so without a run.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+        WorldError: by a world that finds out only now that it cannot be used.
+    """
+    if hasattr(world, "check_fits"):
+        world.check_fits(scenario)
+
+
+def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
+    """How a world asks an ADS at first in a scenario; None where it does not tell, or does not come so far."""
+    if not hasattr(world, "first_decision"):
+        return None
+    asked: FirstDecision | None = world.first_decision(scenario)
+    return asked
