@@ -1,0 +1,80 @@
+"""The page about the rooms is true: every room, library, file and name on it is that of the code."""
+
+import ast
+import re
+
+import pytest
+
+from tests.test_layers import HOMES, MODULES, PACKAGE, ROOMS, room_of
+
+ROOT = PACKAGE.parent
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+EXPLANATION = (ROOT / "docs" / "explanation.md").read_text(encoding="utf-8")
+
+ROOM_ROW = re.compile(r"^\| `(\w+)` \| (.+?) \|(.*)\|$", re.MULTILINE)
+MENTION = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml)|(?:[\w.-]+/)+)(?::([\w.]+))?`")
+
+
+def section(heading):
+    return PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+
+
+def rooms_on_the_page():
+    return {
+        name: set(re.findall(r"`(\w+)`", libraries)) for name, _, libraries in ROOM_ROW.findall(section("The rooms"))
+    }
+
+
+def mentions():
+    """Files and names on the page, and in the explanation."""
+    return sorted({(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION)})
+
+
+def place(path):
+    """Of a file or folder that is named: in the package, or in the repository."""
+    return next((at for at in (PACKAGE / path, ROOT / path) if at.exists()), None)
+
+
+def defined(body):
+    """Names that statements define, with those inside of classes."""
+    names = {}
+    for node in body:
+        if isinstance(node, ast.ClassDef):
+            names[node.name] = defined(node.body)
+        elif isinstance(node, ast.FunctionDef):
+            names[node.name] = {}
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {each.id: {} for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+    return names
+
+
+def test_the_page_has_the_rooms_of_the_package_in_the_order_of_imports():
+    there = {room_of(path) for path in MODULES}
+    assert list(rooms_on_the_page()) == [room for room in ROOMS if room in there]
+
+
+@pytest.mark.parametrize("room", rooms_on_the_page())
+def test_the_page_says_which_libraries_a_room_knows(room):
+    assert rooms_on_the_page()[room] == {library for library, homes in HOMES.items() if room in homes}
+
+
+@pytest.mark.parametrize(("path", "name"), mentions(), ids=lambda part: part or "itself")
+def test_what_is_named_is_there(path, name):
+    there = place(path)
+    assert there is not None, f"no such file or folder: {path}"
+    names = defined(ast.parse(there.read_text(encoding="utf-8")).body) if name else {}
+    for part in name.split(".") if name else ():
+        assert part in names, f"{path} defines no {name}; it defines {', '.join(names)}"
+        names = names[part]
+
+
+def entries():
+    """The rows of the tables of rules, and the paragraphs that say how to add something."""
+    rows = re.findall(r"^\| (?!---|What|Section).*\|$", section("Where is the rule of ..."), re.MULTILINE)
+    return [*rows, *re.findall(r"^\*\*.*?(?=\n\n|\Z)", section("How to add a ..."), re.MULTILINE | re.DOTALL)]
+
+
+@pytest.mark.parametrize("entry", entries(), ids=lambda entry: entry.strip("|* ")[:40])
+def test_every_rule_and_every_way_to_add_something_leads_into_the_code(entry):
+    assert MENTION.search(entry)
