@@ -31,7 +31,7 @@ class InFlightError(Exception):
     """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
 
 
-class InFlight:
+class CrashRecord:
     """A process's record of the scenario that it runs now. Never raises into the search.
 
     Attributes:
@@ -53,19 +53,21 @@ class InFlight:
         details = {"owner": owner, "pid": os.getpid(), "world": dict(world) if world is not None else None}
         self._prefix = json.dumps(details)[:-1] + ', "scenario": '
 
-    def record(self, *scenarios: Scenario) -> None:
+    def write(self, *scenarios: Scenario) -> None:
         """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them."""
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
-        self._write(f"{self._prefix}{alone}{together}}}\n".encode())
+        self._put(f"{self._prefix}{alone}{together}}}\n".encode())
+
+    record = write
 
     def clear(self) -> None:
         """Nothing is in flight."""
         if self._descriptor is not None:
-            self._write(b"\n")
+            self._put(b"\n")
 
     def close(self) -> None:
-        """Remove the record; a later :meth:`record` begins a new one."""
+        """Remove the record; a later :meth:`write` begins a new one."""
         if self._descriptor is None or self._path is None:
             return
         descriptor, self._descriptor = self._descriptor, None
@@ -75,7 +77,7 @@ class InFlight:
         except OSError as error:
             self.error = _error(self._folder, error)
 
-    def __enter__(self) -> InFlight:
+    def __enter__(self) -> CrashRecord:
         return self
 
     def __exit__(
@@ -83,7 +85,7 @@ class InFlight:
     ) -> None:
         self.close()
 
-    def _write(self, line: bytes) -> None:
+    def _put(self, line: bytes) -> None:
         if self.error is not None:
             return
         try:
@@ -93,6 +95,9 @@ class InFlight:
             os.write(self._descriptor, line)  # the first line counts; longer ones before it need no truncation
         except OSError as error:
             self.error = _error(self._folder, error)
+
+
+InFlight = CrashRecord
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

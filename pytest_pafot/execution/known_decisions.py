@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True, kw_only=True)
-class Resuming:
+class KnownDecisions:
     """The decisions that one search need not ask for.
 
     Attributes:
@@ -41,3 +41,6 @@ class Resuming:
         """Learn from a run."""
         if self.is_wanted:
             self._prefixes.remember(trace)
+
+
+Resuming = KnownDecisions

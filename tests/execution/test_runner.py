@@ -1,0 +1,96 @@
+"""One way to run a scenario: who makes a run, and how short the way from the search to the physics is."""
+
+import sys
+
+import pytest
+
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
+from pytest_pafot.execution.crash_records import leftovers
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.runner import runner_for
+
+SCENARIOS = [
+    Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), gene_seconds=2.0, seed=number) for number in range(8)
+]
+
+FRAMES = 8
+"""From the function that asks for a run to the engine's function, both counted."""
+
+
+class Planner:
+    """Keeps its lane and speed, and notes who called it."""
+
+    def __init__(self):
+        self.callers = callers
+
+    def __call__(self, observation):
+        self.callers.append(frames())
+        return 0.0, 0.0
+
+
+class Batched(Planner):
+    def batch(self, observations):
+        self.callers.append(frames())
+        return [(0.0, 0.0) for _ in observations]
+
+
+callers = []
+
+
+def frames():
+    """Names of the functions of Python that are under way, innermost first."""
+    frame, names = sys._getframe(2), []
+    while frame is not None:
+        names.append(frame.f_code.co_name)
+        frame = frame.f_back
+    return names
+
+
+@pytest.fixture
+def job_of(tmp_path):
+    callers.clear()
+    return lambda ads, **world: Job(world=Highway(**world), ads=ads, records=tmp_path, owner="test_it.py::test_it")
+
+
+@pytest.fixture
+def runner_of(job_of):
+    """Makes runners whose crash records are closed in the end."""
+    records = []
+
+    def make(ads, engine="auto", **options):
+        job = job_of(ads, engine=engine)
+        records.append(job.crash_record())
+        return runner_for(job, records[-1], **options)
+
+    yield make
+    for record in records:
+        record.close()
+
+
+@pytest.mark.parametrize(("engine", "function"), [("kernel", "run_planner"), ("highway-env", "run")])
+def test_from_the_search_to_the_engine_there_are_at_most_eight_calls(runner_of, engine, function):
+    with runner_of(Planner, engine=engine, can_lock_step=True, can_resume=True) as runner:
+        runner.announce(SCENARIOS[:4])
+        for scenario in SCENARIOS[:4]:
+            runner.run(scenario)
+    names = callers[-1]
+    here = names.index("test_from_the_search_to_the_engine_there_are_at_most_eight_calls")
+    engines = [place for place, name in enumerate(names[:here]) if name == function]
+    assert here - engines[0] + 1 <= FRAMES, names[: here + 1]
+
+
+def test_from_the_search_to_a_batch_of_decisions_there_are_at_most_eight_calls(runner_of):
+    with runner_of(Batched, can_lock_step=True) as runner:
+        runner.announce(SCENARIOS[:4])
+        for scenario in SCENARIOS[:4]:
+            runner.run(scenario)
+    names = callers[-1]
+    assert names.index("test_from_the_search_to_a_batch_of_decisions_there_are_at_most_eight_calls") + 1 <= FRAMES
+
+
+def test_the_crash_record_is_left_written_for_the_verdict(runner_of, tmp_path):
+    runner = runner_of(Planner)
+    runner.run(SCENARIOS[3])
+    (path,) = tmp_path.iterdir()
+    assert SCENARIOS[3].canonical() in path.read_text()
+    assert leftovers(tmp_path) == ()
