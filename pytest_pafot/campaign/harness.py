@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.own_worlds import described
 from pytest_pafot.campaign.request import Request, RequestError, build_world, hint_at_world
 from pytest_pafot.campaign.verdict import Test, Verdict, bound_test, judge, no_skip, skips
 from pytest_pafot.corpus import layout
@@ -23,6 +22,7 @@ from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.run import Run
+from pytest_pafot.world.codec import described
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario

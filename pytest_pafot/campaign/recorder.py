@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign import own_worlds as worlds
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.harness import Bench
 from pytest_pafot.campaign.summary import Find
@@ -30,6 +29,7 @@ from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report import terminal
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome
+from pytest_pafot.world import codec as worlds
 
 if TYPE_CHECKING:
     from pytest_pafot.plugin.page_messages import Showing

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
-from pytest_pafot.campaign import own_worlds as worlds
 from pytest_pafot.campaign.harness import Bench, is_same_run
 from pytest_pafot.campaign.recorder import cause, what_happened
 from pytest_pafot.campaign.request import Request, RequestError
@@ -26,6 +25,7 @@ from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome
+from pytest_pafot.world import codec as worlds
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
@@ -71,16 +71,14 @@ def world_of(bench: Bench, finding: Finding, saved: Saved) -> Any:
     """
     from pytest_pafot.corpus.files import located  # noqa: PLC0415
     from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
-    from pytest_pafot.world import World, WorldError, from_dict  # noqa: PLC0415
-    from pytest_pafot.world import validation as checks  # noqa: PLC0415
+    from pytest_pafot.world import WorldError, from_dict  # noqa: PLC0415
+    from pytest_pafot.world.protocol import check_fits  # noqa: PLC0415
 
     try:
         if worlds.is_code(finding.world):
             return worlds.named(finding.world, bench.world)
-        world = from_dict(dict(finding.world))
-        if isinstance(world, World):
-            world.check()
-        checks.fits(finding.scenario, world.rules)
+        world = from_dict(finding.world)
+        check_fits(world, finding.scenario)
     except ScenarioError as error:
         raise RequestError(str(located(saved.path, "scenario", error))) from None
     except (WorldError, TypeError, ValueError) as error:

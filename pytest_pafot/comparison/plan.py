@@ -18,9 +18,9 @@ from typing import Any, Literal
 from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.world import Highway, World
+from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
-from pytest_pafot.world.protocol import road_start
+from pytest_pafot.world.protocol import WorldLike, road_start
 
 Mode = Literal["collisions", "ego"]
 
@@ -168,7 +168,7 @@ def _examples() -> list[str]:
     return [name for name in names if name not in ("conftest", "defects") and not name.startswith("test_")]
 
 
-def world_of(plan: Plan) -> Highway | World:
+def world_of(plan: Plan) -> WorldLike:
     """The world of a plan."""
     return world_from_dict(dict(plan.world))
 

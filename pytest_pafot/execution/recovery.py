@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.campaign import own_worlds as worlds
 from pytest_pafot.execution.separate_process import answers_of
 from pytest_pafot.execution.worker_pool import Answer, Lost
 from pytest_pafot.trace import Outcome
+from pytest_pafot.world import codec as worlds
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import Bench

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.own_worlds import described
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.captured_output import listening
 from pytest_pafot.execution.prefetch import METHOD, crew_for, hired
 from pytest_pafot.execution.worker_pool import Answer, Lost, ProcessLostError, ending, trace_from
 from pytest_pafot.plugin.crash_folder import left_behind
+from pytest_pafot.world.codec import described
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,33 +1,67 @@
-"""Worlds from plain data, as a corpus file has them. The data may come from strangers: nothing of it is imported."""
+"""Worlds and files: what a file holds of a world, which world a file stands for, and which one a test has to name.
+
+A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. So is a world whose class an
+installed package has registered: its entry point in the group ``pytest_pafot.worlds`` is named as the ``kind`` in
+files. Any other world of the user's own is code, as are the wrappers around an environment. Files may come from
+strangers, and none may say which code runs: a replay then takes the world that the test names, provided that it is of
+the class, or has the environment, that the file tells.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from importlib import metadata
 from typing import Any
 
+from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.protocol import WorldLike, missing
+from pytest_pafot.world.validation import plain
 
-_KINDS: dict[str, type[Highway | World]] = {"highway": Highway, "gym": World}
+GROUP = "pytest_pafot.worlds"
+"""Of entry points; each is a class with ``from_dict(data)`` and ``to_dict()``, under the name of its kind."""
+
+OWN = "own"
+"""The kind of a world that is code."""
+
+BUILT_IN: dict[str, type[Highway | World]] = {"highway": Highway, "gym": World}
+
+NAMED_BY = ("kind", "class", "env_id")
+"""What must be as in the file where the test names the world. All else may have changed since, and is told."""
+
+MAX_TOLD = 3
 
 
-def from_dict(data: dict[str, Any]) -> Highway | World:
-    """The world that ``to_dict`` wrote.
+def from_dict(data: Mapping[str, Any]) -> WorldLike:
+    """The world that a file describes, as :func:`described` or the ``to_dict`` of a built-in world gave it.
 
     Raises:
-        WorldError: on an unknown kind or field, a bad value, or a configuration that names code outside
-            highway-env.
+        WorldError: on an unknown kind or field, a bad value, a configuration that names code outside of highway-env,
+            or a registered class that cannot be imported or does not take the data.
     """
-    if not isinstance(data, dict):
+    if not isinstance(data, Mapping):
         raise WorldError(f"world: expected a mapping, received {data!r}")
-    kind = data.get("kind")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        hint = "; a world of your own is code, which no file holds: use itself" if kind == "own" else ""
-        raise WorldError(f"world.kind: expected one of {', '.join(sorted(_KINDS))}, received {kind!r}{hint}")
-    values = {key: value for key, value in data.items() if key != "kind"}
-    _check_names(f"world (kind {kind})", values, _KINDS[kind])
+    kind, values = data.get("kind"), {key: value for key, value in data.items() if key != "kind"}
+    if isinstance(kind, str) and kind in BUILT_IN:
+        return _built_in(kind, values)
+    registered = _registered()
+    if isinstance(kind, str) and kind in registered:
+        return _from_registered(registered[kind], values)
+    hint = (
+        "a world of your own is code, which no file holds: use itself"
+        if kind == OWN
+        else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
+    )
+    known = ", ".join(sorted([*BUILT_IN, *registered]))
+    raise WorldError(f"world.kind: expected one of {known}, received {kind!r}; {hint}")
+
+
+def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
+    _check_names(f"world (kind {kind})", values, BUILT_IN[kind])
     if "limits" in values:
         if not isinstance(values["limits"], dict):
             raise WorldError(f"world.limits: expected a mapping, received {values['limits']!r}")
@@ -38,10 +72,11 @@ def from_dict(data: dict[str, Any]) -> Highway | World:
             f"world.wrappers: expected none, since a file holds no code, received {values['wrappers']!r:.200}; give "
             "pafot.World(..., wrappers=[...]) in their place"
         )
-    if kind == "gym" and "env_id" not in values:
-        raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
-    _check_class_paths(values.get("config"))
-    return _KINDS[kind](**values)
+    if kind == "gym":
+        if "env_id" not in values:
+            raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
+        _check_class_path(values.get("config"))
+    return BUILT_IN[kind](**values)
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
@@ -51,7 +86,7 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
         raise WorldError(f"{place}: expected the fields {', '.join(sorted(known))}, received {', '.join(unknown)}")
 
 
-def _check_class_paths(config: Any) -> None:
+def _check_class_path(config: Any) -> None:
     """highway-env imports the class that ``other_vehicles_type`` names; only its own are let through."""
     if not isinstance(config, dict):
         return
@@ -61,3 +96,129 @@ def _check_class_paths(config: Any) -> None:
             f"world.config.other_vehicles_type: expected a class of highway_env.vehicle, received {path!r}; "
             "a corpus file may not name other code"
         )
+
+
+def _registered() -> dict[str, metadata.EntryPoint]:
+    """Kinds of installed packages; the built-in ones cannot be replaced."""
+    entries = metadata.entry_points(group=GROUP)
+    return {entry.name: entry for entry in entries if entry.name not in (*BUILT_IN, OWN)}
+
+
+def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> WorldLike:
+    if set(values) != {"data"}:
+        raise WorldError(f"world (kind {entry.name}): expected the field data, received {', '.join(values) or 'none'}")
+    cls = _loaded(entry)
+    try:
+        world: WorldLike = cls.from_dict(values["data"])
+    except WorldError:
+        raise
+    except Exception as error:
+        raise WorldError(
+            f"world.data: expected what {entry.value}.from_dict takes, received {values['data']!r:.200}; it raised "
+            f"{type(error).__name__}: {error!s:.200}"
+        ) from error
+    if lacking := missing(world):
+        raise WorldError(
+            f"world.kind: expected that {entry.value}.from_dict gives a world, received {world!r:.100}, "
+            f"which has no {', '.join(lacking)}"
+        )
+    return world
+
+
+def _loaded(entry: metadata.EntryPoint) -> Any:
+    """The class of an entry point."""
+    try:
+        return entry.load()
+    except Exception as error:
+        raise WorldError(
+            f"world.kind: expected that {entry.value}, which is registered as {entry.name!r} in the entry points "
+            f"{GROUP}, can be imported, received {type(error).__name__}: {error}"
+        ) from error
+
+
+def described(world: Any) -> dict[str, Any]:
+    """A world as a file has it.
+
+    Raises:
+        WorldError: where an environment cannot be used, or a registered world gives no plain data.
+    """
+    if type(world) in BUILT_IN.values():  # one that derives from these may do anything
+        data: dict[str, Any] = world.to_dict()
+        return data
+    kind = _kind_of(type(world))
+    own = {"kind": OWN, "class": type(world).__name__} if kind is None else {"kind": kind}
+    try:
+        given = plain("world", world.to_dict())
+        check_plain("world", given)
+    except ValueError as error:
+        if kind is None:  # What a file cannot hold cannot be compared; the scenario is worth keeping.
+            return own
+        raise WorldError(f"{type(world).__name__}.to_dict: {error}") from error
+    return {**own, "data": given}
+
+
+def _kind_of(cls: type[Any]) -> str | None:
+    """The kind that a class is registered as, by its own package; None where it is not."""
+    if not hasattr(cls, "from_dict"):  # reading the entry points of all packages takes milliseconds
+        return None
+    package = cls.__module__.partition(".")[0]
+    for entry in _registered().values():
+        if entry.module.partition(".")[0] == package and _loaded(entry) is cls:
+            return entry.name
+    return None
+
+
+def is_code(data: Mapping[str, Any]) -> bool:
+    """Whether the world of a file is one that the test has to name."""
+    return data.get("kind") == OWN or "wrappers" in data
+
+
+def named(data: Mapping[str, Any], world: Any) -> Any:
+    """The world that the test names, for a file whose world is code.
+
+    Raises:
+        WorldError: where it is another one.
+    """
+    now = described(world)
+    if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
+        return world
+    raise WorldError(
+        f"expected that the test names the world that the scenario was saved in, {_title(data)}, because a file holds "
+        f"no code, received {_title(now)}; give it by @pafot.search(world=...) or the fixture pafot_world; if only its "
+        "name is new, write that into the file"
+    )
+
+
+def changes(data: Mapping[str, Any], world: Any) -> list[str]:
+    """What differs between the world of a file, where it is code, and the one that the test names."""
+    if not is_code(data):
+        return []
+    then, now = dict(_leaves("world", data)), dict(_leaves("world", described(world)))
+    if "class" not in data:  # version 1 of the format did not tell it
+        now.pop("world.class", None)
+    differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
+    told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
+    return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
+
+
+def _title(data: Mapping[str, Any]) -> str:
+    kind = data.get("kind")
+    if kind == OWN:
+        return f"one of the class {data['class']}" if "class" in data else "one of its own"
+    if kind == "gym":
+        wrappers = f" with {', '.join(data['wrappers']) or 'what it is registered with'}" if "wrappers" in data else ""
+        return f"pafot.World({data['env_id']!r}){wrappers}"
+    return "a pafot.Highway" if kind == "highway" else f"one of the kind {kind}"
+
+
+def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
+    """Every value of nested mappings, by its place."""
+    if not isinstance(data, Mapping) or not data:
+        yield place, data
+        return
+    for key, inner in data.items():
+        yield from _leaves(f"{place}.{key}", inner)
+
+
+def _shown(leaves: Mapping[str, Any], key: str) -> str:
+    return f"{leaves[key]!r:.60}" if key in leaves else "missing"
