@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import strategies as strategies
+    from pytest_pafot.corpus.reader import load as load
     from pytest_pafot.grid import Cell as Cell
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.rejection import reject as reject
@@ -49,6 +50,7 @@ _HOMES = {
     "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",
+    "load": "corpus.reader",
     "reject": "rejection",
     "search": "plugin.marks",
 }

@@ -41,7 +41,7 @@ import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.object_engine  # noqa: F401
 from pytest_pafot.campaign.options import OPTIONS
-from pytest_pafot.corpus.files import parsed
+from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
 
 ROOT = Path(__file__).parents[1]

@@ -20,7 +20,7 @@ from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell

@@ -15,9 +15,9 @@ import pytest
 from pytest_pafot.campaign.request import Request, RequestError, build_world, hint_at_world
 from pytest_pafot.campaign.verdict import Test, Verdict, bound_test, judge, no_skip, skips
 from pytest_pafot.corpus import layout
-from pytest_pafot.corpus.files import sweep
 from pytest_pafot.execution.crash_records import InFlight
 from pytest_pafot.execution.worker_pool import Errand
+from pytest_pafot.files import sweep
 from pytest_pafot.plugin import saved_items as places
 from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE

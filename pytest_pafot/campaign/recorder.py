@@ -15,8 +15,8 @@ from pytest_pafot.campaign.harness import Bench
 from pytest_pafot.campaign.summary import Find
 from pytest_pafot.campaign.verdict import Verdict, plain_failure
 from pytest_pafot.corpus import layout
-from pytest_pafot.corpus.files import CorpusError, CorpusWriteError, free_path, list_files, rewrite, write
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.worker_pool import Lost
 from pytest_pafot.findings.finding import Expect, Finding, Found, message_of, portable
@@ -304,10 +304,8 @@ class Keeper:
 
     def _is_full(self) -> bool:
         """Whether the test has as many saved scenarios as it may have."""
-        files = 0
-        with suppress(CorpusError):  # A folder that cannot be read: the attempt to write says why.
-            files = len(list_files(self.bench.folder))
-        return max(files, len(self.kept)) >= self.bench.request.settings.max_saved
+        files = layout.files_in(self.bench.folder)  # None of a folder that cannot be read; writing into it says why.
+        return max(len(files), len(self.kept)) >= self.bench.request.settings.max_saved
 
     def _finding(self, run: Run, failure: Failure, found: Found) -> Finding:
         test = places.base_id(self.bench.item)

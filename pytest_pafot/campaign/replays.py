@@ -69,7 +69,7 @@ def world_of(bench: Bench, finding: Finding, saved: Saved) -> Any:
     Raises:
         RequestError: naming the file, the line and the field.
     """
-    from pytest_pafot.corpus.files import located  # noqa: PLC0415
+    from pytest_pafot.corpus.reader import located  # noqa: PLC0415
     from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
     from pytest_pafot.world import WorldError, from_dict  # noqa: PLC0415
     from pytest_pafot.world.protocol import check_fits  # noqa: PLC0415

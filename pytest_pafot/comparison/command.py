@@ -143,7 +143,7 @@ def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]
     """Figures, and the report that shows them."""
     from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
     from pytest_pafot.comparison.paper import PAPER_GENERATIONS  # noqa: PLC0415
-    from pytest_pafot.comparison.rows import write_whole  # noqa: PLC0415
+    from pytest_pafot.files import write_whole  # noqa: PLC0415
 
     frame = run_measures.read(results)
     seconds = run_measures.horizon(frame)

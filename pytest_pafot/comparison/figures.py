@@ -18,8 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.markdown import BIN_SECONDS
 from pytest_pafot.comparison.paper import PAPER, Reported
-from pytest_pafot.comparison.rows import write_whole
 from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Measures
+from pytest_pafot.files import write_whole
 from pytest_pafot.trace import FloatArray
 
 SETTINGS: Any = {

@@ -11,7 +11,8 @@ from typing import TextIO
 from pytest_pafot.comparison.algorithm_run import Tick, run_rows
 from pytest_pafot.comparison.plan import RUNS, Plan, PlanError, file_name
 from pytest_pafot.comparison.processes import side_by_side
-from pytest_pafot.comparison.rows import text_of, write_whole
+from pytest_pafot.comparison.rows import text_of
+from pytest_pafot.files import write_whole
 
 QUESTION = "comparison.json"
 RESULTS = "results.csv"

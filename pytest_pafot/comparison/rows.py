@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import secrets
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
-from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,18 +75,3 @@ def text_of(rows: Iterable[Row]) -> str:
     for row in rows:
         writer.writerow(["" if value is None else value for value in astuple(row)])
     return buffer.getvalue()
-
-
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file all at once: whoever reads it finds all of it, or what was there before."""
-    data = content.encode() if isinstance(content, str) else content
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
-    try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pytest_pafot.corpus.locks import hold, is_held, pid_of
+from pytest_pafot.locks import hold, is_held, pid_of
 from pytest_pafot.scenario import Scenario, ScenarioError
 
 SUFFIX = ".inflight"

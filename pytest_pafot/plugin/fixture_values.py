@@ -39,10 +39,10 @@ class Corpus:
         Raises:
             CorpusError: for a file that cannot be read.
         """
-        from pytest_pafot.corpus import files as corpus  # noqa: PLC0415
+        from pytest_pafot.corpus.reader import load  # noqa: PLC0415
 
         for path in self.paths:
-            yield corpus.read(path)
+            yield load(path)
 
     def __len__(self) -> int:
         return len(self.paths)

@@ -15,7 +15,7 @@ import pytest
 
 from pytest_pafot.campaign.recorder import what_happened
 from pytest_pafot.campaign.simplification import speed_sentences
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.messages import NEW, PAGE
 from pytest_pafot.report.campaign_view import campaign_view

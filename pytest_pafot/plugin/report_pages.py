@@ -9,7 +9,6 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -231,13 +230,14 @@ def _place(finding: FindingView) -> tuple[bool, int, int, str]:
 
 def _written(target: str, path: Path, report: Report, *, has_pictures: bool) -> list[Line]:
     """Write a report to a file or a folder; what to tell of it. Pictures take seconds each, a page does not."""
+    from pytest_pafot.files import write_whole  # noqa: PLC0415
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
 
     lines: list[Line] = []
     shown, pictures = target, 0
     try:
         for name, content in islice(_contents(target, path, report), None if has_pictures else 1):
-            write(name, content)
+            write_whole(name, content)
             pictures += name.suffix == ".png"
             shown = target if name == path else os.path.join(target, "index.html")  # noqa: PTH118
     except OSError as error:
@@ -259,23 +259,6 @@ def _contents(target: str, path: Path, report: Report) -> Iterable[tuple[Path, b
     from pytest_pafot.report.folder import report_files  # noqa: PLC0415
 
     return ((path / name, content) for name, content in report_files(report))
-
-
-def write(path: Path, content: bytes) -> None:
-    """Write a file as a whole or not at all, with the folders that it lies in.
-
-    Raises:
-        OSError: when it cannot be written; what was there before is then as it was.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        draft.write_bytes(content)
-        draft.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            draft.unlink()
-        raise
 
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:

@@ -28,9 +28,10 @@ from typing import Any
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.replays import world_of
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Finding
 from tests.support.mutations import MUTATIONS, misread
 
@@ -75,7 +76,7 @@ def sources(folder: Path) -> dict[str, str]:
     texts: dict[str, str] = {}
     for path in sorted(GOLDEN.glob("*.pafot.yaml")):
         texts[f"1 {path.name}"] = path.read_text(encoding="utf-8")
-        texts[f"2 {path.name}"] = text_of(corpus.read(path))
+        texts[f"2 {path.name}"] = text_of(load(path))
     (folder / "test_searches.py").write_text(SEARCHES)
     command = [
         sys.executable,
@@ -128,8 +129,8 @@ def run_of(finding: Finding, path: Path) -> None:
 def judged(text: str, path: Path, original: Finding, seconds: int) -> tuple[str, list[str]]:
     """What became of a damaged file, and what is wrong with that."""
     try:
-        finding = corpus.parsed(path, text.encode("utf-8", "surrogatepass"))
-    except corpus.CorpusError:
+        finding = parsed(path, text.encode("utf-8", "surrogatepass"))
+    except CorpusError:
         return "refused", []
     wrong = misread(text, finding)
     if (finding.world, finding.scenario) != (original.world, original.scenario):
@@ -159,7 +160,7 @@ def main() -> int:
         texts = sources(Path(name))
         print(f"{len(texts)} files, seed {options.seed}")
         path = Path(name) / "mutant.pafot.yaml"
-        originals = {source: corpus.parsed(path, text.encode()) for source, text in texts.items()}
+        originals = {source: parsed(path, text.encode()) for source, text in texts.items()}
         for number in range(options.mutants):
             kind, source = rng.choice(list(MUTATIONS)), rng.choice(list(texts))
             text = MUTATIONS[kind](rng, texts[source])

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus import files as corpus
 from pytest_pafot.corpus.fields import CorpusError
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import InFlight, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.run import Run
@@ -45,7 +45,7 @@ BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 lef
 @given(chains)
 def test_what_is_written_is_read(npcs):
     finding = plain_finding(scenario=Scenario(npcs=npcs))
-    assert corpus.parsed(Path(PATH), text_of(finding).encode()) == finding
+    assert parsed(Path(PATH), text_of(finding).encode()) == finding
 
 
 @given(chains)
@@ -78,7 +78,7 @@ def test_a_file_names_the_lane():
 def test_a_fault_in_a_file_is_told_at_its_place(tmp_path, wrong, message):
     text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
     with pytest.raises(CorpusError, match=message):
-        corpus.parsed(tmp_path / PATH, text.encode())
+        parsed(tmp_path / PATH, text.encode())
 
 
 def test_one_manoeuvre_that_matters_is_all_that_is_left():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.layout import CORPUS, folder_of_test, safe_name
+from pytest_pafot.corpus.layout import CORPUS, files_in, folder_of_test, safe_name
 
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
@@ -90,3 +90,19 @@ def test_distinct_tests_have_distinct_folders_even_where_case_is_ignored(one, ot
 def test_a_name_is_no_other_test_s_name(text):
     name = safe_name(text)
     assert name == text or safe_name(name) != name
+
+
+def test_files_are_listed_by_name_and_nothing_else_is(tmp_path):
+    for name in ("b-2.pafot.yaml", "a-1.pafot.yaml", ".pafot-x.tmp", "notes.txt", "c.yaml"):
+        (tmp_path / name).write_text("")
+    assert [path.name for path in files_in(tmp_path)] == ["a-1.pafot.yaml", "b-2.pafot.yaml"]
+
+
+def test_a_folder_that_is_not_there_has_no_files(tmp_path):
+    assert files_in(tmp_path / "none") == []
+
+
+def test_a_file_in_place_of_the_folder_and_a_loop_of_links_have_no_files(tmp_path):
+    (tmp_path / "corpus").write_text("")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    assert files_in(tmp_path / "corpus") == files_in(tmp_path / "loop") == []

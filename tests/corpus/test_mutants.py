@@ -6,25 +6,26 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pytest_pafot.corpus import files as corpus
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.yaml_text import text_of
 from tests.support.mutations import MUTATIONS, UnclearError, misread, says
 
 GOLDEN = sorted(Path(__file__).with_name("format_1").glob("*.pafot.yaml"))
-TEXTS = [text for path in GOLDEN for text in (path.read_text(encoding="utf-8"), text_of(corpus.read(path)))]
+TEXTS = [text for path in GOLDEN for text in (path.read_text(encoding="utf-8"), text_of(load(path)))]
 LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
-def parsed(text, loader=None):
+def finding_of(text, loader=None):
     try:
-        return corpus.parsed(Path("mutant.pafot.yaml"), text.encode("utf-8", "surrogatepass"), loader)
-    except corpus.CorpusError:
+        return parsed(Path("mutant.pafot.yaml"), text.encode("utf-8", "surrogatepass"), loader)
+    except CorpusError:
         return None
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=[f"{path.name}-{version}" for path in GOLDEN for version in (1, 2)])
 def test_a_file_is_read_as_what_it_says(text):
-    assert misread(text, parsed(text)) == []
+    assert misread(text, finding_of(text)) == []
 
 
 @pytest.mark.parametrize("kind", MUTATIONS)
@@ -33,7 +34,7 @@ def test_a_damaged_file_is_refused_or_read_as_what_it_says(kind):
     read = 0
     for _ in range(60):
         text = MUTATIONS[kind](rng, rng.choice(TEXTS))
-        finding = parsed(text)
+        finding = finding_of(text)
         if finding is not None:
             assert misread(text, finding) == [], text
             read += 1
@@ -43,7 +44,7 @@ def test_a_damaged_file_is_refused_or_read_as_what_it_says(kind):
 def test_what_both_parsers_of_pyyaml_read_is_the_same():
     rng = random.Random(1)
     for text in [MUTATIONS[kind](rng, rng.choice(TEXTS)) for kind in MUTATIONS for _ in range(8)]:
-        findings = [parsed(text, loader) for loader in LOADERS]
+        findings = [finding_of(text, loader) for loader in LOADERS]
         assert None in findings or findings[0] == findings[1], text
 
 
@@ -51,7 +52,7 @@ def test_what_both_parsers_of_pyyaml_read_is_the_same():
 def test_what_only_the_compiled_parser_reads_is_refused(old, new):
     text = TEXTS[1]
     assert old in text
-    assert parsed(text.replace(old, new, 1)) is None
+    assert finding_of(text.replace(old, new, 1)) is None
 
 
 @pytest.mark.parametrize(
@@ -65,7 +66,7 @@ def test_what_only_the_compiled_parser_reads_is_refused(old, new):
 )
 def test_the_judge_sees_a_difference(text, wrong):
     path = next(path for path in GOLDEN if path.name.startswith("collision-shrunk"))
-    finding = corpus.read(path)
+    finding = load(path)
     damaged = text_of(finding).replace(text, wrong, 1)
     assert misread(damaged, finding) != []
 

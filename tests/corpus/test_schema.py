@@ -9,9 +9,11 @@ import pytest
 import yaml
 from hypothesis import given
 
-from pytest_pafot.corpus import files as corpus
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.schema import LIMITS, WORLDS, upgraded
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.writer import rewrite
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, from_dict
 from tests.findings.builders import findings
@@ -26,7 +28,7 @@ def plain(value):
 
 
 def read(name):
-    return corpus.read(FOLDER / f"{name}.pafot.yaml")
+    return load(FOLDER / f"{name}.pafot.yaml")
 
 
 def test_every_file_has_its_expectation():
@@ -60,10 +62,10 @@ def test_a_scenario_of_version_1_runs_as_it_did_then(name):
 def test_a_file_of_version_1_that_is_rewritten_is_one_of_version_2_with_the_same_meaning(name, tmp_path):
     path = tmp_path / f"{name}.pafot.yaml"
     path.write_bytes((FOLDER / path.name).read_bytes())
-    before = corpus.read(path)
-    corpus.rewrite(path, replace(before, xfail=None))
+    before = load(path)
+    rewrite(path, replace(before, xfail=None))
     assert path.read_text(encoding="utf-8").startswith("pafot: 2 ")
-    assert corpus.read(path) == before
+    assert load(path) == before
 
 
 @pytest.mark.parametrize("name", [name for name in EXPECTED if EXPECTED[name]["world"]["kind"] == "gym"])
@@ -117,14 +119,14 @@ def test_the_upgrade_is_a_pure_function_of_the_document():
 def test_what_is_wrong_with_a_document_stays_for_the_checks(document):
     upgraded(document)
     text = json.dumps({"pafot": 1, **document} if isinstance(document, dict) else document)
-    with pytest.raises(corpus.CorpusError):
-        corpus.parsed(Path("a.pafot.yaml"), text.encode())
+    with pytest.raises(CorpusError):
+        parsed(Path("a.pafot.yaml"), text.encode())
 
 
 def test_an_unknown_key_of_a_world_of_version_1_is_refused_at_its_line(tmp_path):
     text = (FOLDER / "sparse-highway.pafot.yaml").read_text()
-    with pytest.raises(corpus.CorpusError, match=r"a.pafot.yaml:3: world.engine: expected one of kind, lanes, "):
-        corpus.parsed(Path("a.pafot.yaml"), text.replace("kind: highway", "kind: highway, engine: kernel").encode())
+    with pytest.raises(CorpusError, match=r"a.pafot.yaml:3: world.engine: expected one of kind, lanes, "):
+        parsed(Path("a.pafot.yaml"), text.replace("kind: highway", "kind: highway, engine: kernel").encode())
 
 
 @given(findings())
@@ -132,7 +134,7 @@ def test_a_finding_whose_world_is_complete_means_the_same_in_both_versions(findi
     text = text_of(finding)
     of_1 = text.replace("pafot: 2 ", "pafot: 1 ", 1)
     finding = replace(finding, world=upgraded({"world": dict(finding.world)})["world"])
-    assert corpus.parsed(Path(f"{finding.id}.pafot.yaml"), of_1.encode()) == finding
+    assert parsed(Path(f"{finding.id}.pafot.yaml"), of_1.encode()) == finding
 
 
 def test_version_2_has_every_field_of_the_worlds():

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 
-from pytest_pafot.corpus import locks
+from pytest_pafot import locks
 from pytest_pafot.execution import crash_records as inflight
 from pytest_pafot.execution.crash_records import InFlight, InFlightError, leftovers
 from pytest_pafot.scenario import PositionInstruction, Scenario

@@ -5,7 +5,7 @@ import textwrap
 
 import pytest
 
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 
 VEHICLES = {
     "mark": """
@@ -126,13 +126,13 @@ class TestWhatAnAdsRaisesIsAFinding:
         result = project.run()
         result.assert_outcomes(failed=2)
         result.stdout.fnmatch_lines([f"*the ADS failed: {RAISED[statement]}*", "*4 failing*"])
-        assert read(project.only_file).expect.failure == RAISED[statement]
+        assert load(project.only_file).expect.failure == RAISED[statement]
         project.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
     def test_of_runs_in_lock_step(self, project):
         project.write(RAISING.replace("RAISE", "pytest.skip('no GPU')") + BATCHED)
         project.run().assert_outcomes(failed=2)
-        assert read(project.only_file).expect.failure == "Skipped"
+        assert load(project.only_file).expect.failure == "Skipped"
 
     @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
     def test_of_the_processes_of_a_search(self, project):

@@ -3,7 +3,7 @@
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.rejection import Rejected
 
 
@@ -349,7 +349,7 @@ def test_raises(run):
 """
     )
     project.run().stdout.fnmatch_lines(["*new finding*"])
-    assert {read(project.path / name).expect.failure for name in project.files} == {raised.partition("(")[0]}
+    assert {load(project.path / name).expect.failure for name in project.files} == {raised.partition("(")[0]}
 
 
 def test_the_skip_of_unittest_is_a_skip_too(project):

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from tests.plugin.test_report_page import data_of
 
 pytest.importorskip("xdist")
@@ -156,6 +156,6 @@ def test_a_kill_at_any_moment_loses_nothing_announced_and_leaves_no_broken_file(
                 break
         process.kill()
     assert set(announced) <= {name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files}
-    assert [read(project.path / name).test for name in project.files]
+    assert [load(project.path / name).test for name in project.files]
     result = project.run(generations=0)
     assert result.parseoutcomes()["failed"] >= 2

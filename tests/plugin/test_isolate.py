@@ -7,7 +7,7 @@ import pytest
 
 import pytest_pafot.execution.prefetch
 import pytest_pafot.execution.separate_process
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from tests.plugin.test_workers import forget, summary
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -127,7 +127,7 @@ def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isola
     project = isolated("drive", DIES)
     result = project.run("--pafot-isolate", *QUICK, generations=3, subprocess=True)
     (crash,) = [name for name in project.files if "crash-" in name]
-    assert read(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
+    assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
@@ -166,8 +166,8 @@ def test_a_process_that_dies_of_a_simplification_is_a_finding_too(isolated):
     project = isolated("drive", LONE)
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
     crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
-    assert len(read(project.path / crash).scenario.npcs) == 1
-    assert read(project.path / other).shrunk is not None
+    assert len(load(project.path / crash).scenario.npcs) == 1
+    assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
 
 
@@ -187,7 +187,7 @@ def drive(observation):
 def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
     project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
     result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
-    assert read(project.only_file).flaky == "the process that ran it again ended with exit code 9"
+    assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
     result.assert_outcomes(failed=2, passed=1)
 
 

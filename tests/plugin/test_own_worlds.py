@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 
 OWN = """
 class Ring:
@@ -108,7 +108,7 @@ def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_
 def test_a_world_that_gives_no_plain_data_is_replayed_all_the_same(project, data):
     own(project, data=data)
     project.run(generations=5)
-    assert read(project.only_file).world == {"kind": "own", "class": "Ring"}
+    assert load(project.only_file).world == {"kind": "own", "class": "Ring"}
     project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
@@ -127,7 +127,7 @@ def test_a_class_derived_from_a_world_of_this_package_is_a_world_of_ones_own(pro
         )
     )
     project.run(generations=5)
-    finding = read(project.only_file)
+    finding = load(project.only_file)
     assert (finding.world["class"], finding.expect.time, finding.flaky) == ("Short", 2.0, None)
     project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
@@ -155,8 +155,8 @@ def test_a_file_of_version_1_of_a_world_of_ones_own_is_replayed(saved):
 
 
 def test_a_find_in_a_wrapped_environment_is_replayed_in_the_wrappers_that_the_test_names(saved_wrapped):
-    assert read(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
-    assert read(saved_wrapped.only_file).flaky is None
+    assert load(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
+    assert load(saved_wrapped.only_file).flaky is None
     saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     wrapped(saved_wrapped, verdict=PASSES)
     saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 
 KNOWN = """
 @pafot.search(SHORT, npcs=1)
@@ -87,7 +87,7 @@ def test_an_xfailed_file_that_passes_fails_and_asks_for_the_removal_of_the_line(
 
 
 def test_a_failure_whose_files_all_pass_is_new_again_and_gets_its_own_file(saved):
-    first, scenario = saved.only_id, read(saved.only_file).scenario
+    first, scenario = saved.only_id, load(saved.only_file).scenario
     # The same assertion fails in the same way, but no longer for the scenario that is saved.
     saved.write(FAILS.replace("!= 6:", f"!= 6 or run.scenario.id == '{scenario.id}':"))
     result = saved.run(generations=5)

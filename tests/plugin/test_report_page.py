@@ -11,7 +11,7 @@ import pytest
 import pytest_pafot.plugin.page_messages
 import pytest_pafot.report.folder
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.plugin import report_pages as paging
 from pytest_pafot.world.reference_drivers import REFERENCES
 
@@ -157,7 +157,7 @@ def test_a_folder_in_the_place_of_the_page_is_a_problem_and_stays(failing, page)
     page.mkdir()
     result = failing.run("--pafot-report=report.html")
     assert "not written" in result.stdout.str()
-    assert list(failing.path.glob("**/*.part")) == []
+    assert list(failing.path.glob("**/.pafot-*")) == []
     assert page.is_dir()
 
 
@@ -362,7 +362,7 @@ def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", generations=6)
     (finding, *_) = [each for each in data_of(page)["findings"] if each["event"]["side"] == "front"]
-    saved = read(project.path / finding["path"])
+    saved = load(project.path / finding["path"])
     assert finding["shrink"]["shrunk_npcs"] == len(saved.scenario.npcs) == 1
     assert finding["shrink"]["original_npcs"] == len(saved.original.npcs) == 2
     assert finding["shrink"]["rollouts"] == saved.shrunk.rollouts > 0

@@ -8,7 +8,7 @@ import pytest
 
 import pytest_pafot.execution.prefetch
 import pytest_pafot.execution.separate_process
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway
@@ -124,7 +124,7 @@ def test_a_scenario_that_ends_another_process_is_saved_with_how_that_ended(proje
     result.assert_outcomes(failed=2)
     how = "ended with exit code 9" if "exit" in end else "was ended by SIGKILL"
     result.stdout.fnmatch_lines([f"*died while it ran this scenario, and the one that ran it again {how}: by a crash*"])
-    finding = read(project.only_file)
+    finding = load(project.only_file)
     assert finding.id.startswith("crash-")
     assert finding.expect.message == f"the process that ran this scenario {how}"
     assert records(project) == []
@@ -145,7 +145,7 @@ def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, mo
     project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
     result = replayed(project)
     assert project.only_id.startswith("hang-")
-    assert read(project.only_file).expect.outcome is Outcome.HANG
+    assert load(project.only_file).expect.outcome is Outcome.HANG
     result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
 
 
@@ -189,7 +189,7 @@ def test_of_scenarios_in_lock_step_the_one_that_ends_a_process_is_saved(project)
     result = replayed(project)
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*died while it ran this scenario and others in lock step, and the one that ran it*"])
-    ((gene, _),) = read(project.only_file).scenario.npcs
+    ((gene, _),) = load(project.only_file).scenario.npcs
     assert gene.cell is Cell.REAR
     assert records(project) == []
 

@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
 
 MISSPELT = """
@@ -128,7 +128,7 @@ class TestNothingThatWasFoundIsLost:
         self.write(project, "return None")
         result = project.run()
         result.stdout.fnmatch_lines(["*pafot: found*", "*2 failing*"])
-        assert {read(project.path / name).expect.failure for name in project.files} == {"ValueError"}
+        assert {load(project.path / name).expect.failure for name in project.files} == {"ValueError"}
 
     def test_where_another_exception_comes_or_the_same_from_another_line(self, project):
         self.write(project, "raise ValueError('another line')")

@@ -5,7 +5,7 @@ import pytest
 import pytest_pafot.campaign.simplification
 import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.campaign.simplification import starts_of
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import PositionInstruction, Scenario
@@ -53,11 +53,11 @@ def test_a_find_is_announced_once_as_it_was_found(collides):
 
 def test_the_file_keeps_its_name_and_the_scenario_as_found(collides):
     run(collides, "--pafot-shrink-rollouts=0")
-    as_found, name = read(collides.only_file), collides.only_file
+    as_found, name = load(collides.only_file), collides.only_file
     name.unlink()
     run(collides)
     assert collides.only_file == name
-    finding = read(name)
+    finding = load(name)
     assert finding.original == as_found.scenario
     assert finding.signature == as_found.signature
     assert finding.id.endswith(as_found.scenario.id)
@@ -70,7 +70,7 @@ def test_the_file_keeps_its_name_and_the_scenario_as_found(collides):
 def test_without_rollouts_a_find_stays_as_it_was_found(collides):
     result = run(collides, "--pafot-shrink-rollouts=0")
     result.assert_outcomes(failed=2)
-    finding = read(collides.only_file)
+    finding = load(collides.only_file)
     assert finding.original is None
     assert finding.shrunk is None
     assert "shrunk" not in result.stdout.str()
@@ -85,13 +85,13 @@ def test_the_number_of_rollouts_comes_from_any_source_of_options(project, monkey
     if source == "environment":
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "3")
     run(project)
-    shrunk = read(project.only_file).shrunk
+    shrunk = load(project.only_file).shrunk
     assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
 
 
 def test_the_report_has_the_shrunk_run_and_the_sizes_before_and_after(collides):
     result = run(collides, "-v")
-    finding = read(collides.only_file)
+    finding = load(collides.only_file)
     result.stdout.fnmatch_lines(
         [
             f"run = <Run collision after *, scenario {finding.scenario.id}>",
@@ -152,13 +152,13 @@ def test_an_interrupt_while_shrinking_loses_nothing(project):
     result = run(project, no_reraise_ctrlc=True)
     result.stdout.fnmatch_lines(["pafot: found test_it.py::test_interrupted*", "*KeyboardInterrupt*"])
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"])
-    assert read(project.only_file).original is None
+    assert load(project.only_file).original is None
 
 
 def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
     project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
     run(project, subprocess=True)
-    assert read(project.only_file).original is None
+    assert load(project.only_file).original is None
     project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
     result = run(project, "--pafot-stop-after=1")
     result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
@@ -169,7 +169,7 @@ def test_max_time_leaves_a_find_as_it_was_found(project):
     result = run(project, "--pafot-max-time=0")
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*note: shrinking was cut by --pafot-max-time*"])
-    assert read(project.only_file).original is None
+    assert load(project.only_file).original is None
 
 
 def test_a_find_that_does_not_repeat_is_marked_and_not_shrunk(project):
@@ -195,7 +195,7 @@ def test_brakes(run):
             "draws random numbers: seed it in its factory, or * predict(..., deterministic=True))"
         ]
     )
-    finding = read(project.only_file)
+    finding = load(project.only_file)
     assert finding.flaky == "running it again gave another run"
     assert finding.shrunk is None
 
@@ -219,7 +219,7 @@ def test_brakes(run):
 """
     )
     result = run(project)
-    assert read(project.only_file).flaky.startswith("in highway-env's own environment: ")
+    assert load(project.only_file).flaky.startswith("in highway-env's own environment: ")
     result.stdout.fnmatch_lines(["  * is flaky, so never called fixed: *"])
 
 
@@ -236,7 +236,7 @@ def test_a_shrunk_xfail_reason_stays(collides):
     run(collides)
     file = collides.only_file
     file.write_text(file.read_text().replace("# xfail:", "xfail:"))
-    assert read(file).xfail == "reason"
+    assert load(file).xfail == "reason"
     run(collides, generations=0).assert_outcomes(xfailed=1, skipped=1)
 
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import pytest_pafot.execution.prefetch
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.plugin import last_resort as stuck
 from pytest_pafot.trace import Outcome
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
@@ -86,7 +86,7 @@ def named_by_the_next(project):
     """The find that the next session makes of the record, and lives."""
     assert project.run(generations=0, subprocess=True).ret == pytest.ExitCode.TESTS_FAILED
     (path,) = [project.path / name for name in project.files if "hang-" in name]
-    return read(path)
+    return load(path)
 
 
 def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(hanging):
@@ -138,7 +138,7 @@ def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_g
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
     project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
     result, contents = session(project, 2, generations=4)
-    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     assert "ignored the interruption of a decision for 0.3 s" in finding.expect.message
     result.stdout.fnmatch_lines(["*ended: all generations done*"])

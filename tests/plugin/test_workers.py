@@ -10,7 +10,7 @@ import time
 import pytest
 
 import pytest_pafot.execution.prefetch
-from pytest_pafot.corpus.files import read
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.trace import Outcome
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -170,7 +170,7 @@ def test_a_worker_that_dies_is_a_finding_at_once_and_the_search_goes_on(dear):
     project = dear("dies", DIES)
     result, contents = session(project, 2, generations=4)
     (crash,) = [name for name in contents if "crash-" in name]
-    finding = read(project.path / crash)
+    finding = load(project.path / crash)
     assert finding.expect.message == "the process that ran this scenario ended with exit code 9"
     assert finding.found.generation > 0
     assert [name for name in contents if "crash-" not in name]
@@ -200,7 +200,7 @@ def test_a_worker_whose_decision_hangs_interrupts_it(dear):
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "time.sleep(60)")
     project = dear("hangs", hangs + IMPATIENT)
     result, contents = session(project, 2, generations=4)
-    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
 
@@ -210,7 +210,7 @@ def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scen
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "sum(range(10**12))")
     project = dear("hangs", hangs + IMPATIENT)
     result, contents = session(project, 2, generations=4)
-    finding = next(read(project.path / name) for name in contents if "hang-" in name)
+    finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     assert finding.expect.message == "the process that ran this scenario did not answer for 0.5 s and was killed"
     result.stdout.fnmatch_lines(["*ended: all generations done*"])

@@ -9,7 +9,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.report.campaign_view import campaign_view

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell

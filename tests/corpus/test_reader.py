@@ -7,9 +7,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus import files as corpus
-from pytest_pafot.corpus.files import CorpusError
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Simplified
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.scenario import Scenario
@@ -38,12 +38,12 @@ def fault(path, content):
     errors = []
     for loader in LOADERS:
         with pytest.raises(CorpusError) as caught:
-            corpus.parsed(path, content, loader)
+            parsed(path, content, loader)
         errors.append(caught.value)
     assert errors[0].line == errors[1].line
     path.write_bytes(content)
     with pytest.raises(CorpusError) as caught:
-        corpus.read(path)
+        load(path)
     assert str(caught.value).startswith(str(path))
     assert caught.value.fix
     return caught.value
@@ -61,19 +61,19 @@ def swapped(old, new):
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 def test_line_ends_and_byte_order_marks_of_any_editor_are_accepted(path, ends, mark):
     path.write_bytes((mark + TEXT.replace("\n", ends)).encode())
-    assert corpus.read(path) == plain_finding()
+    assert load(path) == plain_finding()
 
 
 def test_comments_order_and_style_do_not_matter(path):
     document = yaml.safe_load(TEXT)
     path.write_text("# mine\n" + yaml.safe_dump(dict(reversed(document.items())), default_flow_style=False))
-    assert corpus.read(path) == plain_finding()
+    assert load(path) == plain_finding()
 
 
 def test_the_name_of_the_file_is_the_id(path):
     renamed = path.with_name("cut-in_at.night.pafot.yaml")
     renamed.write_text(TEXT)
-    assert corpus.read(renamed).id == "cut-in_at.night"
+    assert load(renamed).id == "cut-in_at.night"
 
 
 @pytest.mark.parametrize("name", ["my case.pafot.yaml", "a[1].pafot.yaml", ".pafot.yaml", "-x.pafot.yaml", "a.yaml"])
@@ -271,47 +271,46 @@ def test_a_sparse_file_of_any_size_costs_nothing(path):
     with path.open("wb") as file:
         file.truncate(1 << 40)
     with pytest.raises(CorpusError, match="at most 256 KiB"):
-        corpus.read(path)
+        load(path)
 
 
 def test_a_file_that_has_gone_is_an_error_of_its_own(path):
     with pytest.raises(CorpusError, match="a file that can be read"):
-        corpus.read(path)
+        load(path)
 
 
 def test_a_folder_in_place_of_a_file_is_named_as_such(path):
     path.mkdir()
     with pytest.raises(CorpusError, match="received a folder"):
-        corpus.read(path)
+        load(path)
 
 
 def test_a_loop_of_links_is_refused(path):
     other = path.with_name("other.pafot.yaml")
     path.symlink_to(other)
     other.symlink_to(path)
-    assert corpus.list_files(path.parent) == [path, other]
     with pytest.raises(CorpusError, match="a file that can be read"):
-        corpus.read(path)
+        load(path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_a_named_pipe_does_not_block(path):
     os.mkfifo(path)
     with pytest.raises(CorpusError, match="received something else"):
-        corpus.read(path)
+        load(path)
 
 
 @pytest.mark.parametrize("cut", range(0, len(TEXT) - len('# xfail: "reason"\n') - 1, 7))
 def test_a_file_cut_short_anywhere_is_refused(path, cut):
     with pytest.raises(CorpusError):
-        corpus.parsed(path, TEXT[:cut].encode())
+        parsed(path, TEXT[:cut].encode())
 
 
 @given(st.binary(max_size=200))
 def test_no_content_gives_any_other_error(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / NAME
     with pytest.raises(CorpusError):
-        corpus.parsed(path, content)
+        parsed(path, content)
 
 
 @given(st.data())
@@ -321,23 +320,7 @@ def test_no_damage_gives_any_other_error(tmp_path_factory, data):
     end = data.draw(st.integers(start, min(len(TEXT), start + 30)))
     patch = data.draw(st.text("{}[]:,-# \n\t'\"&*!|>?%@.~01ae", max_size=8))
     with contextlib.suppress(CorpusError):
-        corpus.parsed(path, (TEXT[:start] + patch + TEXT[end:]).encode())
-
-
-def test_files_are_listed_by_name_and_nothing_else_is(tmp_path):
-    for name in ("b-2.pafot.yaml", "a-1.pafot.yaml", ".pafot-x.tmp", "notes.txt", "c.yaml"):
-        (tmp_path / name).write_text("")
-    assert [path.name for path in corpus.list_files(tmp_path)] == ["a-1.pafot.yaml", "b-2.pafot.yaml"]
-
-
-def test_a_folder_that_is_not_there_has_no_files(tmp_path):
-    assert corpus.list_files(tmp_path / "none") == []
-
-
-def test_a_file_in_place_of_the_folder_is_an_error(tmp_path):
-    (tmp_path / "corpus").write_text("")
-    with pytest.raises(CorpusError, match="expected a folder"):
-        corpus.list_files(tmp_path / "corpus")
+        parsed(path, (TEXT[:start] + patch + TEXT[end:]).encode())
 
 
 def test_how_a_finding_was_shrunk_stands_in_its_file(path):
@@ -347,7 +330,7 @@ def test_how_a_finding_was_shrunk_stands_in_its_file(path):
         'flaky: "running it again gave another run"\n'
     ) in text_of(SHRUNK)
     path.write_text(text_of(SHRUNK))
-    assert corpus.read(path) == SHRUNK
+    assert load(path) == SHRUNK
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.corpus import files as corpus
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
@@ -119,7 +120,7 @@ def test_a_wide_world_is_broken_between_its_entries_and_goes_on_below_the_first_
 @given(finding=findings())
 def test_every_finding_is_read_as_it_was_written(base, finding):
     content = text_of(finding).encode()
-    assert corpus.parsed(Path(f"{finding.id}.pafot.yaml"), content, base) == finding
+    assert parsed(Path(f"{finding.id}.pafot.yaml"), content, base) == finding
 
 
 @pytest.mark.parametrize("text", NASTY_TEXTS)
@@ -131,8 +132,8 @@ def test_nasty_texts_survive_everywhere(tmp_path, text):
     reason = text if text.strip() else None
     finding = plain_finding(expect=expect, world=world, xfail=reason, test=reason or "t")
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
-    assert corpus.write(path, finding)
-    assert corpus.read(path) == finding
+    assert write(path, finding)
+    assert load(path) == finding
 
 
 @settings(max_examples=25)
@@ -147,5 +148,5 @@ def test_an_ordinary_yaml_reader_sees_the_same_values(finding):
 
 def test_a_lone_surrogate_is_written_as_the_replacement_character(tmp_path):
     path = tmp_path / "a.pafot.yaml"
-    corpus.write(path, plain_finding(test="t\udc80"))
-    assert corpus.read(path).test == "t\ufffd"
+    write(path, plain_finding(test="t\udc80"))
+    assert load(path).test == "t\ufffd"

@@ -1,18 +1,16 @@
 import errno
 import os
 import re
-import subprocess
-import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pytest_pafot.corpus import files as corpus
-from pytest_pafot.corpus import locks
-from pytest_pafot.corpus.files import CorpusError, CorpusWriteError
-from pytest_pafot.corpus.text import text_of
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import plain_finding
 
@@ -37,15 +35,15 @@ def other_scenario():
 
 
 def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path, links):
-    assert corpus.write(path, plain_finding())
-    assert corpus.read(path) == plain_finding()
+    assert write(path, plain_finding())
+    assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_who_comes_second_changes_nothing(path, links):
-    corpus.write(path, plain_finding())
-    assert not corpus.write(path, plain_finding(scenario=other_scenario()))
-    assert corpus.read(path) == plain_finding()
+    write(path, plain_finding())
+    assert not write(path, plain_finding(scenario=other_scenario()))
+    assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
 
 
@@ -56,7 +54,7 @@ def test_of_many_writers_at_once_one_wins_and_none_fails(path):
     def writer(seed):
         barrier.wait()
         finding = plain_finding(found=replace(plain_finding().found, seed=seed))
-        won.append((corpus.write(path, finding), seed))
+        won.append((write(path, finding), seed))
 
     threads = [threading.Thread(target=writer, args=(seed,)) for seed in range(8)]
     for thread in threads:
@@ -64,131 +62,108 @@ def test_of_many_writers_at_once_one_wins_and_none_fails(path):
     for thread in threads:
         thread.join()
     assert sorted(written for written, _ in won) == [False] * 7 + [True]
-    assert corpus.read(path).found.seed == next(seed for written, seed in won if written)
+    assert load(path).found.seed == next(seed for written, seed in won if written)
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_a_file_is_whole_whenever_it_can_be_seen(path):
-    corpus.write(path, plain_finding())
+    write(path, plain_finding())
     finding = plain_finding(test="t" * 5000)
     stop = threading.Event()
     seen = set()
 
     def reader():
         while not stop.is_set():
-            seen.add(len(corpus.read(path).test))
+            seen.add(len(load(path).test))
 
     thread = threading.Thread(target=reader)
     thread.start()
     for turn in range(40):
-        corpus.rewrite(path, finding if turn % 2 else plain_finding())
+        rewrite(path, finding if turn % 2 else plain_finding())
     stop.set()
     thread.join()
     assert seen <= {5000, len(plain_finding().test)}
 
 
 def test_a_rewrite_keeps_the_name_and_the_user_s_reason(path):
-    corpus.write(path, plain_finding())
+    write(path, plain_finding())
     path.write_text(text_of(plain_finding()).replace('# xfail: "reason"', "xfail: planner issue 12"))
     smaller = plain_finding(scenario=other_scenario())
-    assert corpus.rewrite(path, smaller) == replace(smaller, xfail="planner issue 12")
-    assert corpus.read(path) == replace(smaller, xfail="planner issue 12")
+    assert rewrite(path, smaller) == replace(smaller, xfail="planner issue 12")
+    assert load(path) == replace(smaller, xfail="planner issue 12")
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_a_rewrite_takes_a_reason_of_its_own(path):
-    corpus.write(path, plain_finding(xfail="old"))
-    corpus.rewrite(path, plain_finding(xfail="new"))
-    assert corpus.read(path).xfail == "new"
+    write(path, plain_finding(xfail="old"))
+    rewrite(path, plain_finding(xfail="new"))
+    assert load(path).xfail == "new"
 
 
 def test_a_rewrite_of_a_file_that_has_gone_writes_it_anew(path):
-    corpus.rewrite(path, plain_finding())
-    assert corpus.read(path) == plain_finding()
+    rewrite(path, plain_finding())
+    assert load(path) == plain_finding()
 
 
 def test_a_file_that_cannot_be_read_is_never_overwritten(path):
     path.parent.mkdir(parents=True)
     path.write_text("the user is editing this")
     with pytest.raises(CorpusWriteError, match="correct or delete it"):
-        corpus.rewrite(path, plain_finding())
+        rewrite(path, plain_finding())
     assert path.read_text() == "the user is editing this"
 
 
 def test_an_unchanged_finding_gives_an_unchanged_file(path):
-    corpus.write(path, plain_finding())
+    write(path, plain_finding())
     before = path.read_bytes()
-    corpus.rewrite(path, corpus.read(path))
+    rewrite(path, load(path))
     assert path.read_bytes() == before
     assert b"\r" not in before
 
 
 def test_a_finding_takes_its_own_id_where_that_is_free(path):
-    assert corpus.free_path(path.parent, plain_finding()) == (path, plain_finding())
+    assert free_path(path.parent, plain_finding()) == (path, plain_finding())
 
 
 def test_a_finding_that_is_saved_already_keeps_its_path(path):
-    corpus.write(path, plain_finding())
-    assert corpus.free_path(path.parent, plain_finding())[0] == path
+    write(path, plain_finding())
+    assert free_path(path.parent, plain_finding())[0] == path
 
 
 def test_a_finding_whose_file_was_shrunk_meanwhile_keeps_its_path(path):
     simpler = plain_finding().scenario.truncated(1)
-    corpus.write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
-    assert corpus.free_path(path.parent, plain_finding())[0] == path
+    write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
+    assert free_path(path.parent, plain_finding())[0] == path
 
 
 def test_a_shrunk_file_that_no_longer_fails_is_a_guard_of_its_own(path):
     simpler = plain_finding().scenario.truncated(1)
-    corpus.write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
-    assert corpus.free_path(path.parent, plain_finding(), passed=[path])[0] != path
+    write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
+    assert free_path(path.parent, plain_finding(), passed=[path])[0] != path
 
 
 def test_a_name_that_holds_another_finding_by_now_is_not_reused(path):
-    corpus.write(path, plain_finding(scenario=other_scenario()))
-    second, finding = corpus.free_path(path.parent, plain_finding())
+    write(path, plain_finding(scenario=other_scenario()))
+    second, finding = free_path(path.parent, plain_finding())
     assert (second.name, finding.id) == ("front-2-1f3a9c-2.pafot.yaml", "front-2-1f3a9c-2")
-    corpus.write(second, replace(finding, scenario=replace(other_scenario(), seed=3)))
-    assert corpus.free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
+    write(second, replace(finding, scenario=replace(other_scenario(), seed=3)))
+    assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
 
 
 def test_a_name_that_holds_a_broken_file_is_not_reused(path):
     path.parent.mkdir(parents=True)
     path.write_text("broken")
-    assert corpus.free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
-
-
-def test_saving_tells_the_file_and_the_id(path):
-    assert corpus.save(path.parent, plain_finding()) == (path, plain_finding())
-    assert corpus.save(path.parent, plain_finding()) == (path, plain_finding())
-    other = plain_finding(scenario=other_scenario())
-    second, finding = corpus.save(path.parent, other)
-    assert corpus.read(second) == finding == replace(other, id="front-2-1f3a9c-2")
-
-
-def test_two_different_findings_that_want_one_id_at_once_are_both_kept(path, monkeypatch):
-    other = plain_finding(scenario=other_scenario())
-    write, turns = corpus.write, []
-
-    def overtaken(to, finding):
-        if not turns:
-            turns.append(write(to, other))
-        return write(to, finding)
-
-    monkeypatch.setattr(corpus, "write", overtaken)
-    second, _ = corpus.save(path.parent, plain_finding())
-    assert corpus.read(path) == other
-    assert corpus.read(second).scenario == plain_finding().scenario
+    assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user who is bound by permissions")
 def test_a_read_only_folder_is_one_clear_error(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(CorpusWriteError, match="make the folder writable"):
-        corpus.write(tmp_path / "front-2-1f3a9c.pafot.yaml", plain_finding())
+        write(tmp_path / "front-2-1f3a9c.pafot.yaml", plain_finding())
 
 
-@pytest.mark.parametrize("function", [corpus.write, corpus.rewrite])
+@pytest.mark.parametrize("function", [write, rewrite])
 def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path, function):
     (tmp_path / "pafot_corpus").write_text("a file where the folder should be")
     path = tmp_path / "pafot_corpus" / "test_it" / "front-2-1f3a9c.pafot.yaml"
@@ -210,84 +185,14 @@ def test_a_disk_that_fails_leaves_nothing_half_written(path, monkeypatch, call):
         monkeypatch.setattr(Path, "hardlink_to", fail)
         monkeypatch.setattr(Path, "rename", fail)
     with pytest.raises(CorpusWriteError, match="No space left on device"):
-        corpus.write(path, plain_finding())
+        write(path, plain_finding())
     assert list(path.parent.iterdir()) == []
 
 
 def test_a_finding_too_large_to_be_read_back_is_refused(path):
     with pytest.raises(CorpusWriteError, match="256 KiB"):
-        corpus.write(path, plain_finding(test="t" * 300_000))
+        write(path, plain_finding(test="t" * 300_000))
     assert not path.exists()
-
-
-WRITER = """
-import os, sys, time
-from pathlib import Path
-from pytest_pafot.corpus import files as corpus
-from pytest_pafot.corpus import locks
-temporary, file = corpus._create(Path(sys.argv[1]))
-file.write(b"half a fi")
-file.flush()
-print(temporary.name, flush=True)
-time.sleep(60)
-"""
-
-
-@pytest.fixture
-def writer(path):
-    """A process that is writing a file, and the name of its temporary file."""
-    path.parent.mkdir(parents=True)
-    with subprocess.Popen([sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True) as process:
-        yield process, path.parent / process.stdout.readline().strip()
-        process.kill()
-
-
-def test_what_a_process_writes_stays_while_it_lives_and_goes_with_the_next_save_after_its_end(path, writer):
-    process, temporary = writer
-    os.utime(temporary, (1.0, 1.0))
-    corpus.write(path, plain_finding())
-    assert sorted(path.parent.iterdir()) == sorted([temporary, path])
-    assert corpus.list_files(path.parent) == [path]
-    process.kill()
-    process.wait()
-    corpus.rewrite(path, plain_finding())
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypatch):
-    def no_locks(descriptor):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(locks, "_lock", no_locks)
-    process, temporary = writer
-    corpus.sweep(path.parent)
-    assert temporary.exists()
-    process.kill()
-    process.wait()
-    corpus.sweep(path.parent)
-    assert not temporary.exists()
-
-
-def test_a_temporary_file_of_an_earlier_version_goes(path):
-    path.parent.mkdir(parents=True)
-    (path.parent / ".pafot-0123456789abcdef.tmp").write_text("half a fi")
-    corpus.write(path, plain_finding())
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_temporary_file_that_another_session_took_for_a_dead_process_s_is_made_anew(path, monkeypatch):
-    path.parent.mkdir(parents=True)
-    holding, taken = locks.hold, []
-
-    def taken_at_first(descriptor):
-        if not taken:
-            taken.extend(path.parent.iterdir())
-            taken[0].unlink()
-        return holding(descriptor)
-
-    monkeypatch.setattr(corpus, "hold", taken_at_first)
-    assert corpus.write(path, plain_finding())
-    assert corpus.read(path) == plain_finding()
 
 
 @pytest.mark.parametrize(
@@ -311,20 +216,10 @@ def test_the_way_out_of_a_failed_write_depends_on_the_failure(path, monkeypatch,
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(CorpusWriteError, match=re.escape(way_out)) as caught:
-        corpus.write(path, plain_finding())
+        write(path, plain_finding())
     assert os.strerror(number) in str(caught.value)
     assert ("writable" in str(caught.value)) == (number in (errno.EACCES, errno.EPERM))
     assert list(path.parent.iterdir()) == []
-
-
-@pytest.mark.skipif(os.name == "nt", reason="permissions of files")
-def test_a_file_has_the_permissions_of_any_new_file(path):
-    before = os.umask(0o022)
-    try:
-        corpus.write(path, plain_finding())
-    finally:
-        os.umask(before)
-    assert path.stat().st_mode & 0o777 == 0o644
 
 
 def test_errors_are_apart_from_each_other():

@@ -1,90 +1,41 @@
-"""The files of the corpus: one finding each, checked strictly when read, never half written.
+"""Reads a corpus file: the finding in it, checked strictly, or one error with the line, the field and the way out.
 
-The format is in docs/reference; :mod:`pytest_pafot.corpus.text` writes it and this module reads it.
+The format is in docs/reference; which keys a file may have stands in :mod:`pytest_pafot.corpus.schema`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import re
-import secrets
 import stat
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, BinaryIO, get_args
+from typing import Any, get_args
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus.fields import RESTORE, CorpusError, Field
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.locks import hold, is_held, pid_of
 from pytest_pafot.corpus.schema import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
-from pytest_pafot.corpus.text import DEFAULT_GENE_SECONDS, text_of
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, DocumentError, decoded, parse
+from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
 
-__all__ = [
-    "SUFFIX",
-    "CorpusError",
-    "CorpusWriteError",
-    "free_path",
-    "list_files",
-    "parsed",
-    "read",
-    "rewrite",
-    "save",
-    "sweep",
-    "write",
-]
-
-TEMPORARY = ".pafot-"
-"""How the names of files begin that are being written."""
-
 _RULE = re.compile(
     r"(?:(?P<field>[\w-]+(?:\[\d+\]|\.\w+)*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S
 )
 MAX_RECEIVED = 300
-_WAYS_OUT: Mapping[int, str] = MappingProxyType(
-    {
-        errno.ENOSPC: "free some space on the disk, {}",
-        errno.EDQUOT: "free some of your quota of the disk, {}",
-        errno.EROFS: "the file system is read-only: mount it so that it can be written, {}",
-        errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
-        errno.ENOTDIR: "a file lies where a folder should be: rename or delete it, {}",
-        errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
-        errno.ELOOP: "a link on the way leads to itself: remove it, {}",
-        errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
-        errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
-        errno.EIO: "the disk or the network has failed: look after it, {}",
-    }
-)
-"""By the error, with a gap for another folder."""
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
 
 
-class CorpusWriteError(RuntimeError):
-    """A finding that could not be written; nothing half written is left.
-
-    Attributes:
-        path: of the file that was to be written.
-    """
-
-    def __init__(self, path: Path, reason: str, fix: str) -> None:
-        super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
-        self.path = path
-
-
-def read(path: Path) -> Finding:
-    """The finding in a file; its id is the file's name.
+def load(path: str | os.PathLike[str]) -> Finding:
+    """The finding in a corpus file; its id is the file's name.
 
     Raises:
         CorpusError: on any fault, with the place and the way out.
@@ -94,7 +45,7 @@ def read(path: Path) -> Finding:
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
-    """The finding in the content of a file; see :func:`read`. ``loader`` is for :func:`document.parse`."""
+    """The finding in the content of a file; see :func:`load`. ``loader`` is for :func:`yaml_document.parse`."""
     return _finding(path, _top(path, content, loader))
 
 
@@ -124,94 +75,6 @@ def located(path: Path, part: str, error: Exception) -> CorpusError:
         return changed
 
 
-def write(path: Path, finding: Finding) -> bool:
-    """Write a new file, all at once.
-
-    Returns:
-        whether it was written: False when the file is there already, as when another process was first.
-
-    Raises:
-        CorpusWriteError: when it cannot be written.
-    """
-    return _through_temporary(Path(path), finding, _publish)
-
-
-def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace a file's content, all at once; its name stays, and so does a reason for ``xfail`` that it has.
-
-    A file that has gone is written anew; one that cannot be read is not overwritten.
-
-    Returns:
-        the finding as written.
-
-    Raises:
-        CorpusWriteError: when it cannot be written.
-    """
-    path = Path(path)
-    kept = finding
-    if finding.xfail is None and os.path.lexists(path):
-        try:
-            kept = replace(finding, xfail=read(path).xfail)
-        except CorpusError as error:
-            raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
-    _through_temporary(path, kept, _replace)
-    return kept
-
-
-def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
-    """The path for a new finding, and the finding under the id that this gives it.
-
-    The id is the finding's own, with ``-2``, ``-3`` ... appended while a file of that name holds another scenario
-    or another failure: a file that was rewritten keeps its name, and what was first found under it can come back.
-    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone.
-
-    Args:
-        folder: of the test.
-        finding: to be written.
-        passed: files whose scenario does not show the failure any more; one of these that was shrunk from the
-            finding's scenario is a guard of its own, and stays as it is.
-    """
-    number = 1
-    while True:
-        name = finding.id if number == 1 else f"{finding.id}-{number}"
-        path = Path(folder) / f"{name}{SUFFIX}"
-        if not os.path.lexists(path) or _holds(path, finding, shrunk=path not in passed):
-            return path, replace(finding, id=name)
-        number += 1
-
-
-def save(folder: Path, finding: Finding) -> tuple[Path, Finding]:
-    """Keep a new finding, whoever else is writing into the folder; under a free id if its own is taken.
-
-    Returns:
-        the file, which this call or another process wrote, and the finding under the id of the file.
-
-    Raises:
-        CorpusWriteError: when it cannot be written.
-    """
-    while True:
-        path, named = free_path(folder, finding)
-        if write(path, named) or _holds(path, finding):
-            return path, named
-
-
-def list_files(folder: Path) -> list[Path]:
-    """The corpus files in a folder, sorted by name; none when there is no such folder.
-
-    Raises:
-        CorpusError: when the folder cannot be listed.
-    """
-    folder = Path(folder)
-    try:
-        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        received = error.strerror or str(error)
-        fix = "make it a readable folder"
-        raise CorpusError(folder, line=None, field="", expected="a folder", received=received, fix=fix) from error
-
-
 def _content(path: Path) -> bytes:
     try:
         status = path.stat()
@@ -222,16 +85,6 @@ def _content(path: Path) -> bytes:
     except OSError as error:
         received = error.strerror or str(error)
     raise CorpusError(path, line=None, field="", expected="a file that can be read", received=received)
-
-
-def _holds(path: Path, finding: Finding, *, shrunk: bool = True) -> bool:
-    """Whether a file is of a finding; ``shrunk`` says whether one that was shrunk from it is."""
-    try:
-        saved = read(path)
-    except CorpusError:
-        return False
-    is_same = finding.scenario == saved.scenario or (shrunk and finding.scenario == saved.original)
-    return is_same and saved.signature == finding.signature
 
 
 def _finding(path: Path, top: Field) -> Finding:
@@ -401,86 +254,3 @@ def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
     if low > high:
         raise fields["high"].error(f"at least the low end, {low:g}", "restore the two from version control")
     return SpeedInterval(npc=npc, gene=gene, low=low, high=high)
-
-
-def sweep(folder: Path) -> None:
-    """Remove what processes that were killed left half written; what a live one writes stays."""
-    for path in Path(folder).glob(f"{TEMPORARY}*.tmp"):
-        with contextlib.suppress(OSError):  # what cannot be removed does no harm: its name is no corpus file's
-            with path.open("r+b") as file:
-                if is_held(file.fileno(), pid_of(path)):
-                    continue
-                with contextlib.suppress(PermissionError):  # Windows removes no open file
-                    path.unlink(missing_ok=True)  # while the lock is held, so that nobody begins to write it
-            path.unlink(missing_ok=True)
-
-
-def _through_temporary(path: Path, finding: Finding, finish: Callable[[Path, Path], bool]) -> bool:
-    content = text_of(finding).encode()
-    if len(content) > MAX_BYTES:
-        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
-        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        sweep(path.parent)
-        return _written(path, content, finish)
-    except OSError as error:
-        raise CorpusWriteError(path, error.strerror or str(error), _way_out(error)) from error
-
-
-def _written(path: Path, content: bytes, finish: Callable[[Path, Path], bool]) -> bool:
-    temporary, file = _create(path.parent)
-    try:
-        with file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())  # down to the disk
-            if os.name != "nt":
-                return finish(temporary, path)  # while the lock is held
-        return finish(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _create(folder: Path) -> tuple[Path, BinaryIO]:
-    """A new file under a lock that says that this process writes it."""
-    while True:
-        temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
-        file = temporary.open("xb")
-        if hold(file.fileno()):
-            return temporary, file
-        file.close()
-        temporary.unlink(missing_ok=True)
-
-
-def _way_out(error: OSError) -> str:
-    """What to do when a file cannot be written."""
-    elsewhere = "or choose another folder with --pafot-corpus"
-    return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
-
-
-def _publish(temporary: Path, path: Path) -> bool:
-    """Give a new file its name unless that is taken; the system decides between two who try at once."""
-    try:
-        path.hardlink_to(temporary)
-    except FileExistsError:
-        return False
-    except (OSError, NotImplementedError):
-        return _rename_if_free(temporary, path)
-    return True
-
-
-def _rename_if_free(temporary: Path, path: Path) -> bool:
-    """Without hard links. Windows refuses to rename onto a file; elsewhere the later of two equal files stays."""
-    if os.path.lexists(path):
-        return False
-    try:
-        temporary.rename(path)
-    except FileExistsError:
-        return False
-    return True
-
-
-def _replace(temporary: Path, path: Path) -> bool:
-    temporary.replace(path)
-    return True

@@ -1,0 +1,109 @@
+"""Writes corpus files: a new one without touching another, a rewritten one under the name that it has."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.yaml_document import MAX_BYTES
+from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.files import way_out, write_if_free, write_whole
+from pytest_pafot.findings.finding import Finding
+
+T = TypeVar("T")
+
+
+class CorpusWriteError(RuntimeError):
+    """A finding that could not be written; nothing half written is left.
+
+    Attributes:
+        path: of the file that was to be written.
+    """
+
+    def __init__(self, path: Path, reason: str, fix: str) -> None:
+        super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
+        self.path = path
+
+
+def write(path: Path, finding: Finding) -> bool:
+    """Write a new file, all at once.
+
+    Returns:
+        whether it was written: False when the file is there already, as when another process was first.
+
+    Raises:
+        CorpusWriteError: when it cannot be written.
+    """
+    return _written(Path(path), finding, write_if_free)
+
+
+def rewrite(path: Path, finding: Finding) -> Finding:
+    """Replace a file's content, all at once; its name stays, and so does a reason for ``xfail`` that it has.
+
+    A file that has gone is written anew; one that cannot be read is not overwritten.
+
+    Returns:
+        the finding as written.
+
+    Raises:
+        CorpusWriteError: when it cannot be written.
+    """
+    path = Path(path)
+    kept = finding
+    if finding.xfail is None and os.path.lexists(path):
+        try:
+            kept = replace(finding, xfail=load(path).xfail)
+        except CorpusError as error:
+            raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
+    _written(path, kept, write_whole)
+    return kept
+
+
+def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
+    """The path for a new finding, and the finding under the id that this gives it.
+
+    The id is the finding's own, with ``-2``, ``-3`` ... appended while a file of that name holds another scenario
+    or another failure: a file that was rewritten keeps its name, and what was first found under it can come back.
+    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone.
+
+    Args:
+        folder: of the test.
+        finding: to be written.
+        passed: files whose scenario does not show the failure any more; one of these that was shrunk from the
+            finding's scenario is a guard of its own, and stays as it is.
+    """
+    number = 1
+    while True:
+        name = finding.id if number == 1 else f"{finding.id}-{number}"
+        path = Path(folder) / f"{name}{SUFFIX}"
+        if not os.path.lexists(path) or _holds(path, finding, shrunk=path not in passed):
+            return path, replace(finding, id=name)
+        number += 1
+
+
+def _holds(path: Path, finding: Finding, *, shrunk: bool = True) -> bool:
+    """Whether a file is of a finding; ``shrunk`` says whether one that was shrunk from it is."""
+    try:
+        saved = load(path)
+    except CorpusError:
+        return False
+    is_same = finding.scenario == saved.scenario or (shrunk and finding.scenario == saved.original)
+    return is_same and saved.signature == finding.signature
+
+
+def _written(path: Path, finding: Finding, write: Callable[[Path, bytes], T]) -> T:
+    content = text_of(finding).encode()
+    if len(content) > MAX_BYTES:
+        reason = f"{len(content) // 1024} KiB, more than the {MAX_BYTES // 1024} KiB that are read back"
+        raise CorpusWriteError(path, reason, "use fewer or shorter chains")
+    try:
+        return write(path, content)
+    except OSError as error:
+        fix = way_out(error, "or choose another folder with --pafot-corpus")
+        raise CorpusWriteError(path, error.strerror or str(error), fix) from error

@@ -1,0 +1,129 @@
+"""Files that are written as a whole or not at all, whoever else reads or writes them at that moment.
+
+The content goes to a temporary file beside the path first. Its name has the process id and it is locked while it is
+written, so that the next writer removes what a process that was killed left behind, and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO
+
+from pytest_pafot.locks import hold, is_held, pid_of
+
+TEMPORARY = ".pafot-"
+"""How the names of files begin that are being written."""
+
+_WAYS_OUT: Mapping[int, str] = MappingProxyType(
+    {
+        errno.ENOSPC: "free some space on the disk, {}",
+        errno.EDQUOT: "free some of your quota of the disk, {}",
+        errno.EROFS: "the file system is read-only: mount it so that it can be written, {}",
+        errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
+        errno.ENOTDIR: "a file lies where a folder should be: rename or delete it, {}",
+        errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
+        errno.ELOOP: "a link on the way leads to itself: remove it, {}",
+        errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
+        errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
+        errno.EIO: "the disk or the network has failed: look after it, {}",
+    }
+)
+"""By the error, with a gap for another folder."""
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file, with the folders that it lies in: whoever reads it finds all of it, or what was there before.
+
+    Raises:
+        OSError: when it cannot be written; nothing half written is left.
+    """
+    _through_temporary(path, content.encode() if isinstance(content, str) else content, _replace)
+
+
+def write_if_free(path: Path, content: bytes) -> bool:
+    """Write a new file as :func:`write_whole` does; of two processes that try at once, the system chooses one.
+
+    Returns:
+        whether it was written: False when the path is taken.
+
+    Raises:
+        OSError: when it cannot be written; nothing half written is left.
+    """
+    return _through_temporary(path, content, _publish)
+
+
+def way_out(error: OSError, elsewhere: str) -> str:
+    """What to do when a file cannot be written; ``elsewhere`` says how to name another folder."""
+    return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what processes that were killed left half written; what a live one writes stays."""
+    for path in folder.glob(f"{TEMPORARY}*.tmp"):
+        with contextlib.suppress(OSError):  # what cannot be removed does no harm: nobody reads a file of its name
+            with path.open("r+b") as file:
+                if is_held(file.fileno(), pid_of(path)):
+                    continue
+                with contextlib.suppress(PermissionError):  # Windows removes no open file
+                    path.unlink(missing_ok=True)  # while the lock is held, so that nobody begins to write it
+            path.unlink(missing_ok=True)
+
+
+def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], bool]) -> bool:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sweep(path.parent)
+    temporary, file = _create(path.parent)
+    try:
+        with file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # down to the disk
+            if os.name != "nt":
+                return finish(temporary, path)  # while the lock is held
+        return finish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _create(folder: Path) -> tuple[Path, BinaryIO]:
+    """A new file under a lock that says that this process writes it."""
+    while True:
+        temporary = folder / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
+        file = temporary.open("xb")
+        if hold(file.fileno()):
+            return temporary, file
+        file.close()
+        temporary.unlink(missing_ok=True)
+
+
+def _replace(temporary: Path, path: Path) -> bool:
+    temporary.replace(path)
+    return True
+
+
+def _publish(temporary: Path, path: Path) -> bool:
+    """Give a new file its name unless that is taken."""
+    try:
+        path.hardlink_to(temporary)
+    except FileExistsError:
+        return False
+    except (OSError, NotImplementedError):
+        return _rename_if_free(temporary, path)
+    return True
+
+
+def _rename_if_free(temporary: Path, path: Path) -> bool:
+    """Without hard links. Windows refuses to rename onto a file; elsewhere the later of two equal files stays."""
+    if os.path.lexists(path):
+        return False
+    try:
+        temporary.rename(path)
+    except FileExistsError:
+        return False
+    return True
