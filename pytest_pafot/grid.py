@@ -50,6 +50,7 @@ class Cell(IntEnum):
 _NEIGHBOURS = tuple((Cell((number - 2) % 8 + 1), Cell(number % 8 + 1)) for number in range(1, 9))
 _ROWS = (1, 1, 1, 0, -1, -1, -1, 0)
 _COLUMNS = (-1, 0, 1, 1, 1, 0, -1, -1)
+_CELLS = dict(zip(zip(_ROWS, _COLUMNS, strict=True), Cell, strict=True))
 
 ALL_CELLS = frozenset(Cell)
 
@@ -86,9 +87,7 @@ def cell_at(longitudinal: float, lateral: float, ego_length: float, lane_width: 
 
     The outer rows and columns are unbounded: a vehicle 80 m ahead in the ego's lane is in cell 2.
     """
-    row = _third(longitudinal, ego_length / 2)
-    column = _third(lateral, lane_width / 2)
-    return next((cell for cell in Cell if (cell.row, cell.column) == (row, column)), None)
+    return _CELLS.get((_third(longitudinal, ego_length / 2), _third(lateral, lane_width / 2)))
 
 
 def _third(value: float, half: float) -> int:

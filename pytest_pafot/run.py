@@ -13,22 +13,9 @@ import numpy as np
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
-from pytest_pafot.grid import Cell, cell_at
+from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import (
-    ACROSS,
-    ALONG,
-    HEADING,
-    LANE,
-    STRETCH,
-    AdsError,
-    Collision,
-    FloatArray,
-    Outcome,
-    Trace,
-    X,
-    Y,
-)
+from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
 
 LINE_LENGTH = 99
 _DEPARTURES = {
@@ -193,12 +180,12 @@ class Run:
     @cached_property
     def worst_ttc(self) -> Moment | None:
         """When and where the time to contact was least; None where it never was finite."""
-        return _at_minimum(self.trace, self._encounters.ttc)
+        return self._at_minimum(self._encounters.ttc)
 
     @cached_property
     def closest_approach(self) -> Moment | None:
         """When and where the boxes were closest."""
-        return _at_minimum(self.trace, self._encounters.gap)
+        return self._at_minimum(self._encounters.gap)
 
     @property
     def closest_time(self) -> float:
@@ -233,6 +220,15 @@ class Run:
         if self.collision is not None:
             return self.collision.cell
         return None if self.worst_ttc is None else self.worst_ttc.cell
+
+    def _at_minimum(self, measure: FloatArray) -> Moment | None:
+        """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
+        values = np.where(np.isnan(measure), np.inf, measure).T
+        if values.size == 0 or not np.isfinite(values.min()):
+            return None
+        tick, npc = divmod(int(values.argmin()), values.shape[1])
+        cell = self._encounters.last_cell(npc, tick)
+        return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
 
     def explain(self) -> str:
         """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
@@ -280,45 +276,6 @@ class Run:
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
-
-
-def _at_minimum(trace: Trace, measure: FloatArray) -> Moment | None:
-    """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
-    values = np.where(np.isnan(measure), np.inf, measure).T
-    if values.size == 0 or not np.isfinite(values.min()):
-        return None
-    tick, npc = divmod(int(values.argmin()), values.shape[1])
-    return Moment(npc=npc, tick=tick, time=tick / trace.physics_hz, cell=_cell_until(trace, npc, tick))
-
-
-def _cell_until(trace: Trace, npc: int, tick: int) -> Cell | None:
-    """The last cell up to a tick that was not the ego's own, in the frame of the ego's lane."""
-    for row in range(tick, -1, -1):
-        cell = _cell_now(trace, npc, row)
-        if cell is not None:
-            return cell
-    return None
-
-
-def _cell_now(trace: Trace, npc: int, tick: int) -> Cell | None:
-    if trace.track is not None:
-        return _cell_on_track(trace, npc, tick)
-    ego, other = trace.ego[tick], trace.npcs[tick, npc]
-    lane = trace.lanes[int(ego[LANE])] if 0 <= ego[LANE] < len(trace.lanes) else None
-    heading = float(ego[HEADING]) if lane is None else lane.heading
-    width = trace.lanes[0].width if lane is None else lane.width
-    dx, dy = float(other[X] - ego[X]), float(other[Y] - ego[Y])
-    ahead = dx * np.cos(heading) + dy * np.sin(heading)
-    right = dy * np.cos(heading) - dx * np.sin(heading)
-    return cell_at(float(ahead), float(right), float(trace.sizes[0, 0]), width)
-
-
-def _cell_on_track(trace: Trace, npc: int, tick: int) -> Cell | None:
-    """The same on a road that is not straight."""
-    ego, other = trace.track_of(0)[tick], trace.track_of(npc + 1)[tick]
-    ahead = (other[ALONG] - ego[ALONG]) * (other[STRETCH] + ego[STRETCH]) / 2
-    width = trace.lanes[max(int(trace.ego[tick, LANE]), 0)].width
-    return cell_at(float(ahead), float(other[ACROSS] - ego[ACROSS]), float(trace.sizes[0, 0]), width)
 
 
 def _gene_table(trace: Trace) -> list[str]:

@@ -31,6 +31,7 @@ from pytest_pafot.criticality.measures import (
     safety_shortfall,
     ttc,
 )
+from pytest_pafot.criticality.relative import RelativePositions
 from pytest_pafot.criticality.rss import (
     RoadFrame,
     RssRules,
@@ -45,6 +46,7 @@ __all__ = [
     "Boxes",
     "Encounters",
     "Pairs",
+    "RelativePositions",
     "RoadFrame",
     "RssRules",
     "box_gap",

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
 from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, relate
-from pytest_pafot.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STRETCH, FloatArray, Trace, X, Y
+from pytest_pafot.criticality.relative import RelativePositions
+from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace
 
 MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
@@ -144,24 +145,16 @@ def planned_duration(trace: Trace) -> float:
     return trace.scenario.genes * trace.scenario.gene_seconds
 
 
-class Encounters:
+class Encounters(RelativePositions):
     """The measures of one run; whoever needs several asks one of these, and the shared geometry is computed once.
 
-    Arrays are as in the functions of the same names but transposed, [NPCs, ticks + 1]: with the long dimension
-    innermost numpy is about three times as fast. Each is computed when first asked for, then kept.
+    Arrays are as in the functions of the same names but transposed, [NPCs, ticks + 1].
     """
 
     def __init__(self, trace: Trace, *, sweeps: bool = _SWEEPS) -> None:
         """``sweeps=False`` takes the extremes from the arrays, which gives the same numbers; so do roads that bend."""
+        super().__init__(trace.states, trace.sizes, trace.lanes, trace.track)
         self._sweeps = sweeps and trace.track is None
-        self._states = trace.states
-        self._sizes = trace.sizes
-        self._track = trace.track
-        self._lane_headings = [lane.heading for lane in trace.lanes]
-
-    def column(self, index: int) -> FloatArray:
-        """One column of the trace's states, shape [vehicles, ticks + 1]."""
-        return np.ascontiguousarray(self._states[:, :, index].T)
 
     @cached_property
     def speed(self) -> FloatArray:
@@ -171,8 +164,7 @@ class Encounters:
     @cached_property
     def boxes(self) -> Boxes:
         """Of all vehicles, shape [vehicles, ticks + 1]."""
-        x, y, heading = self.column(X), self.column(Y), self.column(HEADING)
-        return Boxes.driving(x, y, heading, self.speed, self._sizes[:, :1], self._sizes[:, 1:])
+        return Boxes.driving(self.x, self.y, self.column(HEADING), self.speed, self._sizes[:, :1], self._sizes[:, 1:])
 
     @cached_property
     def pairs(self) -> Pairs:
@@ -181,39 +173,10 @@ class Encounters:
         return relate(self.boxes.part(slice(0, 1), every), self.boxes.part(slice(1, None), every))
 
     @cached_property
-    def road(self) -> tuple[FloatArray, FloatArray]:
-        """Cosine and sine of the road's heading at the ego, shape [1, ticks + 1], or [1, 1] where all lanes agree."""
-        headings = np.array(self._lane_headings)
-        if (headings == headings[0]).all():
-            headings = headings[:1]
-            lanes = np.zeros((1, 1), dtype=np.intp)
-        else:
-            lanes = self.column(LANE)[:1].astype(np.intp)
-        return np.cos(headings)[lanes], np.sin(headings)[lanes]
-
-    @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
         """See :func:`ego_follows`."""
         follows: npt.NDArray[np.bool_] = self.ahead >= 0
         return follows
-
-    @cached_property
-    def ahead(self) -> FloatArray:
-        """How far the NPC's centre is ahead of the ego's, along the road [m]."""
-        if self._track is not None:
-            along, stretch = self._track[:, :, ALONG].T, self._track[:, :, STRETCH].T
-            way: FloatArray = (along[1:] - along[:1]) * (stretch[1:] + stretch[:1]) / 2
-            return way
-        boxes, (cos, sin) = self.boxes, self.road
-        straight: FloatArray = (boxes.x[1:] - boxes.x[:1]) * cos + (boxes.y[1:] - boxes.y[:1]) * sin
-        return straight
-
-    @cached_property
-    def same_lane(self) -> npt.NDArray[np.bool_]:
-        """Whether the centres of ego and NPC are in one lane of the road."""
-        lane = self.column(LANE)
-        same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0)
-        return same
 
     @cached_property
     def gain(self) -> FloatArray:
@@ -311,8 +274,8 @@ class Encounters:
     @cached_property
     def _extremes(self) -> sweep.Sweep | None:
         """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
-        heading = self._lane_headings[0]
-        if not self._sweeps or self._lane_headings.count(heading) < len(self._lane_headings):
+        heading = self._lanes[0].heading
+        if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
             return None
         found = sweep.Sweep(self._states, self._sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
         return found if found.run() else None

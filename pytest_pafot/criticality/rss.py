@@ -14,9 +14,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pytest_pafot.criticality.boxes import Boxes
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.trace import ACROSS, ANGLE, FloatArray, Trace
+from pytest_pafot.trace import ANGLE, FloatArray, Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,25 +102,17 @@ class RoadFrame:
 
     def __init__(self, trace: Trace) -> None:
         encounters = Encounters(trace)
-        if trace.track is not None:
-            self._follow(encounters, trace.track)
-            return
-        (cos, sin), boxes = encounters.road, encounters.boxes
-        dx, dy = boxes.x[1:] - boxes.x[:1], boxes.y[1:] - boxes.y[:1]
-        self.ahead = dx * cos + dy * sin
-        self.right = dy * cos - dx * sin
-        self.speed = boxes.vx * cos + boxes.vy * sin
-        self.drift = boxes.vy * cos - boxes.vx * sin
-        self.half_along, self.half_across = _half_extents(boxes, cos, sin)
-
-    def _follow(self, encounters: Encounters, track: FloatArray) -> None:
-        """Along a road that is not straight: each vehicle by the road's direction where it is itself."""
-        angle, across = track[:, :, ANGLE].T, track[:, :, ACROSS].T
-        cos, sin, boxes = np.abs(np.cos(angle)), np.abs(np.sin(angle)), encounters.boxes
-        self.ahead = encounters.ahead
-        self.right = across[1:] - across[:1]
-        self.speed = encounters.speed * np.cos(angle)
-        self.drift = encounters.speed * np.sin(angle)
+        boxes = encounters.boxes
+        self.ahead, self.right = encounters.ahead, encounters.right
+        if trace.track is None:
+            cos, sin = encounters.road
+            self.speed, self.drift = boxes.vx * cos + boxes.vy * sin, boxes.vy * cos - boxes.vx * sin
+            cos, sin = boxes.cos * cos + boxes.sin * sin, boxes.sin * cos - boxes.cos * sin
+        else:  # each vehicle by the road's direction where it is itself
+            angle = trace.track[:, :, ANGLE].T
+            cos, sin = np.cos(angle), np.sin(angle)
+            self.speed, self.drift = encounters.speed * cos, encounters.speed * sin
+        cos, sin = np.abs(cos), np.abs(sin)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
@@ -151,12 +142,6 @@ class RoadFrame:
         ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
         npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
         return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
-
-
-def _half_extents(boxes: Boxes, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray]:
-    c, s = np.abs(boxes.cos * cos + boxes.sin * sin), np.abs(boxes.sin * cos - boxes.cos * sin)
-    length, width = boxes.half_length, boxes.half_width
-    return length * c + width * s, length * s + width * c
 
 
 def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:

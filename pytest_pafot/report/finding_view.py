@@ -10,7 +10,6 @@ import numpy as np
 
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.grid import cell_at
 from pytest_pafot.report.page_data import (
     EventView,
     FindingView,
@@ -23,7 +22,7 @@ from pytest_pafot.report.page_data import (
 from pytest_pafot.report.road_view import grid_views, lane_views
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 
 FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
@@ -138,7 +137,6 @@ def _road(trace: Trace | None, finding: Finding) -> RoadView:
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters = Encounters(trace)
     along, across, heading = _in_the_picture(trace)
-    cells_along, cells_across = _in_the_grid(trace, along, across)
     views = []
     for vehicle in range(trace.states.shape[1]):
         npc = vehicle - 1
@@ -156,7 +154,7 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
                 jerk=_numbers(_jerk(trace, ticks, vehicle), 1),
                 gap=() if is_ego else _numbers(encounters.gap[npc, ticks], 2),
                 ttc=() if is_ego else _numbers(encounters.ttc[npc, ticks], 2),
-                cells=() if is_ego else _cells(trace, cells_along[ticks], cells_across[ticks], vehicle),
+                cells=() if is_ego else tuple(int(encounters.cell(npc, tick) or 0) for tick in ticks),
             )
         )
     return tuple(views)
@@ -175,21 +173,6 @@ def _in_the_picture(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray]:
     if trace.track is not None:
         return x, y, np.unwrap(heading, axis=0)
     return *_projected(trace, x, y), heading - trace.lanes[0].heading
-
-
-def _in_the_grid(trace: Trace, along: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Along and across the road [m], whatever the picture shows."""
-    return (along, across) if trace.track is None else (trace.track[:, :, ALONG], trace.track[:, :, ACROSS])
-
-
-def _cells(trace: Trace, along: FloatArray, across: FloatArray, vehicle: int) -> tuple[int, ...]:
-    """The cell of a vehicle at each frame, by centres as everywhere; 0 in the ego's own."""
-    length, width = float(trace.sizes[0, 0]), trace.lanes[0].width
-    cells = (
-        cell_at(float(row[0]), float(row[1]), length, width)
-        for row in np.stack([along[:, vehicle] - along[:, 0], across[:, vehicle] - across[:, 0]], axis=-1)
-    )
-    return tuple(0 if cell is None else int(cell) for cell in cells)
 
 
 def _projected(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

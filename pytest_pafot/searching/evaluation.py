@@ -11,11 +11,11 @@ import numpy as np
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault
-from pytest_pafot.criticality import sweep
+from pytest_pafot.criticality import Encounters, sweep
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
 from pytest_pafot.searching.interaction import InteractionSweep
-from pytest_pafot.trace import ALONG, HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
+from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
 """Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
@@ -198,11 +198,10 @@ def barely_moved(trace: Trace) -> bool:
 def _longitudinal(trace: Trace) -> FloatArray:
     """How far each NPC's centre is ahead of the ego's [m], shape [ticks + 1, npcs].
 
-    Along the ego's heading; along its way, on roads that are not straight.
+    Along the ego's heading; as far as they drive, on roads that are not straight.
     """
     if trace.track is not None:
-        way: FloatArray = trace.track[:, 1:, ALONG] - trace.track[:, :1, ALONG]
-        return way
+        return Encounters(trace).ahead.T
     ego = trace.ego[:, None, :]
     offset_x = trace.npcs[:, :, X] - ego[:, :, X]
     offset_y = trace.npcs[:, :, Y] - ego[:, :, Y]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_pafot.grid import Cell, cell_at
+from pytest_pafot.criticality import RelativePositions
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.world.kernel.bodies import Box
@@ -60,7 +60,7 @@ class Record:
         track = None if self.frame is None else self.frame.track()
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
-        collision = self._collision(states) if touched else None
+        collision = self._collision(states, track) if touched else None
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,
@@ -88,19 +88,20 @@ class Record:
         states.flags.writeable = False
         return states
 
-    def _collision(self, states: FloatArray) -> Collision:
+    def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])
         touching = [index for index, npc in enumerate(now[1:]) if overlap(now[0], npc)]
         npc = min(touching, key=lambda index: depth(now[0], now[index + 1]))
         before = self._boxes(states[max(self.tick - 1, 0)])
         ego, other = states[-1, 0], states[-1, npc + 1]
+        positions = RelativePositions(states, np.array(self.sizes), self.rules.road.lanes, track)
         velocity = [row[SPEED] * np.array([np.cos(row[HEADING]), np.sin(row[HEADING])]) for row in (ego, other)]
         return Collision(
             tick=self.tick,
             time=self.tick / self.rules.physics_hz,
             npc=npc,
             side=side_hit(before[0], before[npc + 1]),
-            cell=self._cell(npc, states),
+            cell=positions.last_cell(npc, self.tick) or self.director.first_cells()[npc],
             ego_speed=float(ego[SPEED]),
             npc_speed=float(other[SPEED]),
             closing_speed=float(np.hypot(*(velocity[0] - velocity[1]))),
@@ -109,26 +110,6 @@ class Record:
     def _boxes(self, row: FloatArray) -> list[Box]:
         poses = row[:, :3].tolist()
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
-
-    def _cell(self, npc: int, states: FloatArray) -> Cell:
-        """The last cell that contained the NPC's centre; it starts in one, so there always is one."""
-        if self.frame is not None:
-            return self._cell_on(self.frame, npc, states)
-        road = self.rules.straight
-        for row in states[::-1]:
-            s_ego, d_ego, _ = road.project(*row[0, :3].tolist())
-            s, d, _ = road.project(*row[npc + 1, :3].tolist())
-            cell = cell_at(s - s_ego, d - d_ego, self.sizes[0][0], road.lane_width)
-            if cell is not None:
-                return cell
-        return self.director.first_cells()[npc]
-
-    def _cell_on(self, frame: NetworkFrame, npc: int, states: FloatArray) -> Cell:
-        for ahead, right in frame.offsets(states, npc):
-            cell = cell_at(ahead, right, self.sizes[0][0], self.rules.road.lane_width)
-            if cell is not None:
-                return cell
-        return self.director.first_cells()[npc]
 
 
 def _outcome(

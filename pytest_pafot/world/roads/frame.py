@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from pytest_pafot.trace import ACROSS, ALONG, STRETCH, FloatArray, Outcome
+from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.roads.network import NetworkRoad, Spot
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -73,13 +73,6 @@ class NetworkFrame:
     def track(self) -> FloatArray:
         """See :class:`~pytest_pafot.Trace`."""
         return np.array(self._rows).reshape(-1, len(self._places), 5)
-
-    def offsets(self, states: FloatArray, npc: int) -> Iterator[tuple[float, float]]:
-        """See :class:`~pytest_pafot.Trace`."""
-        track = self.track()
-        for ego, other in zip(track[::-1, 0].tolist(), track[::-1, npc + 1].tolist(), strict=True):
-            stretch = (ego[STRETCH] + other[STRETCH]) / 2
-            yield (other[ALONG] - ego[ALONG]) * stretch, other[ACROSS] - ego[ACROSS]
 
     def _beside(self, position: FloatArray, spot: Spot) -> tuple[int, Outcome | None]:
         """Of an ego that is on no lane of its way: the lane that it is on, and what that means."""

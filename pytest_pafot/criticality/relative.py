@@ -1,0 +1,118 @@
+"""Where the NPCs are relative to the ego: how far ahead, how far to the right, and in which cell of the grid.
+
+The one definition for straight roads and for those that bend, which the measures, the safe distances of RSS, the record
+of a collision, the explanation of a run and the report page share. *Ahead* is as far as one drives along the road,
+*right* is across it, both from the ego's centre to the NPC's [m]; neither depends on where the ego points. The cell
+follows from the two, see :func:`pytest_pafot.grid.cell_at`: rows are as long as the ego, columns as wide as its lane.
+
+Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.grid import Cell, cell_at
+from pytest_pafot.trace import ACROSS, ALONG, LANE, STRETCH, FloatArray, Lane, X, Y
+
+
+class RelativePositions:
+    """Where the NPCs of a run are relative to the ego, at every tick; each array is computed when first asked for.
+
+    Arrays have the shape [NPCs, ticks + 1]: with the long dimension innermost numpy is about three times as fast.
+
+    Args:
+        states, sizes, lanes, track: of a run, see :class:`~pytest_pafot.Trace`.
+    """
+
+    def __init__(
+        self, states: FloatArray, sizes: FloatArray, lanes: Sequence[Lane], track: FloatArray | None = None
+    ) -> None:
+        self._states = states
+        self._sizes = sizes
+        self._lanes = lanes
+        self._track = track
+
+    def column(self, index: int) -> FloatArray:
+        """One column of the trace's states, shape [vehicles, ticks + 1]."""
+        return np.ascontiguousarray(self._states[:, :, index].T)
+
+    @cached_property
+    def x(self) -> FloatArray:
+        """Of all vehicles, in the world [m], shape [vehicles, ticks + 1]."""
+        return self.column(X)
+
+    @cached_property
+    def y(self) -> FloatArray:
+        """Of all vehicles, in the world [m], shape [vehicles, ticks + 1]."""
+        return self.column(Y)
+
+    @cached_property
+    def road(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of the direction of the ego's lane, shape [1, ticks + 1], or [1, 1] where all lanes agree.
+
+        Where the ego is off the road, it is the last lane's; on a straight road all lanes agree.
+        """
+        headings = [lane.heading for lane in self._lanes]
+        if headings.count(headings[0]) == len(headings):
+            heading = np.array([headings[:1]])
+        else:
+            heading = np.array(headings)[self.column(LANE)[:1].astype(np.intp)]
+        return np.cos(heading), np.sin(heading)
+
+    @cached_property
+    def ahead(self) -> FloatArray:
+        """How far each NPC's centre is ahead of the ego's [m], negative behind it.
+
+        Along the straight road; on one that bends, the difference of the places on the ego's way times the mean of the
+        metres that the two drive per metre of it. In a circle that is the arc halfway between theirs.
+        """
+        if self._track is not None:
+            along, stretch = self._track[:, :, ALONG].T, self._track[:, :, STRETCH].T
+            driven: FloatArray = (along[1:] - along[:1]) * (stretch[1:] + stretch[:1]) / 2
+            return driven
+        (cos, sin), (x, y) = self.road, self._offset
+        straight: FloatArray = x * cos + y * sin
+        return straight
+
+    @cached_property
+    def right(self) -> FloatArray:
+        """How far each NPC's centre is to the right of the ego's, across the road [m], negative to the left.
+
+        On a road that bends, the difference of the distances to the ego's way, each taken where the vehicle is itself.
+        """
+        if self._track is not None:
+            across = self._track[:, :, ACROSS].T
+            return across[1:] - across[:1]
+        (cos, sin), (x, y) = self.road, self._offset
+        right: FloatArray = y * cos - x * sin
+        return right
+
+    @cached_property
+    def same_lane(self) -> npt.NDArray[np.bool_]:
+        """Whether the centres of ego and NPC are in one lane of the road."""
+        lane = self.column(LANE)
+        same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0)
+        return same
+
+    def cell(self, npc: int, tick: int) -> Cell | None:
+        """The cell that an NPC's centre is in, None for the ego's own.
+
+        A column is as wide as the ego's lane then, or as the first lane where the ego is on none.
+        """
+        width = self._lanes[max(int(self._states[tick, 0, LANE]), 0)].width
+        return cell_at(float(self.ahead[npc, tick]), float(self.right[npc, tick]), float(self._sizes[0, 0]), width)
+
+    def last_cell(self, npc: int, tick: int) -> Cell | None:
+        """The last cell up to a tick that an NPC's centre was in beside the ego's own; None if there was none."""
+        cells = (self.cell(npc, each) for each in range(tick, -1, -1))
+        return next((cell for cell in cells if cell is not None), None)
+
+    @cached_property
+    def _offset(self) -> tuple[FloatArray, FloatArray]:
+        """From the ego's centre to each NPC's, along the world's x and y [m]."""
+        return self.x[1:] - self.x[:1], self.y[1:] - self.y[:1]

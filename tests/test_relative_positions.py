@@ -1,0 +1,138 @@
+"""Where NPCs are relative to the ego in a bend, by everybody who says so, against angles and radii of a circle."""
+
+import math
+from array import array
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
+from pytest_pafot.grid import Cell
+from pytest_pafot.run import Run
+from pytest_pafot.trace import Lane
+from pytest_pafot.world.engines.record import Record
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.roads.frame import NetworkFrame
+from pytest_pafot.world.roads.network import Column, NetworkRoad
+from pytest_pafot.world.roads.route import STEP, Line
+from tests.report.builders import view_of
+from tests.support.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
+
+RADIUS = 20.0
+"""Of the ego's way, which turns to the right [m]; the other lane is outside of it, to the left."""
+POINTS = 200
+
+
+def circle():
+    """A road of two lanes around the point (0, RADIUS)."""
+    angle = np.arange(POINTS) * STEP / RADIUS
+    line = Line(
+        x=RADIUS * np.sin(angle),
+        y=RADIUS * (1 - np.cos(angle)),
+        heading=angle,
+        piece=np.zeros(POINTS, dtype=np.intp),
+    )
+    lanes = tuple(
+        Lane(x=0.0, y=across, heading=0.0, length=100.0, width=LANE_WIDTH, speed_limit=20.0)
+        for across in (-LANE_WIDTH, 0.0)
+    )
+    zeros = [0.0] * POINTS
+    columns = tuple(
+        Column(
+            exists=[True] * POINTS,
+            across=[lane.y] * POINTS,
+            direction=list(angle),
+            lean=zeros,
+            speed=zeros,
+            sharpest=zeros,
+            part=[number] * POINTS,
+        )
+        for number, lane in enumerate(lanes)
+    )
+    return NetworkRoad(
+        lanes=lanes,
+        columns=columns,
+        sections=frozenset(),
+        others=(),
+        line=line,
+        lane_width=LANE_WIDTH,
+        speed_limit=20.0,
+        start=20.0,
+        ego_lane=0,
+        ego_speed=10.0,
+        end=(POINTS - 1) * STEP,
+    )
+
+
+def driven(*vehicles, touched=False):
+    """The trace that the record of a run gives; of each vehicle angles and radii around the centre, in rad and m."""
+    angles, radii = (np.array(rows).T for rows in zip(*vehicles, strict=True))
+    road, bodies = circle(), [Body(LENGTH, WIDTH) for _ in vehicles]
+    frame, rows = NetworkFrame(road, None, angles[0] * RADIUS), array("d")
+    for angle, radius in zip(angles, radii, strict=True):
+        x, y = radius * np.sin(angle), RADIUS - radius * np.cos(angle)
+        states = [(float(a), float(b), float(c), 10.0) for a, b, c in zip(x, y, angle, strict=True)]
+        lanes, _ = frame.see(states, bodies)
+        for state, lane in zip(states, lanes, strict=True):
+            rows.extend((*state, 0.0, 0.0, lane))
+    scenario = scenario_of(len(vehicles) - 1)
+    return Record(
+        rules=SimpleNamespace(physics_hz=15, ads_hz=5, road=road),
+        scenario=scenario,
+        director=SimpleNamespace(executed=scenario, arrivals=(), driven=()),
+        sizes=[(LENGTH, WIDTH)] * len(vehicles),
+        rows=rows,
+        tick=len(angles) - 1,
+        frame=frame,
+    ).trace(touched=touched)
+
+
+def approach(last, radius):
+    """Ego and NPC on a circle of a radius, the NPC ahead by so much at the end, along that circle [m]."""
+    gaps = np.linspace(12.0, last, 10)
+    return (np.full(10, 1.0), np.full(10, radius)), (1.0 + gaps / radius, np.full(10, radius))
+
+
+def test_all_who_tell_the_cell_of_an_npc_in_a_bend_agree():
+    """2.64 m ahead of the ego, as they drive, and only 2.2 m along the ego's way, which is inside of them."""
+    trace = driven(*approach(2.64, RADIUS + LANE_WIDTH), touched=True)
+    run = Run(trace)
+    assert Encounters(trace).ahead[0, -1] == pytest.approx(2.64, abs=0.01)
+    assert trace.track[-1, 1, 0] - trace.track[-1, 0, 0] == pytest.approx(2.2, abs=0.01)
+    assert trace.collision.cell == run.event_cell == run.closest_approach.cell == run.worst_ttc.cell == Cell.FRONT
+    assert view_of(trace).vehicles[1].cells[-1] == Cell.FRONT
+
+
+def test_all_agree_as_well_that_an_npc_came_into_the_ego_s_own_cell():
+    trace = driven(*approach(2.4, RADIUS + LANE_WIDTH), touched=True)
+    positions = Encounters(trace)
+    assert positions.cell(0, trace.ticks) is None
+    assert view_of(trace).vehicles[1].cells[-1] == 0
+    before = max(tick for tick in range(trace.ticks) if positions.cell(0, tick) is not None)
+    assert trace.collision.cell == Run(trace).closest_approach.cell == positions.cell(0, before) == Cell.FRONT
+
+
+@given(
+    st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(RADIUS - 1, RADIUS + 5), st.floats(RADIUS - 1, RADIUS + 5)
+)  # fmt: skip
+def test_ahead_in_a_circle_is_the_arc_halfway_between_the_two_and_right_the_difference_of_the_radii(
+    ego_angle, npc_angle, ego_radius, npc_radius
+):
+    trace = driven(([ego_angle], [ego_radius]), ([npc_angle], [npc_radius]))
+    arc = (npc_angle - ego_angle) * (ego_radius + npc_radius) / 2
+    frame = RoadFrame(trace)
+    assert frame.ahead[0, 0] == pytest.approx(arc, abs=0.05)
+    assert frame.right[0, 0] == pytest.approx(ego_radius - npc_radius, abs=0.01)
+    assert longitudinal_gap(trace)[0, 0] == pytest.approx(max(abs(arc) - LENGTH, 0.0), abs=0.05)
+    assert Encounters(trace).ego_follows[0, 0] == (frame.ahead[0, 0] >= 0)
+
+
+def test_beside_a_straight_road_the_grid_lies_along_the_road_as_well():
+    """The ego has left the road and turned by a right angle; the NPC is still ahead of it along the road."""
+    ego = vehicle(0.0, 40.0, heading=math.pi / 2, lane=-1, ticks=0)
+    trace = trace_of(ego, vehicle(30.0, 40.0, lane=-1, ticks=0), scenario=scenario_of(1))
+    assert Run(trace).closest_approach.cell == Cell.FRONT
+    assert view_of(trace).vehicles[1].cells == (Cell.FRONT,)
