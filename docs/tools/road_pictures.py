@@ -23,7 +23,8 @@ from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
-from pytest_pafot.report.animation import FOOT, HEAD, PAPER, WIDTH, still  # noqa: E402
+from pytest_pafot.report.animation import still  # noqa: E402
+from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH  # noqa: E402
 from pytest_pafot.report.finding_view import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from pytest_pafot.trace import Trace  # noqa: E402

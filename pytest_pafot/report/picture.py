@@ -22,7 +22,7 @@ Point = tuple[float, float]
 """(along, across) [m]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DrawnVehicle:
     """A vehicle at a moment: centre [m], heading [rad], size [m], speed [m/s]."""
 
@@ -31,7 +31,7 @@ class DrawnVehicle:
     heading: float
     length: float
     width: float
-    speed: float
+    speed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,8 @@ class Picture:
 
     Attributes:
         time: [s].
-        vehicles: of the vehicles, the ego first; None for one whose position is unknown.
+        ego: the first of the vehicles.
+        vehicles: None for one whose position is unknown.
         cells: the eight around the ego.
         targets: per NPC, the cell that it is on its way to, or None.
         trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
@@ -67,6 +68,7 @@ class Picture:
     """
 
     time: float
+    ego: DrawnVehicle
     vehicles: tuple[DrawnVehicle | None, ...]
     cells: tuple[DrawnCell, ...]
     targets: tuple[DrawnCell | None, ...]
@@ -87,33 +89,31 @@ def picture_at(finding: FindingView, time: float) -> Picture:
     if ego is None:
         raise ValueError(f"time: expected a moment with a position of the ego, received {time} s of {finding.id}")
     cells = tuple(drawn_cell(finding, ego, cell, time) for cell in Cell)
-    rows = [instruction_at(finding, npc, time) for npc in range(len(finding.vehicles) - 1)]
     return Picture(
         time=time,
+        ego=ego,
         vehicles=vehicles,
         cells=cells,
-        targets=tuple(_target(finding, cells, row) for row in rows),
+        targets=tuple(_target(finding, cells, instruction_at(finding, npc, time)) for npc in range(len(vehicles) - 1)),
         trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(vehicles))),
         impact=_impact(finding, vehicles, time),
     )
 
 
 def vehicle_at(finding: FindingView, vehicle: int, time: float) -> DrawnVehicle | None:
-    """A vehicle at a time."""
+    """A vehicle at a time; None where its position is unknown."""
     view = finding.vehicles[vehicle]
     before, after, share = _frame_at(finding, time)
-    values = [_between(track, before, after, share) for track in (view.along, view.across, view.heading, view.speed)]
-    along, across, heading, speed = values
+
+    def between(track: Numbers) -> float | None:
+        a, b = track[before], track[after]
+        return None if a is None or b is None else a + (b - a) * share
+
+    along, across = between(view.along), between(view.across)
     if along is None or across is None:
         return None
-    return DrawnVehicle(
-        along=along,
-        across=across,
-        heading=heading or 0.0,
-        length=view.length,
-        width=view.width,
-        speed=speed or 0.0,
-    )
+    heading, speed = between(view.heading) or 0.0, between(view.speed) or 0.0
+    return DrawnVehicle(along, across, heading, view.length, view.width, speed)
 
 
 def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[InstructionView, Phase] | None:
@@ -133,42 +133,36 @@ def nearest_lane(lanes: Sequence[float], across: float) -> int:
 
 
 def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """Where a cell is."""
-    if finding.road.shapes:
-        return _place_in_the_world(finding, ego, cell, time)
+    """Where a cell is. On a road that is not straight, as recorded for the nearest frame, moved on with the ego."""
     road = finding.road
-    other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
-    lane = nearest_lane(road.lanes, ego.across)
-    goal = lane + cell.column
-    exists = 0 <= goal < len(road.lanes)
-    return DrawnCell(
-        cell=int(cell),
-        along=ego.along + cell.row * ((ego.length + other) / 2 + road.clearance),
-        across=road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width,
-        exists=exists,
-    )
+    if not road.shapes:
+        other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
+        along = ego.along + cell.row * ((ego.length + other) / 2 + road.clearance)
+        lane = nearest_lane(road.lanes, ego.across)
+        goal = lane + cell.column
+        if 0 <= goal < len(road.lanes):
+            return DrawnCell(cell=int(cell), along=along, across=road.lanes[goal], exists=True)
+        across = road.lanes[lane] + cell.column * road.lane_width
+        return DrawnCell(cell=int(cell), along=along, across=across, exists=False)
+    before, after, share = _frame_at(finding, time)
+    frame = after if share > 0.5 else before
+    pose = finding.grid[frame][cell - 1]
+    if pose is None:
+        return DrawnCell(cell=int(cell), along=ego.along, across=ego.across, exists=False)
+    x, y, heading = pose
+    dx = ego.along - (finding.vehicles[0].along[frame] or 0.0)
+    dy = ego.across - (finding.vehicles[0].across[frame] or 0.0)
+    return DrawnCell(cell=int(cell), along=x + dx, across=y + dy, exists=True, heading=heading)
 
 
 def _target(
-    finding: FindingView, cells: Sequence[DrawnCell], row: tuple[InstructionView, Phase] | None
+    finding: FindingView, cells: Sequence[DrawnCell], told: tuple[InstructionView, Phase] | None
 ) -> DrawnCell | None:
     """The cell of an NPC that is on its way; None where the road does not say where a cell without a lane would be."""
-    if row is None or row[0].cell == 0 or row[1] != "approach":
+    if told is None or told[0].cell == 0 or told[1] != "approach":
         return None
-    place = cells[row[0].cell - 1]
-    return place if place.exists or not finding.road.shapes else None
-
-
-def _place_in_the_world(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """As recorded for the frames; it moves with the ego between them."""
-    before, after, share = _frame_at(finding, time)
-    frame = after if share > 0.5 else before
-    place = finding.grid[frame][cell - 1]
-    if place is None:
-        return DrawnCell(cell=int(cell), along=ego.along, across=ego.across, exists=False)
-    origin = finding.vehicles[0].along[frame], finding.vehicles[0].across[frame]
-    dx, dy = ego.along - (origin[0] or 0.0), ego.across - (origin[1] or 0.0)
-    return DrawnCell(cell=int(cell), along=place[0] + dx, across=place[1] + dy, exists=True, heading=place[2])
+    target = cells[told[0].cell - 1]
+    return target if target.exists or not finding.road.shapes else None
 
 
 def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
@@ -179,24 +173,19 @@ def _frame_at(finding: FindingView, time: float) -> tuple[int, int, float]:
     return before, after, min(max((time - finding.times[before]) / span, 0.0), 1.0) if span > 0 else 0.0
 
 
-def _between(track: Numbers, before: int, after: int, share: float) -> float | None:
-    a, b = track[before], track[after]
-    return None if a is None or b is None else a + (b - a) * share
-
-
 def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -> tuple[Point, ...]:
     count = int(min(TRAIL_SECONDS, time) / TRAIL_STEP)
+    is_relative = vehicle > 0 and not finding.road.shapes
     points = []
     for moment in [*(time - step * TRAIL_STEP for step in range(count, 0, -1)), time]:
-        box, origin = vehicle_at(finding, vehicle, moment), vehicle_at(finding, 0, moment)
-        if box is not None and origin is not None:
-            is_relative = vehicle > 0 and not finding.road.shapes
-            along = box.along - origin.along + ego.along if is_relative else box.along
-            points.append((along, box.across))
+        seen, origin = vehicle_at(finding, vehicle, moment), vehicle_at(finding, 0, moment)
+        if seen is not None and origin is not None:
+            points.append((seen.along - origin.along + ego.along if is_relative else seen.along, seen.across))
     return tuple(points)
 
 
 def _impact(finding: FindingView, vehicles: Sequence[DrawnVehicle | None], time: float) -> Point | None:
+    """The point of the ego that is nearest to the centre of the NPC that it touches."""
     event = finding.event
     if event.kind != "collision" or event.npc is None or time < event.time - 1e-6:
         return None

@@ -79,8 +79,8 @@ def test_any_headline_can_be_drawn(brief, text):
 
 
 def test_without_pillow_the_error_says_what_to_install(brief, monkeypatch):
-    for name in ("PIL", "PIL.Image", "PIL.ImageColor", "PIL.ImageDraw", "PIL.ImageFont"):
-        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
+    monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(AnimationError, match=r'pip install "pytest-pafot\[report\]"'):
         animate(brief)
 

@@ -1,0 +1,273 @@
+"""Draws pictures of a finding with Pillow, which no other module knows; imported only where one is asked for."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+
+from PIL import Image as Images
+from PIL import ImageColor, ImageDraw, ImageFont
+from PIL.Image import Image
+
+from pytest_pafot.report.page_data import FindingView
+from pytest_pafot.report.picture import DrawnCell, DrawnVehicle, Picture, Point, instruction_at
+
+WIDTH = 720
+SCALE = 8.0
+"""Pixels per metre."""
+
+SMOOTH = 2
+"""Everything is drawn so many times larger, then reduced."""
+
+HEAD, FOOT = 26, 26
+"""Height of the lines of text above and below the road [px]."""
+SHOULDER = 1.4
+"""What is shown beside the outer lanes [m]."""
+HALF_HEIGHT = 18.0
+"""What a picture of a road that is not straight shows above and below the ego [m]."""
+EGO_AT = 0.42
+"""Share of the width at which the ego is drawn."""
+
+PAPER, ROAD, EDGE, DASH = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff"
+INK, SOFT, EGO_INK, DANGER = "#171b20", "#535c66", "#ffffff", "#b3261e"
+NPC_INKS = ("#b4480a", "#00695c", "#6a3fa0", "#8a6100", "#0b5cad", "#a3195b", "#3d6b1f", "#5b4a42")
+NPC_TINTS = ("#f0d2c0", "#bcd9d5", "#d8cbe6", "#e0d6bd", "#c0d5ea", "#e7c4d5", "#cddac5", "#d5d1cf")
+
+OUTLINE = (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)
+WINDSCREEN = (0.2, -0.36), (0.34, -0.28), (0.34, 0.28), (0.2, 0.36)
+"""Corners of a vehicle and of what tells its front from its rear, in shares of its length and width."""
+
+
+def draw_still(finding: FindingView, picture: Picture) -> bytes:
+    """A picture as the content of a PNG file."""
+    content = io.BytesIO()
+    _drawn(finding, picture).save(content, format="PNG", optimize=True)
+    return content.getvalue()
+
+
+def draw_animation(
+    finding: FindingView, pictures: Sequence[Picture], durations: Sequence[int], file_format: str
+) -> bytes:
+    """Pictures one after the other as the content of a file, again from the start after the last.
+
+    Args:
+        finding: of which they are.
+        pictures: to be drawn.
+        durations: of each [ms].
+        file_format: ``PNG`` or ``GIF``.
+    """
+    # One palette for all frames: each its own would let colours flicker and take twice the bytes.
+    palette = Images.new("P", (1, 1))
+    palette.putpalette(_palette(len(finding.vehicles) - 1))
+    frames = [_drawn(finding, picture).quantize(palette=palette, dither=Images.Dither.NONE) for picture in pictures]
+    content = io.BytesIO()
+    frames[0].save(
+        content,
+        format=file_format,
+        save_all=True,
+        append_images=frames[1:],
+        duration=list(durations),
+        loop=0,
+        optimize=True,
+    )
+    return content.getvalue()
+
+
+def _palette(npcs: int) -> list[int]:
+    """Red, green and blue of every colour in a picture, one after the other: those drawn, and their smooth edges."""
+    grounds = [ImageColor.getrgb(colour) for colour in (PAPER, ROAD)]
+    inks = [ImageColor.getrgb(colour) for colour in (INK, SOFT, EDGE, DANGER, *(NPC_INKS[n % 8] for n in range(npcs)))]
+    tints = [ImageColor.getrgb(colour) for colour in (DASH, *(NPC_TINTS[n % 8] for n in range(npcs)))]
+    edges = [
+        tuple(round(a + (b - a) * share) for a, b in zip(ground, ink, strict=True))
+        for ground in grounds
+        for ink in inks
+        for share in (0.33, 0.67)
+    ]
+    return [part for colour in dict.fromkeys([*grounds, *inks, *tints, *edges]) for part in colour]
+
+
+def _drawn(finding: FindingView, picture: Picture) -> Image:
+    sheet = _Sheet(finding, picture)
+    sheet.road()
+    sheet.cells()
+    sheet.trails()
+    sheet.targets()
+    for vehicle, box in enumerate(picture.vehicles):
+        if box is not None:
+            sheet.vehicle(vehicle, box)
+    sheet.impact()
+    sheet.words()
+    return sheet.image.reduce(SMOOTH)
+
+
+class _Sheet:
+    """One frame in the making; lengths in metres become pixels of the finished frame here."""
+
+    def __init__(self, finding: FindingView, picture: Picture) -> None:
+        self.finding = finding
+        self.picture = picture
+        self.is_bent = bool(finding.road.shapes)
+        across, half = picture.ego.across, finding.road.lane_width / 2
+        lanes = finding.road.lanes
+        self.left = across - HALF_HEIGHT if self.is_bent else min(lanes) - half
+        self.right = across + HALF_HEIGHT if self.is_bent else max(lanes) + half
+        self.bottom = HEAD + (self.right - self.left + 2 * SHOULDER) * SCALE
+        self.height = math.ceil(self.bottom + FOOT)
+        self.pointers: list[tuple[bool, float]] = []
+        self.image = Images.new("RGB", (WIDTH * SMOOTH, self.height * SMOOTH), PAPER)
+        self.pen = ImageDraw.Draw(self.image)
+
+    def road(self) -> None:
+        if self.is_bent:
+            # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
+            for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
+                for shape in self.finding.road.shapes:
+                    self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
+            return
+        top, bottom = self._y(self.left), self._y(self.right)
+        self._rectangle(0, top, WIDTH, bottom, ROAD)
+        for y in (top, bottom):
+            self._line([(0, y), (WIDTH, y)], EDGE, 2)
+        first = math.floor((self.picture.ego.along - WIDTH * EGO_AT / SCALE) / 12) * 12
+        for lane in self.finding.road.lanes[1:]:
+            y = self._y(lane - self.finding.road.lane_width / 2)
+            for start in range(first, first + math.ceil(WIDTH / SCALE) + 24, 12):
+                self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
+
+    def cells(self) -> None:
+        for cell in self.picture.cells:
+            if cell.exists:
+                self._cell(cell, EDGE, 1, shrink=3)
+                x, y = self._at(cell.along, cell.across)
+                corner = self._x(cell.along - self.finding.vehicles[0].length / 2) + 7, y - 6
+                self._text((x, y) if self.is_bent else corner, str(cell.cell), SOFT, 10, "mm")
+
+    def trails(self) -> None:
+        for vehicle, trail in enumerate(self.picture.trails):
+            points = [self._at(*point) for point in trail]
+            if vehicle == 0 and len(points) > 1:
+                self._line(points, EDGE, 2)
+            for x, y in points[:-1:2] if vehicle else ():
+                corners = (x - 1.2, y - 1.2, x + 1.2, y + 1.2)
+                self.pen.ellipse([SMOOTH * each for each in corners], fill=NPC_INKS[(vehicle - 1) % 8])
+
+    def targets(self) -> None:
+        for npc, target in enumerate(self.picture.targets):
+            box = self.picture.vehicles[npc + 1]
+            if target is not None and box is not None:
+                ink = NPC_INKS[npc % 8]
+                self._cell(target, ink, 2, shrink=1)
+                self._dashed(self._at(box.along, box.across), self._at(target.along, target.across), ink)
+
+    def vehicle(self, vehicle: int, box: DrawnVehicle) -> None:
+        x, y = self._at(box.along, box.across)
+        if not -60 < x < WIDTH + 60 or (self.is_bent and not HEAD < y < self.bottom):
+            self._pointer(vehicle - 1, box, min(max(y, HEAD + 12), self.bottom - 12))
+            return
+        ink, tint = (INK, INK) if vehicle == 0 else (NPC_INKS[(vehicle - 1) % 8], NPC_TINTS[(vehicle - 1) % 8])
+        corners = self._corners(box, OUTLINE)
+        self._polygon(corners, tint)
+        self._line([*corners, corners[0]], ink, 2)
+        self._polygon(self._corners(box, WINDSCREEN), PAPER)
+        self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
+
+    def impact(self) -> None:
+        if self.picture.impact is None:
+            return
+        x, y = self._at(*self.picture.impact)
+        spikes = [(13 if spike % 2 == 0 else 6, spike * math.pi / 8) for spike in range(16)]
+        star = [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for radius, angle in spikes]
+        self._polygon(star, DANGER)
+
+    def words(self) -> None:
+        if self.is_bent:  # The road goes on under the words.
+            self._rectangle(0, 0, WIDTH, HEAD, PAPER)
+            self._rectangle(0, self.bottom, WIDTH, self.height, PAPER)
+        self._text((10, HEAD / 2), _cut(self.finding.headline, 88), INK, 13, "lm")
+        foot = self.bottom + FOOT / 2
+        self._text((10, foot), f"{self.picture.time:.1f} s", INK, 12, "lm")
+        self._text((64, foot), _cut(speeds_text(self.finding, self.picture), 110), SOFT, 12, "lm")
+
+    def _pointer(self, npc: int, box: DrawnVehicle, y: float) -> None:
+        """What stands for an NPC outside of the picture, below those that are at that place already."""
+        ego = self.picture.ego
+        is_behind = box.along < ego.along
+        while any(side == is_behind and abs(other - y) < 16 for side, other in self.pointers):
+            y += 1
+        self.pointers.append((is_behind, y))
+        edge, inward = (4, 1) if is_behind else (WIDTH - 4, -1)
+        self._polygon([(edge, y), (edge + 9 * inward, y - 7), (edge + 9 * inward, y + 7)], NPC_INKS[npc % 8])
+        away = f"{abs(box.along - ego.along):.0f} m {'behind' if is_behind else 'ahead'}"
+        if self.is_bent:
+            away = f"{math.dist((box.along, box.across), (ego.along, ego.across)):.0f} m away"
+        anchor = "lm" if is_behind else "rm"
+        self._text((edge + 14 * inward, y), f"NPC {npc}, {away}", INK, 12, anchor, halo=2)
+
+    def _cell(self, cell: DrawnCell, ink: str, width: int, *, shrink: float) -> None:
+        length = self.finding.vehicles[0].length
+        side = self.finding.road.lane_width / 2 * SCALE - shrink
+        if self.is_bent:
+            box = DrawnVehicle(cell.along, cell.across, cell.heading, length, 2 * side / SCALE)
+            corners = self._corners(box, OUTLINE)
+            self._line([*corners, corners[0]], ink, width)
+            return
+        y = self._y(cell.across)
+        ends = (self._x(cell.along - length / 2), y - side, self._x(cell.along + length / 2), y + side)
+        self.pen.rounded_rectangle([SMOOTH * each for each in ends], 3 * SMOOTH, outline=ink, width=width * SMOOTH)
+
+    def _corners(self, box: DrawnVehicle, shares: Sequence[Point]) -> list[Point]:
+        cos, sin = math.cos(box.heading), math.sin(box.heading)
+        offsets = [(a * box.length, b * box.width) for a, b in shares]
+        return [self._at(box.along + a * cos - b * sin, box.across + a * sin + b * cos) for a, b in offsets]
+
+    def _dashed(self, start: Point, end: Point, ink: str) -> None:
+        length, (x, y) = math.dist(start, end), start
+        for first in range(0, int(length * SMOOTH), 10 * SMOOTH):
+            shares = first / SMOOTH / length, min(1.0, (first / SMOOTH + 6) / length)
+            self._line([(x + (end[0] - x) * share, y + (end[1] - y) * share) for share in shares], ink, 2)
+
+    def _line(self, points: Sequence[Point], ink: str, width: float) -> None:
+        self.pen.line(_large(points), fill=ink, width=round(width * SMOOTH), joint="curve")
+
+    def _polygon(self, points: Sequence[Point], ink: str) -> None:
+        self.pen.polygon(_large(points), fill=ink)
+
+    def _rectangle(self, left: float, top: float, right: float, bottom: float, ink: str) -> None:
+        self.pen.rectangle(_large([(left, top), (right, bottom)]), fill=ink)
+
+    def _text(self, place: Point, words: str, ink: str, size: int, anchor: str, *, halo: int = 0) -> None:
+        font = ImageFont.load_default(size * SMOOTH)
+        at = place[0] * SMOOTH, place[1] * SMOOTH
+        self.pen.text(at, words, fill=ink, font=font, anchor=anchor, stroke_width=halo * SMOOTH, stroke_fill=ROAD)
+
+    def _at(self, along: float, across: float) -> Point:
+        return self._x(along), self._y(across)
+
+    def _x(self, along: float) -> float:
+        return WIDTH * EGO_AT + (along - self.picture.ego.along) * SCALE
+
+    def _y(self, across: float) -> float:
+        return HEAD + (across - self.left + SHOULDER) * SCALE
+
+
+def _large(points: Sequence[Point]) -> list[Point]:
+    """Places in the large drawing of places in the finished frame [px]."""
+    return [(x * SMOOTH, y * SMOOTH) for x, y in points]
+
+
+def speeds_text(finding: FindingView, picture: Picture) -> str:
+    """The speed of each vehicle [m/s], and the cell that an NPC is on its way to, in a line."""
+    parts = [f"ego {picture.ego.speed:.1f} m/s"]
+    for npc, box in enumerate(picture.vehicles[1:]):
+        told = instruction_at(finding, npc, picture.time)
+        goal = f" to cell {told[0].cell}" if told is not None and told[0].cell and told[1] == "approach" else ""
+        parts.append(f"NPC {npc} " + ("unknown" if box is None else f"{box.speed:.1f} m/s{goal}"))
+    return "   ".join(parts)
+
+
+def _cut(words: str, length: int) -> str:
+    """A line that fits, without characters that fonts lack."""
+    line = "".join(character if character.isprintable() and ord(character) < 0x250 else "?" for character in words)
+    return line if len(line) <= length else line[: length - 3] + "..."
