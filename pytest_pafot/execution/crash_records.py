@@ -50,14 +50,17 @@ class CrashRecord:
         self._folder = Path(folder)
         self._descriptor: int | None = None
         self._path: Path | None = None
-        details = {"owner": owner, "pid": os.getpid(), "world": dict(world) if world is not None else None}
-        self._prefix = json.dumps(details)[:-1] + ', "scenario": '
+        self._owner = json.dumps(owner)
+        self._world = json.dumps(dict(world) if world is not None else None)
 
     def write(self, *scenarios: Scenario) -> None:
         """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them."""
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
-        self._put(f"{self._prefix}{alone}{together}}}\n".encode())
+        process = (
+            f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'  # perhaps one forked meanwhile
+        )
+        self._put(f'{{{process}, "scenario": {alone}{together}}}\n'.encode())
 
     record = write
 

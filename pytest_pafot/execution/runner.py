@@ -15,7 +15,14 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.known_decisions import KnownDecisions
 from pytest_pafot.execution.prefetching import LockStep, Processes
-from pytest_pafot.execution.scenario_pool import ExecutionError, Lost, ScenarioPool, pool_for, recovery_note, trace_from
+from pytest_pafot.execution.scenario_pool import (
+    ExecutionError,
+    LostRun,
+    ScenarioPool,
+    pool_for,
+    recovery_note,
+    trace_from,
+)
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
@@ -203,7 +210,7 @@ class Isolated:
         self._record = record
         self._workers = workers
         self._pool: ScenarioPool | None = None
-        self._recovered: list[Lost] = []
+        self._recovered: list[LostRun] = []
 
     @property
     def notes(self) -> list[str]:

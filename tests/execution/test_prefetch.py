@@ -6,7 +6,7 @@ import pytest
 from pytest_pafot.execution.captured_output import Echo
 from pytest_pafot.execution.prefetch import Ahead
 from pytest_pafot.execution.worker_pool import Answer, Lost, ProcessLostError
-from tests.support.errands import scenario, trace_of
+from tests.support.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
 

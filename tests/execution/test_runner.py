@@ -1,13 +1,16 @@
 """One way to run a scenario: who makes a run, and how short the way from the search to the physics is."""
 
+import os
 import sys
 
 import pytest
 
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
+from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.execution.scenario_pool import ExecutionError
 
 SCENARIOS = [
     Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), gene_seconds=2.0, seed=number) for number in range(8)
@@ -32,6 +35,10 @@ class Batched(Planner):
     def batch(self, observations):
         self.callers.append(frames())
         return [(0.0, 0.0) for _ in observations]
+
+
+class Pure(Planner):
+    pure = True
 
 
 callers = []
@@ -94,3 +101,57 @@ def test_the_crash_record_is_left_written_for_the_verdict(runner_of, tmp_path):
     (path,) = tmp_path.iterdir()
     assert SCENARIOS[3].canonical() in path.read_text()
     assert leftovers(tmp_path) == ()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_isolated_runs_never_call_the_ads_in_this_process(runner_of):
+    with runner_of(Planner, isolate=True, workers=2) as runner:
+        runner.announce(SCENARIOS[:3])
+        traces = [runner.run(each) for each in SCENARIOS[:3]]
+        again = runner.run(SCENARIOS[0], afresh=True)
+    assert callers == []
+    assert [trace.scenario for trace in (*traces, again)] == [*SCENARIOS[:3], SCENARIOS[0]]
+    assert runner.notes == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_isolated_runs_raise_here_what_the_factory_raises_there(runner_of):
+    def factory():
+        raise LookupError("no such planner")
+
+    with runner_of(factory, isolate=True) as runner, pytest.raises(LookupError, match="no such planner"):
+        runner.run(SCENARIOS[0])
+
+
+def test_isolated_runs_refuse_a_factory_that_no_process_can_be_given(runner_of, monkeypatch):
+    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    with pytest.raises(ExecutionError, match=r"^--pafot-isolate: where processes cannot be forked, .* pickled"):
+        runner_of(lambda: None, isolate=True).run(SCENARIOS[0])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_isolated_runs_are_refused_where_no_process_starts(runner_of, monkeypatch):
+    def refuse():
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", refuse)
+    with pytest.raises(ExecutionError, match=r"--pafot-isolate: expected processes .*temporarily unavailable"):
+        runner_of(Planner, isolate=True).run(SCENARIOS[0])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_isolated_runs_go_on_with_new_processes_after_the_end_of_the_first(runner_of):
+    runner = runner_of(Planner, isolate=True)
+    for _ in range(2):
+        with runner:
+            assert runner.run(SCENARIOS[0]).scenario == SCENARIOS[0]
+    assert callers == []
+
+
+def test_decisions_of_a_pure_ads_are_taken_from_earlier_runs_unless_it_is_asked_afresh(runner_of):
+    runner = runner_of(Pure, can_resume=True)
+    first, asked = runner.run(SCENARIOS[0]), len(callers)
+    second, again = runner.run(SCENARIOS[0]), len(callers)
+    third = runner.run(SCENARIOS[0], afresh=True)
+    assert (again, len(callers)) == (asked, 2 * asked)
+    assert first.states.tobytes() == second.states.tobytes() == third.states.tobytes()

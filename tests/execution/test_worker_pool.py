@@ -16,7 +16,7 @@ import pytest
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.prefetch import hired
 from pytest_pafot.execution.worker_pool import FAREWELL, Answer, Crew, Errand, Lost
-from tests.support.errands import Toy, idle, scenario
+from tests.support.toy_world import Toy, idle, scenario
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 

@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.execution.together import LockStep
 from tests.execution.test_prefetch import Session, ahead_of
-from tests.support.errands import scenario, trace_of
+from tests.support.toy_world import scenario, trace_of
 
 PLANNERS = """
 import os

@@ -1,0 +1,430 @@
+"""A pool of processes that run tasks, one each at a time, and name the task in which a process dies or falls silent.
+
+REASONS
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import time
+import traceback
+import warnings
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from types import TracebackType
+from typing import Any, Generic, Self, TypeAlias, TypeVar
+
+from pytest_pafot.world.driving.guard import LastResort, last_resort
+
+TaskT = TypeVar("TaskT", bound=Hashable)
+ResultT = TypeVar("ResultT")
+
+GRACE = 5.0
+"""How much longer than its limit one decision may take, or a process be silent, before it is ended [s]."""
+
+FAREWELL = 2.0
+"""How long a process may take to end by itself [s]; what its libraries started ends with it then."""
+
+POLL = 0.5
+"""How long to wait for answers at most before looking whether those who owe one still live [s]."""
+
+Work: TypeAlias = Callable[[TaskT, Callable[[float], None]], ResultT]
+"""Runs a task in a process of the pool; its second argument can be told the share of the task that is done."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost(Generic[TaskT]):
+    """A task whose process did not come back.
+
+    Attributes:
+        task: that it ran.
+        pid: of the process.
+        how: it ended, in a few words.
+        is_hang: whether it fell silent and was killed.
+    """
+
+    task: TaskT
+    pid: int
+    how: str
+    is_hang: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Raised:
+    """A task without a result.
+
+    Attributes:
+        error: what was raised, why the result cannot be sent, or why there is no process to run the task.
+    """
+
+    error: Exception
+
+
+class WorkerPool(Generic[TaskT, ResultT]):
+    """Up to so many processes, started as they are needed. To be used in a ``with`` statement.
+
+    Args:
+        work: what every process does with each of its tasks. It must be possible to pickle tasks and results, and the
+            work itself where processes are not forked.
+        size: number of processes at most.
+        method: by which processes are started, see :mod:`multiprocessing`.
+        patience: how long a process may run without answering a signal, which Python does between two
+            instructions [s].
+        grace: how much longer than its limit one decision of an ADS may take that ignores its interruption [s].
+        ended: told the id of each process of the pool when it has ended.
+        clock: seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        work: Work[TaskT, ResultT],
+        size: int,
+        *,
+        method: str,
+        patience: float,
+        grace: float = GRACE,
+        ended: Callable[[int], None] = lambda pid: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.recovered: list[Lost[TaskT]] = []
+        """Processes that died in tasks that were done when they were tried alone."""
+        self.failure = ""
+        """Why no process could be started, from which moment on nothing is expected; or empty."""
+        self._work = work
+        self._size = size
+        self._context: Any = multiprocessing.get_context(method)
+        self._patience = patience
+        self._grace = grace
+        self._ended = ended
+        self._clock = clock
+        self._workers: list[_Worker[TaskT]] = []
+        self._pending: deque[TaskT] = deque()
+        self._wanted: set[TaskT] = set()
+        self._answers: dict[TaskT, ResultT | Raised | Lost[TaskT]] = {}
+        self._suspects: dict[TaskT, Lost[TaskT]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close(at_once=kind is not None)
+
+    def expect(self, tasks: Iterable[TaskT]) -> None:
+        """Begin with these, in this order; what was expected before and not fetched is of no interest any more."""
+        self._pending = deque(() if self.failure else tasks)
+        self._wanted = set(self._pending)
+        self._answers, self._suspects = {}, {}
+        self._send()
+
+    def insert(self, task: TaskT) -> None:
+        """Run this one next, beside what is expected."""
+        self._wanted.add(task)
+        if self.failure:
+            self._fail(task, self.failure)
+            return
+        self._pending.appendleft(task)
+        self._send()
+
+    def expects(self, task: TaskT) -> bool:
+        """Whether :meth:`fetch` can give an answer."""
+        return task in self._wanted
+
+    def fetch(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
+        """The answer to an expected task, once; waits for it.
+
+        A task in which a process died is tried once more while nothing else runs: there may have been too little
+        memory for all of them, or somebody killed the process.
+        """
+        if task not in self._wanted:
+            raise ValueError(f"task: expected one that is expected, and not fetched before, received {task!r}")
+        while task not in self._answers:
+            if task in self._suspects:
+                self._answers[task] = self._alone(task)
+            else:
+                self._receive()
+            self._send()
+        self._wanted.discard(task)
+        return self._answers.pop(task)
+
+    def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Raised | Lost[TaskT]]]:
+        """Each expected task with its answer, as soon as that is there; none is tried twice.
+
+        Args:
+            tick: told the sum of the shares that are done of the tasks under way, every now and then.
+        """
+        while self._wanted:
+            while not self._answers and not self._suspects:
+                self._receive()
+                self._send()
+                tick(sum(worker.share for worker in self._workers if worker.task is not None))
+            answers = self._answers | self._suspects
+            self._answers, self._suspects = {}, {}
+            for task, answer in answers.items():
+                self._wanted.discard(task)
+                yield task, answer
+
+    def close(self, *, at_once: bool = False) -> None:
+        """End all processes; those that are at work are killed, and ``at_once`` all of them."""
+        leaving = [] if at_once else [worker for worker in self._workers if worker.dismiss()]
+        deadline = self._clock() + FAREWELL
+        for worker in leaving:
+            worker.process.join(max(0.0, deadline - self._clock()))
+        for worker in list(self._workers):
+            self._remove(worker)
+        self._pending, self._wanted = deque(), set()
+
+    def _alone(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
+        while any(worker.task is not None for worker in self._workers):
+            self._receive()
+        first = self._suspects.pop(task)
+        self._give(task)
+        while task not in self._answers and task not in self._suspects:
+            self._receive()
+        second = self._suspects.pop(task, None) or self._answers[task]
+        if not isinstance(second, Lost):
+            self.recovered.append(first)
+        return second
+
+    def _send(self) -> None:
+        while self._pending and sum(worker.task is not None for worker in self._workers) < self._size:
+            self._give(self._pending.popleft())
+
+    def _give(self, task: TaskT) -> None:
+        idle = next((worker for worker in self._workers if worker.task is None), None)
+        try:
+            while idle is None or not idle.take(task, self._clock()):
+                if idle is not None:  # It ended between two tasks: nobody's doing.
+                    self._remove(idle)
+                others = [worker.connection for worker in self._workers]
+                idle = _Worker(self._context, self._work, others, self._grace)
+                self._workers.append(idle)
+        except OSError as error:
+            self._fail(task, str(error))
+
+    def _fail(self, task: TaskT, reason: str) -> None:
+        """Without processes, whoever asks must see to the tasks."""
+        self.failure = self.failure or reason
+        self._answers |= dict.fromkeys((task, *self._pending), Raised(error=RuntimeError(reason)))
+        self._pending.clear()
+
+    def _receive(self) -> None:
+        """Take what is there, after a while at most."""
+        busy = {worker.connection: worker for worker in self._workers if worker.task is not None}
+        wait(busy, timeout=min(POLL, self._patience / 4))
+        for worker in busy.values():
+            self._look_at(worker)
+
+    def _look_at(self, worker: _Worker[TaskT]) -> None:
+        task, is_gone = worker.task, not worker.process.is_alive()  # In this order: what it sent last is there now.
+        if task is None:
+            return
+        if worker.connection.poll():
+            try:
+                is_done, said = worker.hear()
+            except (EOFError, OSError):
+                is_gone = True
+            else:
+                if is_done and task in self._wanted:
+                    self._answers[task] = said
+                return
+        if worker.is_stuck:
+            how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
+            self._lose(task, worker, how, is_hang=True)
+        elif is_gone:
+            self._lose(task, worker, "")
+        elif worker.silence(self._clock()) > self._patience:
+            self._lose(task, worker, f"did not answer for {self._patience:.1f} s and was killed", is_hang=True)
+
+    def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str, *, is_hang: bool = False) -> None:
+        self._remove(worker)
+        lost = Lost(task=task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
+        if not worker.has_begun:
+            self._fail(task, f"a process {lost.how} before it had begun")
+        elif task in self._wanted:
+            (self._answers if is_hang else self._suspects)[task] = lost
+
+    def _remove(self, worker: _Worker[TaskT]) -> None:
+        worker.kill()
+        self._workers.remove(worker)
+        self._ended(worker.pid)
+
+
+class _Worker(Generic[TaskT]):
+    """One process, as the pool sees it.
+
+    Attributes:
+        task: that it runs now, or None.
+        share: that it says is done of it.
+    """
+
+    def __init__(self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float) -> None:
+        self.task: TaskT | None = None
+        self.share = 0.0
+        self.connection, end = context.Pipe()
+        self._beats = context.RawValue("Q", 0)
+        self._stuck = context.RawValue("b", 0)
+        self._heard = 0
+        self._asked_at: float | None = None
+        inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
+        line = _Line(connection=end, inherited=inherited, beats=self._beats, stuck=self._stuck, grace=grace)
+        self.process = context.Process(target=_serve, args=(work, line), name="pafot-worker")
+        with warnings.catch_warnings():
+            # Python warns of any thread; those of numerical libraries are documented, and this module has none.
+            warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
+            self.process.start()
+        self.pid = int(self.process.pid)
+        end.close()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it came so far as to wait for tasks."""
+        return bool(self._beats.value)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether it ended since a decision would not."""
+        return bool(self._stuck.value)
+
+    def take(self, task: TaskT, now: float) -> bool:
+        """Run a task; False where the process has ended."""
+        try:
+            self.connection.send(task)
+        except OSError:
+            return False
+        self.task, self.share, self._asked_at = task, 0.0, None if self.has_begun else now
+        return True
+
+    def hear(self) -> tuple[bool, Any]:
+        """Whether its task is done, and the result.
+
+        Raises:
+            EOFError, OSError: where it ended before it was done.
+        """
+        try:
+            is_done, said = self.connection.recv()
+        except (EOFError, OSError):
+            raise
+        except Exception as error:  # noqa: BLE001  (made of what cannot be had here)
+            is_done, said = True, Raised(error=error)
+        if is_done:
+            self.task = None
+        else:
+            self.share = said
+        return is_done, said
+
+    def silence(self, now: float) -> float:
+        """Since when it owes an answer to a signal [s]; sends one where it owes none."""
+        if self._beats.value != self._heard:
+            self._heard, self._asked_at = self._beats.value, None
+        if self._asked_at is not None:
+            return now - self._asked_at
+        if hasattr(signal, "SIGUSR2"):
+            self._asked_at = now
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGUSR2)
+        return 0.0
+
+    def dismiss(self) -> bool:
+        """Ask it to end; False where it is at work, or has ended."""
+        if self.task is not None:
+            return False
+        try:
+            self.connection.send(None)
+        except OSError:
+            return False
+        return True
+
+    def kill(self) -> None:
+        """End it and let nothing of it remain."""
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+
+
+def ending(code: int | None) -> str:
+    """How a process ended by itself, by its exit code."""
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            return f"was ended by {signal.Signals(-code).name}"
+    return f"ended with exit code {code}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Line:
+    """A process's end of what connects it to the pool.
+
+    Attributes:
+        connection: for tasks, shares and results.
+        inherited: connections of others, by a fork.
+        beats: counts the signals that it answers.
+        stuck: set before it ends since a decision would not.
+        grace: how long a decision may ignore interruptions [s].
+    """
+
+    connection: Connection
+    inherited: list[Connection]
+    beats: Any
+    stuck: Any
+    grace: float
+
+    def beat(self) -> None:
+        """Tell that the process is there, and answers signals."""
+        self.beats.value += 1
+
+    def end(self) -> None:
+        """End at once; whatever the pool was to be told is told by that."""
+        self.stuck.value = 1
+        os._exit(1)
+
+    def answer(self, work: Work[Any, Any], task: Any) -> None:
+        """Do a task, and send what came of it."""
+        try:
+            answer = work(task, lambda share: self.connection.send((False, share)))
+        except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
+            answer = Raised(error=_portable(error))
+        try:
+            self.connection.send((True, answer))
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001  (whatever somebody's result does when it is pickled)
+            self.connection.send((True, Raised(error=_worded(error))))
+
+
+def _serve(work: Work[Any, Any], line: _Line) -> None:
+    """In a process of the pool: run tasks until there are no more, or nobody waits for them."""
+    for other in line.inherited:
+        other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
+    signal.signal(signal.SIGINT, _ignore)  # The session ends its processes itself. What they start is interrupted.
+    if hasattr(signal, "SIGUSR2"):
+        signal.signal(signal.SIGUSR2, lambda number, frame: line.beat())
+    line.beat()
+    with last_resort(LastResort(end=line.end, grace=line.grace)), suppress(EOFError, OSError):
+        while (task := line.connection.recv()) is not None:
+            line.answer(work, task)
+
+
+def _portable(error: BaseException) -> Exception:
+    """The error with its traceback as a note; where it cannot be sent to another process, one that says the same."""
+    told = error if isinstance(error, Exception) else _worded(error)
+    try:
+        pickle.loads(pickle.dumps(told))  # noqa: S301  (what this very process has made)
+    except Exception:  # noqa: BLE001  (whatever somebody's error does when it is pickled)
+        told = _worded(error)
+    told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))  # Its own traceback does not travel.
+    return told
+
+
+def _worded(error: BaseException) -> Exception:
+    return RuntimeError("".join(traceback.format_exception_only(error)).strip())
+
+
+def _ignore(number: int, frame: object) -> None:
+    """Unlike SIG_IGN, a function is not inherited by programs that the ADS starts."""

@@ -1,0 +1,300 @@
+"""When runs are made before they are asked for, in lock step or in other processes, and that nobody can tell."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pytest_pafot.execution import prefetching
+from pytest_pafot.execution.captured_output import Echo
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Lost, Raised
+from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.execution.scenario_pool import ExecutionError, ProcessLostError
+from tests.support.toy_world import scenario, trace_of
+
+SCENARIOS = [scenario(number) for number in range(8)]
+
+
+class Pool:
+    """Answers at once, and remembers what was asked for."""
+
+    def __init__(self, answers=None):
+        self.answers = answers or {}
+        self.expected, self.fetched, self.closed = [], [], None
+        self.failure, self.recovered = "", []
+
+    def expect(self, scenarios):
+        self.expected = list(scenarios)
+
+    def expects(self, scenario):
+        return scenario in self.expected
+
+    def fetch(self, scenario):
+        self.fetched.append(scenario.seed)
+        self.expected.remove(scenario)
+        return self.answers.get(scenario.seed) or (trace_of(scenario), Echo())
+
+    def close(self, *, at_once):
+        self.expected, self.closed = [], at_once
+
+
+class World:
+    """Runs scenarios in this process, each of which takes a given time."""
+
+    def __init__(self, seconds=0.0):
+        self.now, self.seconds, self.ran, self.together = 0.0, seconds, [], []
+
+    def clock(self):
+        return self.now
+
+    def rollout(self, scenario, ads_factory):
+        ads_factory()
+        self.now += self.seconds
+        self.ran.append(scenario.seed)
+        return trace_of(scenario)
+
+    def rollout_batch(self, scenarios, ads_factory):
+        self.together.append([each.seed for each in scenarios])
+        return [trace_of(each) for each in scenarios]
+
+
+@pytest.fixture
+def runner_of(tmp_path, monkeypatch):
+    """Makes runners of a world and a pool of processes; without a pool, starting one fails the test."""
+    records = []
+
+    def make(world, pool=None, workers=2, ads=object, **options):
+        monkeypatch.setattr(prefetching, "pool_for", lambda job, size: pool or pytest.fail("started processes"))
+        job = Job(world=world, ads=ads, records=tmp_path, owner="test_it.py::test_it")
+        records.append(job.crash_record())
+        return runner_for(job, records[-1], workers=workers, clock=world.clock, **options)
+
+    yield make
+    for record in records:
+        record.close()
+
+
+def asked(runner, scenarios=SCENARIOS):
+    """The numbers of the runs that were given, in order."""
+    runner.announce(scenarios)
+    return [runner.run(each).scenario.seed for each in scenarios]
+
+
+class TestProcesses:
+    def test_after_some_dear_runs_the_rest_of_the_generation_is_made_by_them(self, runner_of):
+        world, pool = World(0.02), Pool()
+        assert asked(runner_of(world, pool)) == list(range(8))
+        assert world.ran == [0, 1, 2]
+        assert pool.fetched == [3, 4, 5, 6, 7]
+
+    def test_the_next_generation_is_made_by_them_from_its_beginning(self, runner_of):
+        world, pool = World(0.02), Pool()
+        runner = runner_of(world, pool)
+        asked(runner, SCENARIOS[:4])
+        asked(runner, SCENARIOS[4:])
+        assert pool.fetched == [3, 4, 5, 6, 7]
+
+    def test_cheap_runs_stay_in_this_one_and_the_note_says_what_a_run_took(self, runner_of):
+        world = World(0.005)
+        with runner_of(world) as runner:
+            asked(runner)
+        assert world.ran == list(range(8))
+        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays from 10 ms on"]
+
+    def test_the_first_run_does_not_count_since_it_loads_what_the_others_use(self, runner_of):
+        world = World(1.5)
+        runner = runner_of(world)
+        runner.announce(SCENARIOS)
+        runner.run(SCENARIOS[0])
+        world.seconds = 0.005
+        for each in SCENARIOS[1:]:
+            runner.run(each)
+        assert world.ran == list(range(8))
+
+    @pytest.mark.parametrize("seconds", [0.0, 0.02])
+    @pytest.mark.parametrize("workers", [1, 2, 3])
+    def test_the_runs_are_the_same_wherever_they_are_made(self, runner_of, workers, seconds):
+        runner = runner_of(World(seconds), Pool(), workers)
+        runner.announce(SCENARIOS)
+        for each in SCENARIOS:
+            assert np.array_equal(runner.run(each).states, trace_of(each).states)
+
+    def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
+        world = World(1.0)
+        with runner_of(world, workers=1) as runner:
+            asked(runner)
+        assert world.ran == list(range(8))
+        assert runner.notes == []
+
+    def test_what_was_not_announced_runs_in_this_one_and_is_not_measured(self, runner_of):
+        world = World(1.0)
+        runner = runner_of(world)
+        for each in SCENARIOS:
+            runner.run(each)
+        assert world.ran == list(range(8))
+
+    def test_what_is_asked_for_afresh_runs_in_this_one(self, runner_of):
+        world, pool = World(0.02), Pool()
+        runner = runner_of(world, pool)
+        asked(runner)
+        runner.announce(SCENARIOS)
+        runner.run(SCENARIOS[5], afresh=True)
+        assert world.ran == [0, 1, 2, 5]
+
+    def test_a_run_that_none_of_them_can_make_is_made_in_this_one(self, runner_of):
+        world, pool = World(0.02), Pool({4: Raised(error=ValueError())})
+        assert asked(runner_of(world, pool)) == list(range(8))
+        assert world.ran == [0, 1, 2, 4]
+
+    def test_what_was_said_in_them_is_said_here_in_the_order_of_the_scenarios(self, runner_of, capsys):
+        answers = {n: (trace_of(scenario(n)), Echo(out=f"run {n}\n")) for n in range(3, 8)}
+        asked(runner_of(World(0.02), Pool(answers)))
+        assert capsys.readouterr().out == "run 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
+
+    def test_a_scenario_whose_process_did_not_come_back_raises(self, runner_of):
+        lost = Lost(task=SCENARIOS[3], pid=7, how="ended with exit code 9")
+        runner = runner_of(World(0.02), Pool({3: lost}))
+        with pytest.raises(ProcessLostError, match=r"pid 7\) that ran .* ended with exit code 9") as raised:
+            asked(runner)
+        assert raised.value.lost is lost
+
+    def test_where_none_can_be_given_what_it_needs_all_runs_are_made_in_this_one(self, runner_of, monkeypatch):
+        def refuse(job, size):
+            raise ExecutionError("the factory cannot be pickled")
+
+        world = World(0.02)
+        with runner_of(world) as runner:
+            monkeypatch.setattr(prefetching, "pool_for", refuse)
+            assert asked(runner) == list(range(8))
+        assert world.ran == list(range(8))
+        assert runner.notes == ["--pafot-workers is 1: the factory cannot be pickled"]
+
+    def test_they_end_with_the_search(self, runner_of):
+        pool = Pool()
+        with runner_of(World(0.02), pool) as runner:
+            asked(runner)
+        assert pool.closed is False
+
+    def test_at_an_interrupt_they_end_at_once(self, runner_of):
+        pool = Pool()
+        runner = runner_of(World(0.02), pool)
+        asked(runner)
+        with pytest.raises(KeyboardInterrupt), runner:
+            raise KeyboardInterrupt
+        assert pool.closed is True
+
+    def test_after_their_end_runs_are_made_in_this_one(self, runner_of):
+        world = World(0.02)
+        with runner_of(world, Pool()) as runner:
+            asked(runner)
+            runner.announce(SCENARIOS)
+        asked(runner)
+        assert world.ran == [0, 1, 2, *range(8)]
+
+    def test_the_notes_say_what_was_used_and_what_came_back_at_the_second_try(self, runner_of):
+        pool = Pool()
+        pool.recovered = [Lost(task=SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
+        with runner_of(World(0.02), pool) as runner:
+            asked(runner)
+        used, recovered = runner.notes
+        assert used == "--pafot-workers=2: in use after 3 runs of this process"
+        assert recovered.startswith("a process (pid 7) was ended by SIGKILL while it ran <Scenario ")
+        assert "too little memory for so many workers" in recovered
+
+
+class Batched:
+    def batch(self, observations):
+        """Never called: the world has no physics."""
+
+
+class TestLockStep:
+    @pytest.fixture
+    def world(self):
+        return World()
+
+    @pytest.fixture
+    def runner(self, runner_of, world):
+        """A runner that has seen that its ADS decides for many runs at once."""
+        runner = runner_of(world, ads=Batched, can_lock_step=True)
+        runner.run(SCENARIOS[7])
+        world.ran.clear()
+        return runner
+
+    def test_makes_all_announced_runs_when_the_first_of_them_is_asked_for(self, world, runner):
+        with runner:
+            runner.announce(SCENARIOS[:4])
+            assert world.together == []
+            assert [runner.run(each).scenario for each in SCENARIOS[:4]] == SCENARIOS[:4]
+        assert (world.together, world.ran) == ([[0, 1, 2, 3]], [])
+
+    def test_makes_by_itself_what_was_not_announced_and_what_is_asked_for_again(self, world, runner):
+        runner.announce(SCENARIOS[:2])
+        for number in (7, 0, 0, 1, 1):
+            assert runner.run(SCENARIOS[number]).scenario.seed == number
+        assert (world.together, world.ran) == ([[0, 1]], [7, 0, 1])
+
+    def test_makes_by_itself_what_is_asked_for_afresh(self, world, runner):
+        runner.announce(SCENARIOS[:2])
+        runner.run(SCENARIOS[0], afresh=True)
+        assert (world.together, world.ran, runner.is_alone) == ([], [0], True)
+
+    def test_tells_of_the_last_run_whether_it_was_made_together_with_others(self, runner):
+        runner.announce(SCENARIOS[:2])
+        runner.run(SCENARIOS[0])
+        assert not runner.is_alone
+        runner.run(SCENARIOS[0])
+        assert runner.is_alone
+
+    def test_one_announced_run_is_made_by_itself(self, world, runner):
+        runner.announce(SCENARIOS[:1])
+        runner.run(SCENARIOS[0])
+        assert (world.together, world.ran) == ([], [0])
+
+    def test_keeps_nothing_that_was_not_asked_for(self, world, runner):
+        with runner:
+            runner.announce(SCENARIOS[:2])
+            runner.run(SCENARIOS[0])
+            runner.announce(SCENARIOS[1:3])
+            runner.run(SCENARIOS[1])
+        runner.run(SCENARIOS[2])
+        assert (world.together, world.ran) == ([[0, 1], [1, 2]], [2])
+
+    def test_puts_all_scenarios_on_disk_before_and_the_one_that_is_judged_after(self, world, runner, tmp_path):
+        def on_disk():
+            (path,) = tmp_path.iterdir()
+            record = json.loads(path.read_text().partition("\n")[0])
+            return record["scenario"], record.get("together")
+
+        def rollout_batch(scenarios, ads_factory):
+            before.append(on_disk())
+            return [trace_of(each) for each in scenarios]
+
+        before, world.rollout_batch = [], rollout_batch
+        runner.announce(SCENARIOS[:2])
+        runner.run(SCENARIOS[1])
+        plain = [json.loads(each.canonical()) for each in SCENARIOS[:2]]
+        assert before == [(None, plain)]
+        assert on_disk() == (plain[1], None)
+
+    @pytest.mark.parametrize(("ads", "expected"), [(Batched, [[1, 2]]), (object, [])])
+    def test_the_first_ads_shows_whether_it_decides_for_many(self, runner_of, world, ads, expected):
+        runner = runner_of(world, ads=ads, can_lock_step=True)
+        asked(runner, SCENARIOS[:3])
+        assert world.together == expected
+
+    def test_it_is_not_used_where_it_may_not(self, runner_of, world):
+        asked(runner_of(world, ads=Batched, can_lock_step=False))
+        assert world.together == []
+
+    @pytest.mark.parametrize(
+        ("workers", "notes"),
+        [
+            (1, []),
+            (2, ["--pafot-workers=2: not in use, since the ADS decides for many runs at once, by its `batch`"]),
+        ],
+    )
+    def test_the_notes_say_that_processes_are_not_used(self, runner_of, workers, notes):
+        with runner_of(World(0.02), ads=Batched, workers=workers, can_lock_step=True) as runner:
+            asked(runner)
+        assert runner.notes == notes
