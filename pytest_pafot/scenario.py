@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any, Literal, cast, get_args
 
+from pytest_pafot.errors import FieldError
 from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 
 SPEED_STEPS_PER_MPS = 10
@@ -27,7 +28,11 @@ MAX_SPEED = 1000.0
 MAX_SEED = 2**63 - 1
 
 
-class ScenarioError(ValueError):
+REPAIR = "Scenario.repaired(...) makes such chains valid"
+"""The way out of chains that break the ring."""
+
+
+class ScenarioError(FieldError):
     """A scenario that breaks a rule; the message says where, what was expected and what to do."""
 
 
@@ -84,7 +89,7 @@ class LaneInstruction:
 
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
-            raise ScenarioError(f"lane: expected one of {', '.join(SHIFTS)}, received {self.lane!r}")
+            raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
         object.__setattr__(self, "lane", str(self.lane))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
@@ -241,21 +246,22 @@ def _checked_cell(value: object) -> Cell:
         return value
     number = _whole(value)
     if number is None or not 1 <= number <= 8:
-        raise ScenarioError(
-            f"cell: expected a whole number from 1 (front-left) clockwise to 8 (left), received {value!r}"
-        )
+        expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
+        raise ScenarioError(field="cell", expected=expected, received=repr(value))
     return Cell(number)
 
 
 def _checked_speed(value: object) -> float:
     speed = _number("speed", value)
     if speed > MAX_SPEED:
-        raise ScenarioError(f"speed: expected m/s, at most {MAX_SPEED:g}, received {value!r}")
+        raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
     steps = round(speed * SPEED_STEPS_PER_MPS)
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         raise ScenarioError(
-            f"speed: expected m/s, at least 0 and in steps of 0.1, received {value!r}; "
-            f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}"
+            field="speed",
+            expected="m/s, at least 0 and in steps of 0.1",
+            received=repr(value),
+            fix=f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}",
         )
     return steps / SPEED_STEPS_PER_MPS
 
@@ -267,7 +273,7 @@ def _number(name: str, value: object) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ScenarioError(f"{name}: expected a finite number, received {value!r}")
+        raise ScenarioError(field=name, expected="a finite number", received=repr(value))
     return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
 
 
@@ -284,7 +290,7 @@ def _whole(value: object) -> int | None:
 def _checked_whole(name: str, value: object, top: int) -> int:
     number = _whole(value)
     if number is None or not 0 <= number <= top:
-        raise ScenarioError(f"{name}: expected a whole number from 0 to {top}, received {value!r}")
+        raise ScenarioError(field=name, expected=f"a whole number from 0 to {top}", received=repr(value))
     return number
 
 
@@ -293,11 +299,12 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
         raise ScenarioError(
-            f"npcs: expected one chain of Position-Instructions per NPC, received {npcs!r}; write "
-            "[[PositionInstruction(cell, speed), ...], ...]"
+            field="npcs",
+            expected="one chain of Position-Instructions per NPC",
+            received=repr(npcs),
+            fix="write [[PositionInstruction(cell, speed), ...], ...]",
         ) from None
-    _check_counts(chains)
-    _check_kinds(chains)
+    _check_genes(chains)
     return chains
 
 
@@ -315,36 +322,31 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
     )
 
 
-def _check_kinds(npcs: Sequence[Sequence[Gene]]) -> None:
-    kind = type(npcs[0][0])
-    for npc, chain in enumerate(npcs):
-        for gene, instruction in enumerate(chain):
-            if type(instruction) is not kind:
-                raise ScenarioError(
-                    f"npcs[{npc}][{gene}]: expected a {kind.__name__} like npcs[0][0], received {instruction!r}; "
-                    "give all NPCs of a scenario instructions of one kind"
-                )
-
-
-def _check_counts(npcs: Sequence[Sequence[Gene]]) -> None:
+def _check_genes(npcs: Sequence[Sequence[Gene]]) -> None:
+    """Refuse NPCs without genes, and what are no genes of one kind."""
     if not 1 <= len(npcs) <= 8:
-        raise ScenarioError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {len(npcs)}")
+        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(npcs)))
     for npc, chain in enumerate(npcs):
         if not chain:
-            raise ScenarioError(f"npcs[{npc}]: expected at least one Position-Instruction, received an empty chain")
-        for gene, instruction in enumerate(chain):
-            if not isinstance(instruction, (PositionInstruction, LaneInstruction)):
-                raise ScenarioError(
-                    f"npcs[{npc}][{gene}]: expected a PositionInstruction, received {instruction!r}; "
-                    "write PositionInstruction(cell, speed)"
-                )
+            expected = "at least one Position-Instruction"
+            raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
+        for gene, each in enumerate(chain):
+            if not isinstance(each, (PositionInstruction, LaneInstruction)):
+                expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
+            elif type(each) is not (kind := type(npcs[0][0])):
+                expected = f"a {kind.__name__} like npcs[0][0]"
+                fix = "give all NPCs of a scenario instructions of one kind"
+            else:
+                continue
+            raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
 
 
 def _check_start(scenario: Scenario) -> None:
     if scenario.ego_speed < 0:
-        raise ScenarioError(f"ego_speed: expected m/s, at least 0, received {scenario.ego_speed!r}")
+        raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(scenario.ego_speed))
     if scenario.gene_seconds <= 0:
-        raise ScenarioError(f"gene_seconds: expected seconds, more than 0, received {scenario.gene_seconds!r}")
+        expected = "seconds, more than 0"
+        raise ScenarioError(field="gene_seconds", expected=expected, received=repr(scenario.gene_seconds))
 
 
 def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
@@ -354,8 +356,10 @@ def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
                 raise ScenarioError(
-                    f"npcs[{npc}][{gene}]: expected cell {int(before)} again or its ring neighbour {int(low)} or "
-                    f"{int(high)}, received cell {int(cell)}; Scenario.repaired(...) makes such chains valid"
+                    field=f"npcs[{npc}][{gene}]",
+                    expected=f"cell {int(before)} again or its ring neighbour {int(low)} or {int(high)}",
+                    received=f"cell {int(cell)}",
+                    fix=REPAIR,
                 )
 
 
@@ -368,6 +372,8 @@ def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
             other = holders.setdefault(chain[gene].cell, npc)
             if other != npc:
                 raise ScenarioError(
-                    f"npcs[{npc}][{gene}]: expected a cell that no other NPC holds in gene {gene}, received cell "
-                    f"{int(chain[gene].cell)} of npcs[{other}]; Scenario.repaired(...) makes such chains valid"
+                    field=f"npcs[{npc}][{gene}]",
+                    expected=f"a cell that no other NPC holds in gene {gene}",
+                    received=f"cell {int(chain[gene].cell)} of npcs[{other}]",
+                    fix=REPAIR,
                 )

@@ -193,6 +193,15 @@ def test_a_leap_across_the_ring_is_refused_with_the_cells_that_may_follow():
         Scenario(npcs=[[one(1), one(5)]])
 
 
+def test_the_parts_of_an_error_can_be_read_one_by_one_also_after_a_way_through_another_process():
+    with pytest.raises(ScenarioError) as caught:
+        Scenario(npcs=[[one(1), one(5)]])
+    for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
+        assert (error.field, error.received) == ("npcs[0][1]", "cell 5")
+        assert error.expected == "cell 1 again or its ring neighbour 2 or 8"
+        assert str(error) == f"{error.field}: expected {error.expected}, received {error.received}; {error.fix}"
+
+
 def test_two_npcs_in_one_cell_are_refused_with_both_named():
     expected = "npcs[1][1]: expected a cell that no other NPC holds in gene 1, received cell 2 of npcs[0]"
     with pytest.raises(ScenarioError, match=re.escape(expected)):

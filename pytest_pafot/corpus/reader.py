@@ -20,15 +20,13 @@ from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.schema import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, DocumentError, decoded, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
+from pytest_pafot.errors import FieldError
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SHIFTS, Gene, Scenario, ScenarioError, gene_of
+from pytest_pafot.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
 
-_RULE = re.compile(
-    r"(?:(?P<field>[\w-]+(?:\[\d+\]|\.\w+)*): )?expected (?P<expected>.*?), received (?P<received>.*)", re.S
-)
 MAX_RECEIVED = 300
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
@@ -174,11 +172,9 @@ def _gene(field: Field) -> Gene:
 
 def _rule_broken(field: Field, error: Exception) -> CorpusError:
     """The error of a scenario or world itself, at the place in the file that it is about."""
-    rule = _RULE.fullmatch(str(error))
-    if rule is None:
+    if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
-    name = (rule["field"] or "").removeprefix(f"{field.name}.")
-    key, *others = re.findall(r"\w+", name) or [""]
+    key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.name}.")) or [""]
     inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
     place = field
     for part in inner:
@@ -187,9 +183,8 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
         place = place.at(part)
     if len(inner) == 3 and _has(place.value, "cell"):
         place = place.at("cell")
-    received, _, hint = rule["received"].partition("; ")
-    fix = hint if hint and "Scenario.repaired" not in hint else "correct it, or delete the file"
-    return place.error(rule["expected"], fix, received[:MAX_RECEIVED])
+    fix = error.fix if error.fix and error.fix != REPAIR else "correct it, or delete the file"  # a file is no code
+    return place.error(error.expected, fix, error.received[:MAX_RECEIVED])
 
 
 def _has(value: object, part: str | int) -> bool:

@@ -44,7 +44,7 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
             or a registered class that cannot be imported or does not take the data.
     """
     if not isinstance(data, Mapping):
-        raise WorldError(f"world: expected a mapping, received {data!r}")
+        raise WorldError(field="world", expected="a mapping", received=repr(data))
     kind, values = data.get("kind"), {key: value for key, value in data.items() if key != "kind"}
     if isinstance(kind, str) and kind in BUILT_IN:
         return _built_in(kind, values)
@@ -57,20 +57,22 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
         else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
     )
     known = ", ".join(sorted([*BUILT_IN, *registered]))
-    raise WorldError(f"world.kind: expected one of {known}, received {kind!r}; {hint}")
+    raise WorldError(field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint)
 
 
 def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
     _check_names(f"world (kind {kind})", values, BUILT_IN[kind])
     if "limits" in values:
         if not isinstance(values["limits"], dict):
-            raise WorldError(f"world.limits: expected a mapping, received {values['limits']!r}")
+            raise WorldError(field="world.limits", expected="a mapping", received=repr(values["limits"]))
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
         raise WorldError(
-            f"world.wrappers: expected none, since a file holds no code, received {values['wrappers']!r:.200}; give "
-            "pafot.World(..., wrappers=[...]) in their place"
+            field="world.wrappers",
+            expected="none, since a file holds no code",
+            received=f"{values['wrappers']!r:.200}",
+            fix="give pafot.World(..., wrappers=[...]) in their place",
         )
     if kind == "gym":
         if "env_id" not in values:
@@ -83,7 +85,8 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
     known = {field.name for field in fields(cls) if field.compare}  # an engine is no part of what a world is
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
-        raise WorldError(f"{place}: expected the fields {', '.join(sorted(known))}, received {', '.join(unknown)}")
+        expected = f"the fields {', '.join(sorted(known))}"
+        raise WorldError(field=place, expected=expected, received=", ".join(unknown))
 
 
 def _check_class_path(config: Any) -> None:
@@ -93,8 +96,10 @@ def _check_class_path(config: Any) -> None:
     path = config.get("other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle")
     if not isinstance(path, str) or not path.startswith("highway_env.vehicle."):
         raise WorldError(
-            f"world.config.other_vehicles_type: expected a class of highway_env.vehicle, received {path!r}; "
-            "a corpus file may not name other code"
+            field="world.config.other_vehicles_type",
+            expected="a class of highway_env.vehicle",
+            received=repr(path),
+            fix="a corpus file may not name other code",
         )
 
 
@@ -106,7 +111,9 @@ def _registered() -> dict[str, metadata.EntryPoint]:
 
 def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> WorldLike:
     if set(values) != {"data"}:
-        raise WorldError(f"world (kind {entry.name}): expected the field data, received {', '.join(values) or 'none'}")
+        raise WorldError(
+            field=f"world (kind {entry.name})", expected="the field data", received=", ".join(values) or "none"
+        )
     cls = _loaded(entry)
     try:
         world: WorldLike = cls.from_dict(values["data"])
@@ -114,13 +121,16 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
         raise
     except Exception as error:
         raise WorldError(
-            f"world.data: expected what {entry.value}.from_dict takes, received {values['data']!r:.200}; it raised "
-            f"{type(error).__name__}: {error!s:.200}"
+            field="world.data",
+            expected=f"what {entry.value}.from_dict takes",
+            received=f"{values['data']!r:.200}",
+            fix=f"it raised {type(error).__name__}: {error!s:.200}",
         ) from error
     if lacking := missing(world):
         raise WorldError(
-            f"world.kind: expected that {entry.value}.from_dict gives a world, received {world!r:.100}, "
-            f"which has no {', '.join(lacking)}"
+            field="world.kind",
+            expected=f"that {entry.value}.from_dict gives a world",
+            received=f"{world!r:.100}, which has no {', '.join(lacking)}",
         )
     return world
 
@@ -131,8 +141,10 @@ def _loaded(entry: metadata.EntryPoint) -> Any:
         return entry.load()
     except Exception as error:
         raise WorldError(
-            f"world.kind: expected that {entry.value}, which is registered as {entry.name!r} in the entry points "
-            f"{GROUP}, can be imported, received {type(error).__name__}: {error}"
+            field="world.kind",
+            expected=f"that {entry.value}, which is registered as {entry.name!r} in the entry points {GROUP}, can be "
+            "imported",
+            received=f"{type(error).__name__}: {error}",
         ) from error
 
 
@@ -183,9 +195,11 @@ def named(data: Mapping[str, Any], world: Any) -> Any:
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     raise WorldError(
-        f"expected that the test names the world that the scenario was saved in, {_title(data)}, because a file holds "
-        f"no code, received {_title(now)}; give it by @pafot.search(world=...) or the fixture pafot_world; if only its "
-        "name is new, write that into the file"
+        expected=f"that the test names the world that the scenario was saved in, {_title(data)}, because a file holds "
+        "no code",
+        received=_title(now),
+        fix="give it by @pafot.search(world=...) or the fixture pafot_world; if only its name is new, write that into "
+        "the file",
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pytest_pafot.errors import FieldError
 
-class WorldError(ValueError):
+
+class WorldError(FieldError):
     """A world, or a scenario for it, that cannot be run."""
 
 

@@ -76,18 +76,21 @@ class World(References):
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
             raise WorldError(
-                f"env_id: expected the id of a registered environment without a module in front, such as "
-                f'"highway-v0", received {self.env_id!r}; import the module that registers it first'
+                field="env_id",
+                expected='the id of a registered environment without a module in front, such as "highway-v0"',
+                received=repr(self.env_id),
+                fix="import the module that registers it first",
             )
         if self.config is not None and not isinstance(self.config, dict):
-            raise WorldError(f"config: expected a dict of the environment's options, received {self.config!r}")
+            expected = "a dict of the environment's options"
+            raise WorldError(field="config", expected=expected, received=repr(self.config))
         object.__setattr__(self, "config", checks.plain("config", self.config))
         for name, low, high in (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0)):
             object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
         if self.duration is not None:
             object.__setattr__(self, "duration", checks.number("duration", self.duration, 0.1, 3600.0))
         if not isinstance(self.limits, NpcLimits):
-            raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
         if self.wrappers is not None:
             object.__setattr__(self, "wrappers", checks.callables("wrappers", self.wrappers))
 
@@ -344,15 +347,18 @@ class World(References):
             known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
             near = difflib.get_close_matches(self.env_id, gymnasium.registry, n=1)
             raise WorldError(
-                f"env_id: expected a registered environment, received {self.env_id!r}; highway-env's straight roads "
-                f"are {', '.join(known)}; an environment of your own must be registered by an import before it is used"
-                f"{f'; did you mean {near[0]!r}?' if near else ''}"
+                field="env_id",
+                expected="a registered environment",
+                received=repr(self.env_id),
+                fix=f"highway-env's straight roads are {', '.join(known)}; an environment of your own must be "
+                f"registered by an import before it is used{f'; did you mean {near[0]!r}?' if near else ''}",
             )
         creator = _creator(gymnasium.registry[self.env_id].entry_point)
         if isinstance(creator, type) and not issubclass(creator, AbstractEnv):
             raise WorldError(
-                f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
-                f"{self.env_id!r} ({creator.__name__})"
+                field="env_id",
+                expected="an environment that derives from highway-env's AbstractEnv",
+                received=f"{self.env_id!r} ({creator.__name__})",
             )
         self._check_sizes(creator)
         try:
@@ -360,14 +366,17 @@ class World(References):
                 env = _made(self.env_id, creator, self._given_config())
         except Exception as error:
             raise WorldError(
-                f"config: expected a configuration that the environment {self.env_id} accepts, received "
-                f"{self.config!r:.200}; it raised {type(error).__name__}: {error!s:.200}"
+                field="config",
+                expected=f"a configuration that the environment {self.env_id} accepts",
+                received=f"{self.config!r:.200}",
+                fix=f"it raised {type(error).__name__}: {error!s:.200}",
             ) from error
         plain = env.unwrapped
         if not isinstance(plain, AbstractEnv):
             raise WorldError(
-                f"env_id: expected an environment that derives from highway-env's AbstractEnv, received "
-                f"{self.env_id!r} ({type(plain).__name__})"
+                field="env_id",
+                expected="an environment that derives from highway-env's AbstractEnv",
+                received=f"{self.env_id!r} ({type(plain).__name__})",
             )
         self._check_config(type(plain).default_config(), plain.config)
         self._check_kinds(plain)
@@ -389,15 +398,19 @@ class World(References):
         unknown = sorted(set(self.config or {}) - set(known))
         if unknown:
             near = difflib.get_close_matches(unknown[0], known, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(sorted(known))}"
-            raise WorldError(f"config: expected options of {self.env_id}, received {', '.join(unknown)}{hint}")
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(sorted(known))}"
+            expected = f"options of {self.env_id}"
+            raise WorldError(field="config", expected=expected, received=", ".join(unknown), fix=hint)
         for name, value in (self.config or {}).items():
             if isinstance(value, str) and isinstance(known[name], (int, float)):  # it would fail once a run needs it
-                raise WorldError(f"config.{name}: expected a number such as {known[name]!r}, received {value!r}")
+                expected = f"a number such as {known[name]!r}"
+                raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
         if config.get("controlled_vehicles", 1) != 1:
             raise WorldError(
-                f"config.controlled_vehicles: expected 1, the ego, received {config['controlled_vehicles']!r}; the "
-                "other vehicles are the NPCs"
+                field="config.controlled_vehicles",
+                expected="1, the ego",
+                received=repr(config["controlled_vehicles"]),
+                fix="the other vehicles are the NPCs",
             )
 
     def _check_kinds(self, env: Any) -> None:

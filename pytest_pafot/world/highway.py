@@ -74,7 +74,7 @@ class Highway(References):
         for name, (low, high) in bounds.items():
             object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
-            raise WorldError(f"limits: expected pafot.NpcLimits(...), received {self.limits!r}")
+            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
         checks.one_of("engine", self.engine, ENGINES)
         checks.divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
         checks.ticks(self.duration, self.physics_hz)

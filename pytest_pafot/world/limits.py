@@ -53,7 +53,6 @@ class NpcLimits:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
                 why = WHY.get(name, "")
-                raise WorldError(
-                    f"limits.{name}: expected a number from {low:g} to {high:.6g}{why}, received {value!r}"
-                )
+                expected = f"a number from {low:g} to {high:.6g}{why}"
+                raise WorldError(field=f"limits.{name}", expected=expected, received=repr(value))
             object.__setattr__(self, name, float(value))

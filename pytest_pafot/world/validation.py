@@ -53,7 +53,7 @@ def number(name: str, value: object, low: float, high: float) -> float:
         WorldError: naming the field, the bounds and what was received.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise WorldError(f"{name}: expected a number from {low:g} to {high:g}, received {value!r}")
+        raise WorldError(field=name, expected=f"a number from {low:g} to {high:g}", received=repr(value))
     return float(value)
 
 
@@ -64,7 +64,7 @@ def whole(name: str, value: object, low: int, high: int) -> int:
         WorldError: naming the field, the bounds and what was received.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise WorldError(f"{name}: expected a whole number from {low} to {high}, received {value!r}")
+        raise WorldError(field=name, expected=f"a whole number from {low} to {high}", received=repr(value))
     return value
 
 
@@ -75,7 +75,7 @@ def one_of(name: str, value: object, choices: tuple[str, ...]) -> None:
         WorldError: with the names.
     """
     if not isinstance(value, str) or value not in choices:
-        raise WorldError(f"{name}: expected one of {', '.join(choices)}, received {value!r}")
+        raise WorldError(field=name, expected=f"one of {', '.join(choices)}", received=repr(value))
 
 
 def plain(name: str, value: Any) -> Any:
@@ -87,7 +87,7 @@ def plain(name: str, value: Any) -> Any:
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):
-                raise WorldError(f"{name}: expected text as keys, received {key!r}")
+                raise WorldError(field=name, expected="text as keys", received=repr(key))
         return {key: plain(f"{name}.{key}", item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(f"{name}[{index}]", item) for index, item in enumerate(value)]
@@ -95,10 +95,8 @@ def plain(name: str, value: Any) -> Any:
         return plain(name, value.tolist())
     if value is None or (isinstance(value, (bool, int, float, str)) and not _is_nan(value)):
         return value
-    raise WorldError(
-        f"{name}: expected plain data (numbers, text, lists, mappings), which a corpus file can hold, received "
-        f"{value!r}"
-    )
+    expected = "plain data (numbers, text, lists, mappings), which a corpus file can hold"
+    raise WorldError(field=name, expected=expected, received=repr(value))
 
 
 def sizes(place: str, config: Any) -> None:
@@ -117,7 +115,7 @@ def sizes(place: str, config: Any) -> None:
         numbers = [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, (int, float))]
         if any(abs(each) > most for each in numbers):
             expected = f"at most {most:g}, so that an environment is made in seconds"
-            raise WorldError(f"{place}.{name}: expected {expected}, received {value!r}")
+            raise WorldError(field=f"{place}.{name}", expected=expected, received=repr(value))
         sizes(f"{place}.{name}", value)
     _check_grid(place, config.get("grid_size", ((-27.5, 27.5), (-27.5, 27.5))), config.get("grid_step"))
 
@@ -141,8 +139,8 @@ def known_options(place: str, given: Any, known: Collection[str]) -> None:
     for name in given:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(sorted(known))}"
-            raise WorldError(f"{place}: expected options of highway-env's own, received {name}{hint}")
+            fix = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(known))}"
+            raise WorldError(field=place, expected="options of highway-env's own", received=str(name), fix=fix)
         if name in NESTED:
             known_options(f"{place}.{name}", given[name], known)
 
@@ -153,9 +151,8 @@ def _check_grid(place: str, size: Any, step: Any) -> None:
     except (TypeError, ValueError, ZeroDivisionError):
         return  # no grid, or one that the environment refuses
     if cells > MOST_CELLS:
-        raise WorldError(
-            f"{place}.grid_step: expected a grid of at most {MOST_CELLS} cells, received one of {cells:.0f}"
-        )
+        expected = f"a grid of at most {MOST_CELLS} cells"
+        raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"one of {cells:.0f}")
 
 
 def ticks(duration: float, physics_hz: int) -> None:
@@ -165,10 +162,8 @@ def ticks(duration: float, physics_hz: int) -> None:
         WorldError: with the longest run.
     """
     if duration * physics_hz > MOST_TICKS:
-        raise WorldError(
-            f"duration: expected at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second, received "
-            f"{duration:g}"
-        )
+        expected = f"at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second"
+        raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def _is_nan(value: object) -> bool:
@@ -182,10 +177,10 @@ def callables(name: str, value: Any) -> tuple[Callable[..., Any], ...]:
         WorldError: naming what is none.
     """
     if not isinstance(value, (list, tuple)):
-        raise WorldError(f"{name}: expected a list of callables, received {value!r:.200}")
+        raise WorldError(field=name, expected="a list of callables", received=f"{value!r:.200}")
     for index, each in enumerate(value):
         if not callable(each):
-            raise WorldError(f"{name}[{index}]: expected a callable, received {each!r:.200}")
+            raise WorldError(field=f"{name}[{index}]", expected="a callable", received=f"{each!r:.200}")
     return tuple(value)
 
 
@@ -201,8 +196,10 @@ def divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
     divisors = [n for n in range(1, physics_hz + 1) if physics_hz % n == 0]
     up = math.ceil(physics_hz / ads_hz) * ads_hz
     raise WorldError(
-        f"{ads_name}: expected a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number "
-        f"of ticks, received {ads_hz}; use one of {', '.join(map(str, divisors))}, or {physics_name}={up}"
+        field=ads_name,
+        expected=f"a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number of ticks",
+        received=str(ads_hz),
+        fix=f"use one of {', '.join(map(str, divisors))}, or {physics_name}={up}",
     )
 
 
@@ -215,9 +212,10 @@ def top_speed(limits: NpcLimits, road: StraightRoad | NetworkRoad) -> float:
     speed = limits.overspeed * road.speed_limit
     if speed > TOP_SPEED:
         raise WorldError(
-            f"speed_limit: expected at most {TOP_SPEED / limits.overspeed:.1f} m/s, because NPCs may drive "
-            f"{limits.overspeed:g} times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s, received "
-            f"{road.speed_limit:g}"
+            field="speed_limit",
+            expected=f"at most {TOP_SPEED / limits.overspeed:.1f} m/s, because NPCs may drive {limits.overspeed:g} "
+            f"times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s",
+            received=f"{road.speed_limit:g}",
         )
     return speed
 
@@ -235,10 +233,8 @@ def road_is_long_enough(road: StraightRoad, start: float, duration: float) -> No
     """
     room = road.lanes[0].length - start
     if duration * TOP_SPEED > room:
-        raise WorldError(
-            f"duration: expected at most {room / TOP_SPEED:g} s on a road of {road.lanes[0].length:g} m, received "
-            f"{duration:g}"
-        )
+        expected = f"at most {room / TOP_SPEED:g} s on a road of {road.lanes[0].length:g} m"
+        raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def fits(scenario: Scenario, rules: Rules) -> None:
@@ -249,26 +245,27 @@ def fits(scenario: Scenario, rules: Rules) -> None:
         WorldError: for Lane-Instructions on a road that is not straight.
     """
     if not isinstance(scenario, Scenario):
-        raise ScenarioError(f"scenario: expected a Scenario, received {scenario!r}")
+        raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
     if not isinstance(rules.road, StraightRoad) and not scenario.positions:
         raise WorldError(
-            "scenario: expected Position-Instructions on a road that is not straight, received Lane-Instructions, "
-            "which know no lanes that begin and end; give NPCs PositionInstruction(cell, speed), or take a straight "
-            "road such as pafot.Highway()"
+            field="scenario",
+            expected="Position-Instructions on a road that is not straight",
+            received="Lane-Instructions, which know no lanes that begin and end",
+            fix="give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()",
         )
     _check_lane(scenario, rules.road)
     cells = rules.start_cells(scenario)
     if len(scenario.npcs) > len(cells):
-        raise ScenarioError(
-            f"npcs: expected at most {len(cells)} NPCs, one per cell that exists beside lane {scenario.ego_lane}, "
-            f"received {len(scenario.npcs)}"
-        )
+        expected = f"at most {len(cells)} NPCs, one per cell that exists beside lane {scenario.ego_lane}"
+        raise ScenarioError(field="npcs", expected=expected, received=str(len(scenario.npcs)))
     _check_speeds(scenario, rules)
     ticks = scenario.gene_seconds * rules.physics_hz
     if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
         raise ScenarioError(
-            f"gene_seconds: expected a whole number of ticks of 1/{rules.physics_hz} s, received "
-            f"{scenario.gene_seconds:g}; the nearest is {max(round(ticks), 1) / rules.physics_hz!r}"
+            field="gene_seconds",
+            expected=f"a whole number of ticks of 1/{rules.physics_hz} s",
+            received=f"{scenario.gene_seconds:g}",
+            fix=f"the nearest is {max(round(ticks), 1) / rules.physics_hz!r}",
         )
 
 
@@ -277,29 +274,30 @@ def _check_lane(scenario: Scenario, road: StraightRoad | NetworkRoad) -> None:
         count = road.lane_count
         if scenario.ego_lane >= count:
             raise ScenarioError(
-                f"ego_lane: expected a lane from 0 to {count - 1}, received {scenario.ego_lane}; the road has {count} "
-                "lanes"
+                field="ego_lane",
+                expected=f"a lane from 0 to {count - 1}",
+                received=str(scenario.ego_lane),
+                fix=f"the road has {count} lanes",
             )
         return
     lanes = road.start_lanes
     if scenario.ego_lane not in lanes:
         raise ScenarioError(
-            f"ego_lane: expected a lane that exists where the ego starts, {' or '.join(map(str, lanes))}, received "
-            f"{scenario.ego_lane}; lanes are counted from 0 at the left over all of the ego's way"
+            field="ego_lane",
+            expected=f"a lane that exists where the ego starts, {' or '.join(map(str, lanes))}",
+            received=str(scenario.ego_lane),
+            fix="lanes are counted from 0 at the left over all of the ego's way",
         )
 
 
 def _check_speeds(scenario: Scenario, rules: Rules) -> None:
     road, top = rules.road, top_speed(rules.limits, rules.road)
     if scenario.ego_speed > top:
-        raise ScenarioError(
-            f"ego_speed: expected at most {top:.2f} m/s, the NPCs' top speed, because all start at the ego's speed; "
-            f"received {scenario.ego_speed:g}"
-        )
+        expected = f"at most {top:.2f} m/s, the NPCs' top speed, because all start at the ego's speed"
+        raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
     for npc, chain in enumerate(scenario.npcs):
         for gene, instruction in enumerate(chain):
             if instruction.speed > road.speed_limit + 1e-9:
-                raise ScenarioError(
-                    f"npcs[{npc}][{gene}].speed: expected at most the speed limit of {road.speed_limit:g} m/s, "
-                    f"received {instruction.speed:g}"
-                )
+                expected = f"at most the speed limit of {road.speed_limit:g} m/s"
+                place = f"npcs[{npc}][{gene}].speed"
+                raise ScenarioError(field=place, expected=expected, received=f"{instruction.speed:g}")

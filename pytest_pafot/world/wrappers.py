@@ -37,9 +37,11 @@ def check_bare(env: Any, env_id: str) -> None:
     added = names(env)
     if added:
         raise WorldError(
-            f"env_id: expected an environment whose policies see it as it is, received {env_id!r}, which is registered "
-            f"with {' and '.join(added)} around it; use pafot.World({env_id!r}, wrappers=[]), which runs through "
-            f"env.step with what the registration adds, and with further wrappers that the list gives"
+            field="env_id",
+            expected="an environment whose policies see it as it is",
+            received=f"{env_id!r}, which is registered with {' and '.join(added)} around it",
+            fix=f"use pafot.World({env_id!r}, wrappers=[]), which runs through env.step with what the registration "
+            "adds, and with further wrappers that the list gives",
         )
 
 

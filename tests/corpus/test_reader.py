@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.corpus.fields import CorpusError
-from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Simplified
 from pytest_pafot.findings.shrink import SpeedInterval
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
 
 NAME = "front-2-1f3a9c.pafot.yaml"
@@ -349,3 +350,23 @@ def test_how_a_finding_was_shrunk_stands_in_its_file(path):
 def test_a_fault_in_what_shrinking_wrote_is_one_error_at_its_field(path, old, new, field):
     assert text_of(SHRUNK).count(old) == 1
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
+
+
+@pytest.mark.parametrize(
+    ("part", "error", "line", "field", "told"),
+    [
+        ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 9, "scenario.ego.speed",
+         "expected less, received 22; correct it, or delete the file"),
+        ("scenario", ScenarioError(field="npcs[0][1].speed", expected="less", received="8", fix="write 7.9"), 12,
+         "scenario.npcs[0][1].speed", "expected less, received 8; write 7.9"),
+        ("world", WorldError(field="lanes", expected="more", received="4"), 3, "world.lanes", "received 4; correct it"),
+        ("world", WorldError(field="limits.jerk", expected="more", received="1"), 5, "world.limits.jerk", "more"),
+        ("world", WorldError(field="merge-v0", expected="a road", received="none"), 3, "world", "expected a road"),
+        ("world", TypeError("no road, received none"), 3, "world", "expected a world that can run, received no road"),
+    ],
+)  # fmt: skip
+def test_what_a_world_finds_wrong_with_a_file_is_told_at_its_line(path, part, error, line, field, told):
+    path.write_text(TEXT)
+    fault = located(path, part, error)
+    assert (fault.line, fault.field) == (line, field)
+    assert told in str(fault)

@@ -99,8 +99,10 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     )
     if road.end - road.start < 2 * NPC_LENGTH:
         raise WorldError(
-            f"{name}: expected a road that goes on from where the ego starts, received one that ends "
-            f"{road.end - start:.0f} m ahead; give the ego a route, or a start further back"
+            field=name,
+            expected="a road that goes on from where the ego starts",
+            received=f"one that ends {road.end - start:.0f} m ahead",
+            fix="give the ego a route, or a start further back",
         )
     return road
 
@@ -108,7 +110,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
 def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     """The lane that the ego starts in, and where in it [m]."""
     if ego is None or not network.lanes_list():
-        raise WorldError(f"{name}: expected an ego on a road with lanes, received an environment without")
+        raise WorldError(field=name, expected="an ego on a road with lanes", received="an environment without")
     index = network.get_closest_lane_index(ego.position, ego.heading)
     lane = network.get_lane(index)
     at, offset = (float(value) for value in lane.local_coordinates(ego.position))
@@ -116,9 +118,11 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
     is_beside = abs(offset) > float(lane.width_at(at)) / 2 + 1e-6 or not -1e-6 <= at <= lane.length
     if is_beside or turned > math.pi / 4:
         raise WorldError(
-            f"{name}: expected an ego that starts on a lane and in its direction, because the grid lies along its "
-            f"lane, received one {abs(offset):.1f} m beside the centre of the nearest lane {index}, at an angle of "
-            f"{math.degrees(turned):.0f} degrees; free areas such as parking lots have no grid"
+            field=name,
+            expected="an ego that starts on a lane and in its direction, because the grid lies along its lane",
+            received=f"one {abs(offset):.1f} m beside the centre of the nearest lane {index}, at an angle of "
+            f"{math.degrees(turned):.0f} degrees",
+            fix="free areas such as parking lots have no grid",
         )
     return index, min(max(at, 0.0), float(lane.length))
 
@@ -128,9 +132,10 @@ def _check_bends(line: Line, name: str) -> None:
     worst = int(np.abs(curvature).argmax())
     if abs(curvature[worst]) > TIGHTEST:
         raise WorldError(
-            f"{name}: expected bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
-            f"{1 / TIGHTEST:g} m, received {1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, "
-            f"y = {line.y[worst]:.0f}"
+            field=name,
+            expected=f"bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
+            f"{1 / TIGHTEST:g} m",
+            received=f"{1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, y = {line.y[worst]:.0f}",
         )
 
 
