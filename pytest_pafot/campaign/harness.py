@@ -18,7 +18,7 @@ from pytest_pafot.corpus import layout
 from pytest_pafot.execution.crash_records import InFlight
 from pytest_pafot.execution.worker_pool import Errand
 from pytest_pafot.files import sweep
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import node_ids
 from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.run import Run
@@ -66,7 +66,7 @@ class Bench:
         """
         world = build_world(request, item.funcargs[WORLD_FIXTURE])
         _check_world(request, world)
-        folder = places.folder_of_item(item, request.settings.corpus, item.config.rootpath)
+        folder = node_ids.folder_of_item(item, request.settings.corpus, item.config.rootpath)
         sweep(folder)
         return cls(
             item=item,

@@ -22,8 +22,7 @@ from pytest_pafot.execution.worker_pool import Lost
 from pytest_pafot.findings.finding import Expect, Finding, Found, message_of, portable
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.grid import Cell
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.failure_reports import is_compact, summarise
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report import terminal
@@ -295,7 +294,7 @@ class Keeper:
     ) -> Finding:
         return Finding(
             id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
-            test=places.base_id(self.bench.item),
+            test=node_ids.base_id(self.bench.item),
             scenario=scenario,
             world=world or worlds.described(self.bench.world),
             expect=expect,
@@ -308,7 +307,7 @@ class Keeper:
         return max(len(files), len(self.kept)) >= self.bench.request.settings.max_saved
 
     def _finding(self, run: Run, failure: Failure, found: Found) -> Finding:
-        test = places.base_id(self.bench.item)
+        test = node_ids.base_id(self.bench.item)
         world, root = worlds.described(self.bench.world), self.bench.root
         return Finding.of(run, failure, test=test, world=world, found=found, root=root)
 
@@ -317,7 +316,7 @@ class Keeper:
         while finding.id in self.kept:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.bench.folder / f"{finding.id}{layout.SUFFIX}"
-        node_id = places.saved_node_id(self.bench.item, finding.id)
+        node_id = node_ids.saved_node_id(self.bench.item, finding.id)
         find = Find(id=finding.id, node_id=node_id, headline=headline, is_timed=is_timed)
         if self.bench.request.settings.save == "none":
             return Kept(finding=finding, find=replace(find, problem=NOT_SAVED), origin=origin)
@@ -344,7 +343,7 @@ def report_of(item: pytest.Item, find: Find, exception: BaseException, section: 
     path, line, _ = report.location
     summarise(report, find.summary)
     report.nodeid = find.node_id
-    report.location = (path, line, places.saved_name(item, find.id))
+    report.location = (path, line, node_ids.saved_name(item, find.id))
     report.sections.append(("pafot", section))
     if find.path:
         report.user_properties.append(("pafot_file", find.path))  # for files such as JUnit's, which have no sections

@@ -18,8 +18,7 @@ from pytest_pafot.execution.separate_process import tried_apart
 from pytest_pafot.execution.worker_pool import Lost, ProcessLostError
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
@@ -94,7 +93,7 @@ def replay_for_search(bench: Bench, saved: Saved) -> Replayed | None:
     finding = saved.finding
     if finding is None:
         return None
-    owner = places.saved_node_id(bench.item, saved.id)
+    owner = node_ids.saved_node_id(bench.item, saved.id)
     try:
         run, verdict = _means(bench, saved, owner)(finding.scenario, world_of(bench, finding, saved), owner)
     except RequestError:

@@ -53,7 +53,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return
     from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
-    from pytest_pafot.plugin.item_setup import Checks  # noqa: PLC0415
+    from pytest_pafot.plugin.item_checks import Checks  # noqa: PLC0415
 
     for name, feature in (("checks", Checks()), ("execution", Execution()), ("failing", Failures())):
         if not session.config.pluginmanager.has_plugin(f"pafot-{name}"):

@@ -12,10 +12,10 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import node_ids
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
+from pytest_pafot.plugin.node_ids import Candidates
 from pytest_pafot.plugin.options import corpus_name
-from pytest_pafot.plugin.saved_items import Candidates
 from pytest_pafot.plugin.session import EXPLICIT, SEARCH_PART, SHARED, Explicit, Seen, base_line
 
 ORPHANS = pytest.StashKey[dict[Path, list[Path]]]()
@@ -85,7 +85,7 @@ class Collection:
         arg = arguments.get("arg", DEFAULT_ARG)
         if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
             return  # The one item that this leaves says what is wrong when it is set up.
-        saved = [_param(candidates) for candidates in places.by_id(self._saved(metafunc, arguments))]
+        saved = [_param(candidates) for candidates in node_ids.by_id(self._saved(metafunc, arguments))]
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
 
     @pytest.hookimpl(wrapper=True)
@@ -159,7 +159,7 @@ class Collection:
 
     def _folder(self, item: pytest.Item, arguments: dict[str, Any]) -> Path | None:
         corpus = corpus_name(self._config, arguments)
-        return None if corpus is None else places.folder_of_item(item, corpus, self._config.rootpath)
+        return None if corpus is None else node_ids.folder_of_item(item, corpus, self._config.rootpath)
 
     def _saved(self, metafunc: pytest.Metafunc, arguments: dict[str, Any]) -> list[Saved]:
         """Every file that may belong to an item of the function, in the order of folders and ids."""
@@ -167,7 +167,7 @@ class Collection:
         if corpus is None:
             return []
         module_folder = layout.folder_of_module(metafunc.definition.path, corpus, self._config.rootpath)
-        return places.read_saved(module_folder, metafunc.definition)
+        return node_ids.read_saved(module_folder, metafunc.definition)
 
 
 def is_search(item: pytest.Item) -> bool:
@@ -185,7 +185,7 @@ def saved_of(item: pytest.Item) -> Saved | None:
 
 def _param(candidates: Candidates) -> Any:
     mark = getattr(pytest.mark, SAVED_MARK)(candidates)
-    return pytest.param(SEARCH, id=places.saved_part(candidates.id), marks=[mark])
+    return pytest.param(SEARCH, id=node_ids.saved_part(candidates.id), marks=[mark])
 
 
 def _mark(item: pytest.Item, saved: Saved) -> None:
@@ -220,8 +220,8 @@ def _drop_known_searches(config: pytest.Config, items: list[pytest.Item]) -> Non
     if not config.getoption("lf", False) or getattr(config, "cache", None) is None:
         return
     failed = config.cache.get("cache/lastfailed", {})
-    bases = {places.base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
-    known = [item for item in items if is_search(item) and item.nodeid in failed and places.base_id(item) in bases]
+    bases = {node_ids.base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
+    known = [item for item in items if is_search(item) and item.nodeid in failed and node_ids.base_id(item) in bases]
     _deselect(config, items, known)
 
 

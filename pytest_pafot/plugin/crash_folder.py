@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pytest_pafot.corpus import layout
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import node_ids
 from pytest_pafot.plugin.marks import SAVED_MARK
 
 if TYPE_CHECKING:
@@ -84,4 +84,4 @@ def _cached_folder(config: pytest.Config) -> Path | None:
 
 def owner_of(item: pytest.Item) -> str:
     """Under which name an item's records are kept: the same for a search in each session."""
-    return item.nodeid if item.get_closest_marker(SAVED_MARK) else places.base_id(item)
+    return item.nodeid if item.get_closest_marker(SAVED_MARK) else node_ids.base_id(item)

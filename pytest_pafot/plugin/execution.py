@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pytest_pafot.plugin.collection import is_search, saved_of
-from pytest_pafot.plugin.item_setup import REQUEST
+from pytest_pafot.plugin.item_checks import REQUEST
 from pytest_pafot.plugin.session import SHARED
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ def _run(item: pytest.Function, request: Request) -> None:
 
 def _search(bench: Bench, request: Request) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.plugin import saved_items as places  # noqa: PLC0415
+    from pytest_pafot.plugin import node_ids  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import AFTER_A_DEATH, Searching, isolated_after_a_death  # noqa: PLC0415
 
-    seed = item_seed(request.settings.seed, places.base_id(bench.item))
+    seed = item_seed(request.settings.seed, node_ids.base_id(bench.item))
     chosen = isolated_after_a_death(bench)
     notes = [] if chosen is bench else [AFTER_A_DEATH]
     Searching(bench=chosen, seed=seed, clock=time.monotonic, notes=notes).run()

@@ -30,8 +30,7 @@ from pytest_pafot.execution.prefetch import METHOD, Isolated, ahead_of, isolated
 from pytest_pafot.execution.recovery import settle
 from pytest_pafot.execution.separate_process import replay_in_gym_apart
 from pytest_pafot.execution.together import LockStep, noted
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin import saved_items as places
+from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
@@ -386,7 +385,7 @@ class Searching:
         """Show the search on the page, unless it only replayed."""
         if self.showing is None or not self.showing.events:
             return
-        known = {places.saved_node_id(self.bench.item, id_): count for id_, count in hunt.known.items()}
+        known = {node_ids.saved_node_id(self.bench.item, id_): count for id_, count in hunt.known.items()}
         cut_by = search.reason if search.reason in ("error", "interrupted") else ""
         self.showing.searched(search.finds, known, float(self.bench.world.speed_limit), cut_by)
 
