@@ -349,6 +349,16 @@ def test_every_generated_section_is_in_the_reference():
     assert sorted(present) == sorted(module.sections())
 
 
+def test_the_reference_has_a_row_for_every_option_with_all_its_names():
+    rows = generator().sections()["options"].splitlines()[2:]
+    assert len(rows) == len(OPTIONS)
+    for option, row in zip(OPTIONS, rows, strict=True):
+        names = (option.key, option.variable) if option.everywhere else ()
+        assert all(f"`{name}`" in row for name in names)
+        assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
+        assert option.flag in row
+
+
 def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
     (example,) = (
         block for name, block in GENERATED.findall(text_of(ROOT / "docs/reference.md")) if name == "example-file"

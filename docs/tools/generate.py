@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_pafot import criticality, strategies
 from pytest_pafot.campaign.arguments import SearchArguments
-from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
@@ -25,7 +25,6 @@ from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
 from pytest_pafot.findings.shrink import SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.plugin.reference import options_table
 from pytest_pafot.run import Moment, Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
@@ -91,7 +90,7 @@ AT_THE_END = ("original", "shrunk", "flaky", "xfail")
 def sections() -> dict[str, str]:
     """The text of every generated section, by name."""
     return {
-        "options": options_table(),
+        "options": _options_table(),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
@@ -186,6 +185,31 @@ def _capital(text: str) -> str:
 
 def _first_paragraph(docstring: str | None) -> str:
     return _plain(" ".join(inspect.cleandoc(docstring or "").split("\n\n")[0].split()))
+
+
+def _options_table() -> str:
+    header = ["Command line", "ini / toml key", "Variable", "Marker argument", "Default", "Meaning"]
+    return _table(header, map(_option_row, OPTIONS))
+
+
+def _option_row(option: Option) -> list[str]:
+    flag = option.flag if option.kind == "switch" else f"{option.flag}={option.metavar}"
+    argument = f"{option.name}=" if option.is_argument else ""
+    elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
+    choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
+    return [
+        *(f"`{name}`" if name else "-" for name in (flag, *elsewhere)),
+        _option_default(option),
+        option.help + choices,
+    ]
+
+
+def _option_default(option: Option) -> str:
+    profiles = [f"`{values[option.name]}` ({name})" for name, values in PROFILES.items() if option.name in values]
+    if len(profiles) == len(PROFILES):
+        return ", ".join(profiles)
+    plain = "none" if option.default is None else f"`{option.default}`"
+    return ", ".join(["fresh" if option.name == "seed" else plain, *profiles])
 
 
 def _marker_table() -> str:

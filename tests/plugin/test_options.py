@@ -6,7 +6,6 @@ from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
 from pytest_pafot.plugin.options import resolve
-from pytest_pafot.plugin.reference import options_table
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
@@ -129,13 +128,3 @@ def test_every_option_is_in_the_help(project):
     result = project.run("--help", generations=None, seed=None)
     for option in OPTIONS:
         assert option.flag in result.stdout.str()
-
-
-def test_the_reference_has_a_row_for_every_option_with_all_its_names():
-    rows = options_table().splitlines()[2:]
-    assert len(rows) == len(OPTIONS)
-    for option, row in zip(OPTIONS, rows, strict=True):
-        names = (option.key, option.variable) if option.everywhere else ()
-        assert all(f"`{name}`" in row for name in names)
-        assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
-        assert option.flag in row
