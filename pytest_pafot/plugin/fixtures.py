@@ -1,21 +1,59 @@
-"""Fixtures for searches and for ordinary tests that simulate."""
+"""Fixtures for searches and for ordinary tests that simulate, and what they give."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus import layout
+from pytest_pafot.corpus.layout import CORPUS, SUFFIX, folder_of_module
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.options import corpus_name
 
 if TYPE_CHECKING:
-    from pytest_pafot.plugin.fixture_values import Corpus, Simulate
+    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.run import Run
     from pytest_pafot.scenario import Scenario
+
+
+class Simulate(Protocol):
+    """What the fixture ``pafot_simulate`` gives."""
+
+    def __call__(self, scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
+        """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corpus:
+    """What the fixture ``pafot_corpus`` gives: the saved scenarios of the module that asks for it.
+
+    Attributes:
+        folder: in which a folder for each test lies; it may not exist.
+    """
+
+    folder: Path
+
+    def __iter__(self) -> Iterator[Finding]:
+        """Every finding, by test and id.
+
+        Raises:
+            CorpusError: for a file that cannot be read.
+        """
+        from pytest_pafot.corpus.files import read  # noqa: PLC0415
+
+        return map(read, self.paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @property
+    def paths(self) -> list[Path]:
+        """Of the files."""
+        return sorted(self.folder.glob(f"*/*{SUFFIX}"))
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +94,5 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
 @pytest.fixture
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     """The saved scenarios of all tests of the module, to iterate over."""
-    from pytest_pafot.plugin.fixture_values import Corpus  # noqa: PLC0415
-
-    corpus = corpus_name(request.config, arguments_of(request.node) or {}) or str(BY_NAME["corpus"].default)
-    return Corpus(folder=layout.folder_of_module(request.path, corpus, request.config.rootpath))
+    corpus = corpus_name(request.config, arguments_of(request.node) or {}) or CORPUS
+    return Corpus(folder=folder_of_module(request.path, corpus, request.config.rootpath))
