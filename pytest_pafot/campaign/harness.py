@@ -66,7 +66,9 @@ class Bench:
         """
         world = build_world(request, item.funcargs[WORLD_FIXTURE])
         _check_world(request, world)
-        folder = node_ids.folder_of_item(item, request.settings.corpus, item.config.rootpath)
+        folder = layout.folder_of_test(
+            item.path, node_ids.qualified_name(item), request.settings.corpus, item.config.rootpath
+        )
         sweep(folder)
         return cls(
             item=item,

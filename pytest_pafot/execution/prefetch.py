@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.worker_pool import GRACE, Crew, Errand, Lost, trace_from
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.session import is_worker
+from pytest_pafot.plugin.xdist import is_worker
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import Bench

@@ -1,4 +1,4 @@
-"""The pytest plugin: options, marks, collection, the search loop and its reports.
+"""The pytest plugin: options, marks, fixtures, items and how they run, and what the terminal shows of them.
 
 Sessions without a marked test pay for the light modules imported here and nothing else: everything that needs
 numpy, yaml or highway-env is imported when a marked test is collected or run.
@@ -6,15 +6,18 @@ numpy, yaml or highway-env is imported when a marked test is collected or run.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pytest
 
-from pytest_pafot.plugin import fixtures, header, session
-from pytest_pafot.plugin.collection import Collection, accept_files
+from pytest_pafot.plugin import fixtures, xdist
+from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import Unseen
 from pytest_pafot.plugin.options import add_options
 from pytest_pafot.plugin.report_pages import Pages
-from pytest_pafot.plugin.terminal_reporter import Reporter, WorkerReporter
+from pytest_pafot.plugin.session import SHARED, begin
+from pytest_pafot.plugin.terminal_reporter import Reporter
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -30,21 +33,18 @@ def pytest_configure(config: pytest.Config) -> None:
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
-    session.start(config)
-    is_worker = session.is_worker(config)
-    accept_files(config)
-    features = {
-        "fixtures": fixtures,
-        "header": header,
-        "collection": Collection(config),
-        "messages": Unseen(),
-        "reporting": WorkerReporter(config) if is_worker else Reporter(config),
-    }
-    if not is_worker:
-        features["sharing"] = session.Sharing(config)
-        features["pages"] = Pages(config)
-    for name, feature in features.items():
-        config.pluginmanager.register(feature, f"pafot-{name}")
+    is_worker = xdist.is_worker(config)
+    config.stash[SHARED] = xdist.shared_by_controller(config) if is_worker else begin()
+    features = {"fixtures": fixtures, "collection": Collection(config), "messages": Unseen()}
+    if is_worker:
+        features |= {"worker": xdist.Worker(config)}
+    else:
+        features |= {"reporting": Reporter(config), "pages": Pages(config), "controller": xdist.Controller(config)}
+    if config.get_verbosity() > 0:
+        from pytest_pafot.plugin import header  # noqa: PLC0415
+
+        features["header"] = header
+    _register(config, features)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -55,6 +55,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks  # noqa: PLC0415
 
-    for name, feature in (("checks", Checks()), ("execution", Execution()), ("failing", Failures())):
-        if not session.config.pluginmanager.has_plugin(f"pafot-{name}"):
-            session.config.pluginmanager.register(feature, f"pafot-{name}")
+    _register(session.config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
+
+
+def _register(config: pytest.Config, features: Mapping[str, object]) -> None:
+    for name, feature in features.items():
+        if not config.pluginmanager.has_plugin(f"pafot-{name}"):
+            config.pluginmanager.register(feature, f"pafot-{name}")

@@ -43,9 +43,9 @@ class Corpus:
         Raises:
             CorpusError: for a file that cannot be read.
         """
-        from pytest_pafot.corpus.files import read  # noqa: PLC0415
+        from pytest_pafot.corpus.reader import load  # noqa: PLC0415
 
-        return map(read, self.paths)
+        return map(load, self.paths)
 
     def __len__(self) -> int:
         return len(self.paths)

@@ -1,4 +1,7 @@
-"""One line of the header of a verbose session: how the kernel runs, found out without importing it."""
+"""One line of the header of a verbose session: how the kernel runs, found out without importing it.
+
+Registered with ``-v`` alone.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,11 @@ import os
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
-import pytest
-
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
 
-def pytest_report_header(config: pytest.Config) -> str | None:
-    """With ``-v``: compiled, interpreted since nothing is compiled, or interpreted as the environment demands."""
-    if config.get_verbosity() <= 0:
-        return None
+def pytest_report_header() -> str:
+    """Compiled, interpreted since nothing is compiled, or interpreted as the environment demands."""
     if not any((KERNEL / f"loop{suffix}").exists() for suffix in EXTENSION_SUFFIXES):
         return "pafot: kernel interpreted (not compiled at installation)"
     if os.environ.get("PAFOT_KERNEL") == "interpreted":

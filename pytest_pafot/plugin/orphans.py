@@ -1,38 +1,88 @@
-"""Saved scenarios whose test is gone: found without blaming a selection, removed only when asked for."""
+"""Saved scenarios that no test runs: orphans, whose test is gone, and strays, which lie beside the folders of tests.
+
+They are found without blaming a selection. Orphans are removed, and only when asked for.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
-from pytest_pafot.corpus import layout
+import pytest
+
+from pytest_pafot.corpus.layout import files_in, module_named, modules_in, relative, safe_name
 from pytest_pafot.corpus.saved import read_saved_file
-from pytest_pafot.plugin.session import Seen
 
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
 
 
-def find(seen: Seen, roots: Mapping[Path, Path], collected: set[Path], rootpath: Path) -> dict[Path, list[Path]]:
+class Unrun(NamedTuple):
+    """What a session found.
+
+    Attributes:
+        orphans: folders of saved scenarios whose test is gone, each with the files that may be removed.
+        strays: saved scenarios that lie in no folder of a test, each with where it should be, in words.
+    """
+
+    orphans: dict[Path, list[Path]]
+    strays: dict[str, str]
+
+
+UNRUN = pytest.StashKey[Unrun]()
+
+
+@dataclass(slots=True, kw_only=True)
+class Collected:
+    """What a session collected, before any selection.
+
+    Attributes:
+        rootpath: of the session.
+        folders: corpus folders of the items.
+        roots: corpora, with the folder of the test files that each serves.
+        classes: node ids of the classes that exist in collected modules and classes.
+        opened: node ids of the classes whose members were collected.
+        files: test files with at least one item.
+    """
+
+    rootpath: Path
+    folders: set[Path] = field(default_factory=set)
+    roots: dict[Path, Path] = field(default_factory=dict)
+    classes: set[str] = field(default_factory=set)
+    opened: set[str] = field(default_factory=set)
+    files: set[Path] = field(default_factory=set)
+
+
+def find_orphans(collected: Collected) -> dict[Path, list[Path]]:
     """Folders that hold saved scenarios of no test, each with the files that may be removed.
 
-    A folder is an orphan when its module is gone, or when the place where its test would be, module or class, was
-    collected and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all
-    members of a module or class before it selects. A module that failed or was skipped at import blames nobody.
-
-    Args:
-        seen: what was collected.
-        roots: corpora, with the folder of the test files that each serves.
-        collected: test files with at least one item.
-        rootpath: of the session.
+    A folder is an orphan when its module is gone, or when the module or class where its test would be was collected
+    and made no such item. Selections by ``-k``, ``-m`` or node ids do not matter: pytest collects all members of a
+    module or class before it selects. A module that failed or was skipped at import blames nobody.
     """
     return {
-        folder: _own_files(folder, directory, rootpath)
-        for root, directory in sorted(roots.items())
-        for folder in _folders(root)
-        if _is_orphan(folder, directory, collected, seen, rootpath)
+        folder: _own_files(folder, directory, collected.rootpath)
+        for root, directory in sorted(collected.roots.items())
+        for module in modules_in(root)
+        for folder in sorted(filter(_is_of_one_test, module.iterdir()))
+        if _is_orphan(folder, directory, collected)
     }
+
+
+def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]:
+    """Files between the rootdir and the folders of tests, each with where it should be, in words.
+
+    No folder is searched for them but those on the way.
+    """
+    on_the_way: set[Path] = set()
+    for root, directory in collected.roots.items():
+        above = (_up(root, collected.rootpath), _up(directory, collected.rootpath), modules_in(root))
+        on_the_way.update(*above)
+    files = (file for folder in sorted(on_the_way.difference(collected.folders, orphans)) for file in files_in(folder))
+    return {relative(file, collected.rootpath): _home(file, collected) for file in files}
 
 
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
@@ -52,42 +102,37 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
     return removed, failures
 
 
-def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
-    """Files of a folder that name a test of this rootdir whose folder it is, and that no link leads to.
-
-    A corpus outside of the rootdir may serve other projects, too: there a test is of this rootdir if its module is.
-    """
-    inside = folder.is_relative_to(rootpath)
-    top = rootpath if inside else folder.parents[2 + len(_relative_parts(directory, rootpath)) - 1]
-    if any(each.is_symlink() for each in (folder, *folder.parents) if each != top and each.is_relative_to(top)):
-        return []
-
-    def is_own(file: Path) -> bool:
-        module, _, test = _test_of(file).partition("::")
-        path = rootpath / module
-        is_there = (layout.safe_name(path.stem), layout.safe_name(test)) == (folder.parent.name, folder.name)
-        return is_there and path.parent == directory and (inside or path.exists())
-
-    return [file for file in layout.files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
+def _is_of_one_test(folder: Path) -> bool:
+    """Whether it holds saved scenarios and no folders: those of one corpus for all lie side by side with modules."""
+    return bool(files_in(folder)) and not any(path.is_dir() for path in folder.iterdir())
 
 
-def _relative_parts(directory: Path, rootpath: Path) -> tuple[str, ...]:
-    return directory.relative_to(rootpath).parts if directory.is_relative_to(rootpath) else ()
+def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
+    if folder in collected.folders:
+        return False
+    module = module_named(directory, folder.parent.name)
+    if not module.exists():
+        return True
+    if module not in collected.files:
+        return False
+    prefix = relative(module, collected.rootpath)
+    for name in _classes(folder):
+        prefix = f"{prefix}::{name}"
+        if prefix not in collected.classes:
+            return True
+        if prefix not in collected.opened:
+            return False  # Its members were not collected, since another node id was asked for.
+    return True
 
 
-def _test_of(file: Path) -> str:
-    """The node id that a file names, also where the file is broken."""
-    finding = read_saved_file(file).finding
-    return named_test(file) if finding is None else finding.test
+def _classes(folder: Path) -> list[str]:
+    """The classes around the test that a folder belongs to, from the first file that names it."""
+    name = next(filter(None, map(_named_test, files_in(folder))), "")
+    return name.partition("[")[0].split("::")[1:-1]
 
 
-def count(folder: Path) -> int:
-    """Saved scenarios in a folder."""
-    return len(layout.files_in(folder))
-
-
-def named_test(file: Path) -> str:
-    """The node id of the test that a saved scenario names; empty where it names none."""
+def _named_test(file: Path) -> str:
+    """The node id of the test that a saved scenario names, also where it is broken; empty where it names none."""
     try:
         line = _TEST_LINE.search(file.read_bytes()[:65536])
     except OSError:
@@ -95,35 +140,42 @@ def named_test(file: Path) -> str:
     return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
 
 
-def _folders(root: Path) -> Iterator[Path]:
-    for module in layout.modules_in(root):
-        yield from sorted(folder for folder in module.iterdir() if count(folder) and _is_of_one_test(folder))
+def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
+    """Files of a folder that name a test of this rootdir whose folder it is, and that no link leads to.
+
+    A corpus outside of the rootdir may serve other projects, too: there a test is of this rootdir if its module is.
+    """
+    inside = folder.is_relative_to(rootpath)
+    depth = len(directory.relative_to(rootpath).parts) if directory.is_relative_to(rootpath) else 0
+    top = rootpath if inside else folder.parents[1 + depth]
+    if any(each.is_symlink() for each in _up(folder, top) if each != top):
+        return []
+
+    def is_own(file: Path) -> bool:
+        finding = read_saved_file(file).finding
+        module, _, test = (_named_test(file) if finding is None else finding.test).partition("::")
+        path = rootpath / module
+        is_there = (safe_name(path.stem), safe_name(test)) == (folder.parent.name, folder.name)
+        return is_there and path.parent == directory and (inside or path.exists())
+
+    return [file for file in files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
 
 
-def _is_of_one_test(folder: Path) -> bool:
-    """Whether it holds no folders: where one corpus serves all folders of tests, they lie side by side with modules."""
-    return not any(path.is_dir() for path in folder.iterdir())
+def _home(file: Path, collected: Collected) -> str:
+    """Where a file should lie, by the test that it names, in words."""
+    name = _named_test(file)
+    module, _, test = name.partition("::")
+    test_file = collected.rootpath / module
+    if test_file not in collected.files:
+        return f"the folder of {name or 'its test'}"
+    tail = (safe_name(test_file.stem), safe_name(test))
+    of_test = [folder for folder in collected.folders if folder.parts[-2:] == tail]
+    known = [folder for folder in of_test if collected.roots[folder.parents[1]] == test_file.parent]
+    return relative(known[0], collected.rootpath) if known else f"the folder of {name}"
 
 
-def _is_orphan(folder: Path, directory: Path, collected: set[Path], seen: Seen, rootpath: Path) -> bool:
-    if folder in seen.folders:
-        return False
-    module = layout.module_named(directory, folder.parent.name)
-    if not module.exists():
-        return True
-    if module not in collected:
-        return False
-    prefix = layout.relative(module, rootpath)
-    for name in _classes(folder):
-        prefix = f"{prefix}::{name}"
-        if prefix not in seen.classes:
-            return True
-        if prefix not in seen.opened:
-            return False  # Its members were not collected, since another node id was asked for.
-    return True
-
-
-def _classes(folder: Path) -> list[str]:
-    """The classes around the test that a folder belongs to, from the first file that names it."""
-    name = next(filter(None, map(named_test, layout.files_in(folder))), "")
-    return name.partition("[")[0].split("::")[1:-1]
+def _up(folder: Path, top: Path) -> Iterator[Path]:
+    """A folder and those above it up to a top one; nothing above it where it lies elsewhere."""
+    yield folder
+    if folder.is_relative_to(top):
+        yield from (each for each in folder.parents if each.is_relative_to(top))

@@ -12,16 +12,17 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
-from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.collection import ORPHANS, STRAYS
+from pytest_pafot.plugin import messages, orphans
+from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.report_pages import LINES
-from pytest_pafot.plugin.session import SHARED, TERMINAL_SECONDS, base_line, terminal_width
+from pytest_pafot.plugin.session import SHARED, base_line, terminal_width
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import Progress, SearchSummary
     from pytest_pafot.report import terminal
 
-WORKER_ORPHANS, WORKER_STRAYS = "pafot_orphans", "pafot_strays"
+TERMINAL_SECONDS = 0.25
+"""How often a search reports its progress on a terminal [s]."""
 
 
 class Reporter:
@@ -35,9 +36,7 @@ class Reporter:
         self._running: dict[str, None] = {}
         self._searches: list[SearchSummary] = []
         self._replays: list[terminal.ReplaySummary] = []
-        self._orphans: dict[Path, list[Path]] = {}
         self._removed: list[Path] = []
-        self._strays: dict[str, str] = {}
         self._problems: list[str] = []
         self._notes: dict[str, None] = {}
         self._has_line = False
@@ -62,18 +61,9 @@ class Reporter:
             self._expand(report.nodeid)
         return result
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Take what a worker knew at its end."""
-        output = getattr(node, "workeroutput", {})
-        self._orphans |= {
-            Path(folder): [Path(file) for file in files] for folder, files in output.get(WORKER_ORPHANS, {}).items()
-        }
-        self._strays |= output.get(WORKER_STRAYS, {})
-
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Report what is left, gather orphans, prune them when asked."""
+        """Report what is left, prune orphans when asked."""
         self._erase_line()
         # An interrupt or a dead worker leaves finds whose search never came to its teardown.
         for node_id in list(self._pending):
@@ -81,11 +71,7 @@ class Reporter:
                 self._expand(node_id)
         with self._told("records of processes that died"):
             self._note_unclaimed()
-        gone: dict[Path, list[Path]] = self._config.stash.get(ORPHANS, {})
-        self._orphans |= gone
-        strays = self._config.stash.get(STRAYS, {})
-        self._strays |= strays
-        if self._orphans and self._config.getoption(BY_NAME["prune"].key):
+        if self._config.stash[UNRUN].orphans and self._config.getoption(BY_NAME["prune"].key):
             with self._told("--pafot-prune"):
                 self._prune()
 
@@ -96,8 +82,8 @@ class Reporter:
 
     def _summarise(self, terminalreporter: Any) -> None:
         written = self._config.stash[LINES]
-        left = self._orphans or self._strays or self._problems
-        if not (self._searches or self._replays or self._running or left or written):
+        unrun = self._config.stash[UNRUN]
+        if not (self._searches or self._replays or self._running or any(unrun) or self._problems or written):
             return
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
@@ -105,9 +91,9 @@ class Reporter:
         session = terminal.SessionSummary(
             searches=self._searches,
             replays=self._replays,
-            orphans=self._left(self._orphans),
+            orphans=self._left(unrun.orphans),
             removed=list(Counter(layout.relative(file.parent, root) for file in self._removed).items()),
-            strays=sorted(self._strays.items()),
+            strays=sorted(unrun.strays.items()),
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
             problems=[*self._problems, *(line for line, is_problem in written if is_problem)],
             written=[line for line, is_problem in written if not is_problem],
@@ -239,9 +225,7 @@ class Reporter:
 
     def _prune(self) -> None:
         """Remove the saved scenarios of tests that are gone, once they are listed."""
-        from pytest_pafot.plugin import orphans  # noqa: PLC0415
-
-        files = [file for own in self._orphans.values() for file in own]
+        files = [file for own in self._config.stash[UNRUN].orphans.values() for file in own]
         names = [f"  {layout.relative(file, self._config.rootpath)}" for file in files]
         self._write_lines(["", "pafot: --pafot-prune removes", *names] if names else [])
         self._removed, failures = orphans.prune(files)
@@ -249,24 +233,8 @@ class Reporter:
 
     def _left(self, folders: Iterable[Path]) -> list[tuple[str, int]]:
         """Folders of saved scenarios of no test, with the number of those that are there."""
-        from pytest_pafot.plugin import orphans  # noqa: PLC0415
-
-        counts = ((layout.relative(folder, self._config.rootpath), orphans.count(folder)) for folder in folders)
+        counts = ((layout.relative(folder, self._config.rootpath), len(layout.files_in(folder))) for folder in folders)
         return [(name, number) for name, number in counts if number]
-
-
-class WorkerReporter:
-    """A worker's side: what it knows at its end."""
-
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
-
-    def pytest_sessionfinish(self) -> None:
-        """Hand over what this worker collected."""
-        found = self._config.stash.get(ORPHANS, {})
-        output: dict[str, Any] = self._config.workeroutput  # type: ignore[attr-defined]
-        output[WORKER_ORPHANS] = {str(folder): [str(file) for file in files] for folder, files in found.items()}
-        output[WORKER_STRAYS] = self._config.stash.get(STRAYS, {})
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:

@@ -26,13 +26,12 @@ def test_an_environment_that_demands_the_interpreted_one_is_named(project, monke
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, pytester, compiled):
+def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, compiled):
     monkeypatch.delenv("PAFOT_KERNEL", raising=False)
     monkeypatch.setattr(header, "KERNEL", tmp_path)
     (tmp_path / "loop.py").touch()
     if compiled:
         (tmp_path / f"loop{header.EXTENSION_SUFFIXES[0]}").touch()
-    config = pytester.parseconfig("-v")
-    assert header.pytest_report_header(config) == (
+    assert header.pytest_report_header() == (
         "pafot: kernel compiled" if compiled else "pafot: kernel interpreted (not compiled at installation)"
     )

@@ -1,0 +1,81 @@
+"""What the controller and the workers of pytest-xdist tell each other when a worker starts and when it ends.
+
+What they tell while items run are messages, like those of a session without workers.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_pafot.plugin.node_ids import SAVED_PART
+from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.plugin.session import SHARED, Shared
+
+KEY = "pafot"
+"""Of what this plugin adds to the input and the output of a worker."""
+
+
+def is_worker(config: pytest.Config) -> bool:
+    """Whether this process is a worker."""
+    return hasattr(config, "workerinput")
+
+
+def shared_by_controller(config: pytest.Config) -> Shared:
+    """What the controller of a worker has decided."""
+    values = dict(config.workerinput[KEY])  # type: ignore[attr-defined]
+    frozen = values["frozen"]
+    values["began"] = time.monotonic() - max(0.0, time.time() - values["began"])
+    return Shared(**values | {"frozen": None if frozen is None else frozenset(frozen)})
+
+
+class Controller:
+    """Hooks of the controller."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Give a worker what it shares with this session, as plain data."""
+        shared = self._config.stash[SHARED]
+        node.workerinput[KEY] = {
+            "fresh_seed": shared.fresh_seed,
+            "progress_seconds": shared.progress_seconds,
+            "width": shared.width,
+            "began": time.time() - (time.monotonic() - shared.began),  # a clock that another process has too
+            "frozen": None if shared.frozen is None else sorted(shared.frozen),
+        }
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
+        """Remember which saved scenarios the first workers collected."""
+        shared = self._config.stash[SHARED]
+        if shared.frozen is None:
+            # Under --dist=loadgroup the name of the group is appended.
+            names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
+            shared.frozen = frozenset(name for name in names if SAVED_PART in name)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        """Take what a worker collected and no item runs."""
+        orphans, strays = getattr(node, "workeroutput", {}).get(KEY, ({}, {}))
+        unrun = self._config.stash[UNRUN]
+        unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
+        unrun.strays.update(strays)
+
+
+class Worker:
+    """Hooks of a worker."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    def pytest_sessionfinish(self) -> None:
+        """Hand over what this worker collected and no item runs, as plain data."""
+        unrun = self._config.stash[UNRUN]
+        orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
+        self._config.workeroutput[KEY] = (orphans, unrun.strays)  # type: ignore[attr-defined]
