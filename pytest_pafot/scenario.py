@@ -22,6 +22,12 @@ from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 SPEED_STEPS_PER_MPS = 10
 """Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
 
+PAPER_SPEED_LIMIT = 26.8
+"""60 mph, on the paper's motorway [m/s]."""
+EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
+"""Of a scenario that does not say: its ego's first lane, from 0 at the left; everybody's first speed [m/s]; how long an
+instruction lasts [s], as in the paper."""
+
 MAX_SPEED = 1000.0
 """No vehicle is faster [m/s]; worlds have limits of their own, far below."""
 
@@ -145,9 +151,9 @@ class Scenario:
 
     npcs: tuple[Chromosome, ...]
     seed: int = 0
-    ego_lane: int = 1
-    ego_speed: float = 22.0
-    gene_seconds: float = 10.0
+    ego_lane: int = EGO_LANE
+    ego_speed: float = EGO_SPEED
+    gene_seconds: float = GENE_SECONDS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -165,9 +171,9 @@ class Scenario:
         npcs: Sequence[Sequence[Gene]],
         *,
         seed: int = 0,
-        ego_lane: int = 1,
-        ego_speed: float = 22.0,
-        gene_seconds: float = 10.0,
+        ego_lane: int = EGO_LANE,
+        ego_speed: float = EGO_SPEED,
+        gene_seconds: float = GENE_SECONDS,
     ) -> Scenario:
         """A scenario from chains that may break the ring; the speeds stay, the cells are repaired.
 

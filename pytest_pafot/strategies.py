@@ -16,7 +16,15 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, Chromosome, PositionInstruction, Scenario
+from pytest_pafot.scenario import (
+    EGO_SPEED,
+    GENE_SECONDS,
+    PAPER_SPEED_LIMIT,
+    SPEED_STEPS_PER_MPS,
+    Chromosome,
+    PositionInstruction,
+    Scenario,
+)
 
 
 def _register() -> None:
@@ -36,9 +44,6 @@ from hypothesis.strategies import SearchStrategy  # noqa: E402
 __all__ = ["chromosomes", "position_instructions", "scenarios"]
 
 T = TypeVar("T")
-
-PAPER_SPEED_LIMIT = 26.8
-"""60 mph [m/s]."""
 
 
 def position_instructions(
@@ -89,8 +94,8 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     max_npcs: int = 2,
     lanes: int = 4,
     ego_lane: int | None = None,
-    ego_speed: float = 22.0,
-    gene_seconds: float = 10.0,
+    ego_speed: float = EGO_SPEED,
+    gene_seconds: float = GENE_SECONDS,
 ) -> SearchStrategy[Scenario]:
     """Whole scenarios: chains in which no two NPCs hold the same cell in the same gene.
 

@@ -15,7 +15,7 @@ from typing import Any
 from pytest_pafot.comparison.plan import Plan, PlanError, checked, world_of
 from pytest_pafot.comparison.processes import WorkerDied
 from pytest_pafot.comparison.resumable_runs import run_all
-from pytest_pafot.scenario import ScenarioError
+from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_world_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
     parser.add_argument("--lanes", type=int, metavar="N", help="3 to 6 (default: 4)")
-    parser.add_argument("--speed-limit", type=float, metavar="V", help="[m/s] (default: 26.8)")
+    parser.add_argument("--speed-limit", type=float, metavar="V", help=f"[m/s] (default: {PAPER_SPEED_LIMIT})")
     parser.add_argument(
         "--duration", type=float, metavar="S", help="of a scenario [s] (default: 60, or the environment's)"
     )

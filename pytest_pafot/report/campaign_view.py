@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView
+from pytest_pafot.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.searching.coverage import CELLS, SPEED_BIN, STEPS, Coverage, Key, speed_bins
 from pytest_pafot.searching.events import (
     CampaignFinished,
@@ -26,7 +27,7 @@ def campaign_view(
     node_id: str,
     events: Iterable[Event],
     *,
-    speed_limit: float = 26.8,
+    speed_limit: float = PAPER_SPEED_LIMIT,
     responsibilities: Mapping[str, int] | None = None,
     cut_by: str = "",
 ) -> CampaignView:

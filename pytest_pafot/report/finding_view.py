@@ -23,11 +23,10 @@ from pytest_pafot.report.road_view import grid_views, lane_views
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
+from pytest_pafot.world.limits import CLEARANCE
 
 FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
-
-DEFAULT_CLEARANCE = 3.0
 
 
 def finding_view(
@@ -113,8 +112,8 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 
 def _road(trace: Trace | None, finding: Finding) -> RoadView:
-    clearance = finding.world.get("clearance", DEFAULT_CLEARANCE)
-    clearance = float(clearance) if isinstance(clearance, (int, float)) else DEFAULT_CLEARANCE
+    clearance = finding.world.get("clearance", CLEARANCE)
+    clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     if trace is None:
         return RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance)
     if trace.track is not None:

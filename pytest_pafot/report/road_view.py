@@ -11,13 +11,13 @@ import numpy.typing as npt
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.page_data import LaneView, Pose
 from pytest_pafot.trace import ALONG, LANE, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.world.roads.route import wrapped
+from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
 DENSE = 0.5
 """Distance of the points by which cells are found [m]."""
 BEYOND = 150.0
 """How far beyond where the vehicles came the lanes of the ego's way are drawn [m]."""
-SAME_DIRECTION = 0.5
-"""Largest angle between the lanes of one direction [rad]."""
 
 
 def lane_views(trace: Trace) -> tuple[LaneView, ...]:
@@ -74,7 +74,7 @@ class _Dense:
         if cell.column == 0:
             return _pose(x, y, heading)
         x, y = x - cell.column * width * np.sin(heading), y + cell.column * width * np.cos(heading)
-        turned = np.abs((self.heading - heading + np.pi) % (2 * np.pi) - np.pi)
+        turned = np.abs(wrapped(self.heading - heading))
         distance = np.hypot(self.x - x, self.y - y)
         distance[(turned > SAME_DIRECTION) | (self.lane == self.lane[base])] = np.inf
         best = int(distance.argmin())

@@ -20,6 +20,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pytest_pafot.attribution.near_misses import NEAR_SECONDS
 from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, execution_time, planned_duration
 from pytest_pafot.searching.av_fuzzer_fitness import av_fuzzer_fitness
 from pytest_pafot.trace import Outcome, Trace
@@ -55,7 +56,7 @@ class Weights:
     gap: float = 1.0
     shortfall: float = 1.0
     time: float = 1.0
-    tau: float = 1.5
+    tau: float = NEAR_SECONDS
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.scenario import (
+    EGO_LANE,
+    EGO_SPEED,
+    GENE_SECONDS,
+    PAPER_SPEED_LIMIT,
+    SHIFTS,
+    SPEED_STEPS_PER_MPS,
+    LaneInstruction,
+    PositionInstruction,
+    Scenario,
+)
 from pytest_pafot.searching.valid_scenario import repaired
 
 LEAST_GENES = 3
@@ -32,10 +42,10 @@ class SearchSpace:
 
     npcs: int = 2
     genes: int = 6
-    gene_seconds: float = 10.0
-    speed_limit: float = 26.8
-    ego_lane: int = 1
-    ego_speed: float = 22.0
+    gene_seconds: float = GENE_SECONDS
+    speed_limit: float = PAPER_SPEED_LIMIT
+    ego_lane: int = EGO_LANE
+    ego_speed: float = EGO_SPEED
 
     def __post_init__(self) -> None:
         for name in ("npcs", "genes"):

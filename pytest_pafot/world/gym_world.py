@@ -17,7 +17,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import validation as checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, NpcLimits
 from pytest_pafot.world.referable import References
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -67,10 +67,10 @@ class World(References):
     env_id: str
     config: dict[str, Any] | None = field(default=None, hash=False)
     duration: float | None = None
-    clearance: float = 3.0
-    headway: float = 2.0
+    clearance: float = CLEARANCE
+    headway: float = HEADWAY
     limits: NpcLimits = field(default_factory=NpcLimits)
-    hang_limit: float = 30.0
+    hang_limit: float = HANG_LIMIT
     wrappers: Sequence[Callable[[Any], Any]] | None = None
 
     def __post_init__(self) -> None:

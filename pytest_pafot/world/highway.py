@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import validation as checks
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, NpcLimits
 from pytest_pafot.world.referable import References
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -50,14 +50,14 @@ class Highway(References):
     """
 
     lanes: int = 4
-    speed_limit: float = 26.8
+    speed_limit: float = PAPER_SPEED_LIMIT
     physics_hz: int = 15
     ads_hz: int = 5
     duration: float = 60.0
-    clearance: float = 3.0
-    headway: float = 2.0
+    clearance: float = CLEARANCE
+    headway: float = HEADWAY
     limits: NpcLimits = field(default_factory=NpcLimits)
-    hang_limit: float = 30.0
+    hang_limit: float = HANG_LIMIT
     engine: str = field(default="auto", compare=False)
 
     def __post_init__(self) -> None:

@@ -9,6 +9,9 @@ from types import MappingProxyType
 
 from pytest_pafot.world.errors import WorldError
 
+CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
+"""Where a world does not say: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that
+start there [s], and the longest decision of an ADS in wall-clock time [s]."""
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0),

@@ -14,12 +14,10 @@ from typing import Any, NamedTuple, Protocol
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.limits import HANG_LIMIT
 
 REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
 """What :class:`WorldLike` has."""
-
-HANG_LIMIT = 30.0
-"""Longest decision where a world does not say [s]."""
 
 
 class WorldLike(Protocol):

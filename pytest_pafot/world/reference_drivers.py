@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
+from pytest_pafot.attribution.responsibility import EMERGENCY, LEAVING
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.errors import WorldError
@@ -29,20 +30,12 @@ from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
 """[m/s^2]."""
-LEAVING = 0.375
-"""A vehicle leaves its lane from this offset to the centre on (UN R157) [m]."""
-PERCEPTION = 0.4
-"""Time in which a risk is perceived (UN R157) [s]."""
 DELAY = 0.75
-"""Time from there until the brakes act (UN R157); the reaction time of the fuzzy model [s]."""
+"""Time from the perception of a risk until the brakes act (UN R157); the reaction time of the fuzzy model [s]."""
 HARD_BRAKING = 0.774 * GRAVITY
 """[m/s^2] (UN R157)."""
 JERK = HARD_BRAKING / 0.6
 """12.65 m/s^3: the braking builds up within 0.6 s (UN R157)."""
-CRITICAL_TIME = 2.0
-"""Time to collision from which on a careful driver brakes hard (UN R157) [s]."""
-CRITICAL_BRAKING = 5.0
-"""Deceleration of a leader from which on a careful driver does so (UN R157) [m/s^2]."""
 
 HEADWAY = 2.0
 """Kept behind a leader [s]."""
@@ -194,12 +187,12 @@ class CarefulHuman:
             danger = keeper.clock.held(f"danger {index}", critical)
             if leader is None or not matters:
                 continue
-            is_danger |= danger >= PERCEPTION - EPSILON
+            is_danger |= danger >= EMERGENCY.perception - EPSILON
             is_over &= leader.closing <= 0 and not critical
             follow = keeper.follow(ego.speed, leader)
-            if noticed >= PERCEPTION + DELAY - EPSILON or noticed == keeper.clock.now:
+            if noticed >= EMERGENCY.perception + DELAY - EPSILON or noticed == keeper.clock.now:
                 calm = min(calm, follow)
-            elif noticed >= PERCEPTION - EPSILON and follow < 0:
+            elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:
                 calm = min(calm, 0.0)  # the foot is off the accelerator, and not yet on the brake
         now = keeper.clock.now
         if is_danger:
@@ -386,9 +379,11 @@ def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> boo
 
 def is_critical(leader: Leader) -> bool:
     """Whether a careful driver has to brake hard."""
-    if leader.time_to_collision < CRITICAL_TIME:
+    if leader.time_to_collision < EMERGENCY.time_to_contact:
         return True
-    return leader.braking > CRITICAL_BRAKING and leader.gap < STANDSTILL_GAP + HEADWAY * (leader.speed + leader.closing)
+    return leader.braking > EMERGENCY.leader_braking and leader.gap < STANDSTILL_GAP + HEADWAY * (
+        leader.speed + leader.closing
+    )
 
 
 def _along(vehicle: VehicleState) -> float:

@@ -10,14 +10,12 @@ from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.world import validation as checks
 from pytest_pafot.world.driving.network_director import NetworkDirector
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.speeds import BEND_SHARE
 from pytest_pafot.world.roads.straight import StraightRoad
-
-NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
-"""highway-env's vehicles [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

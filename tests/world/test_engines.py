@@ -88,7 +88,7 @@ def test_interpreted_and_compiled_the_kernel_gives_the_same_traces():
 
 
 def test_the_kernel_knows_highway_envs_vehicles():
-    from pytest_pafot.world.run_config import NPC_LENGTH, NPC_WIDTH
+    from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 
     assert (Vehicle.LENGTH, Vehicle.WIDTH) == (NPC_LENGTH, NPC_WIDTH)
     body = bodies.Body(5.0, 2.0)

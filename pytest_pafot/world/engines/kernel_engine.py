@@ -12,12 +12,12 @@ from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.idm_model import IdmModel
 from pytest_pafot.world.engines.record import Record
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.loop import GivenPilot, Loop, PlannerPilot, SelfPilot
 from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Scene
-from pytest_pafot.world.run_config import NPC_LENGTH, NPC_WIDTH, Rules, start_positions
+from pytest_pafot.world.run_config import Rules, start_positions
 
 
 def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], decisions: Sequence[Any] = ()) -> Trace:

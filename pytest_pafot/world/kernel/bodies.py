@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
+"""highway-env's vehicles [m]."""
 MAX_SPEED = 40.0
 """highway-env's vehicles speed up to this, forwards and backwards [m/s]."""
 

@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pytest_pafot.trace import FloatArray
 
 LaneIndex = tuple[str, str, int]
+"""Of highway-env: the nodes that a road section leads from and to, and the lane's number in it, from the left."""
+Angle = TypeVar("Angle", float, FloatArray)
 
 STEP = 0.5
 """Distance of the points of a line [m]."""
@@ -198,6 +200,6 @@ def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:
     return points * (1 - share) + smooth * share
 
 
-def wrapped(angle: float) -> float:
-    """An angle in [-pi, pi) [rad]."""
+def wrapped(angle: Angle) -> Angle:
+    """An angle or an array of angles in [-pi, pi) [rad]."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

@@ -13,15 +13,14 @@ import numpy.typing as npt
 
 from pytest_pafot.trace import FloatArray, Lane
 from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of, way, wrapped
 from pytest_pafot.world.roads.speeds import allowed_speeds, leans, sharpest_ahead
 
-NPC_LENGTH = 5.0
-"""highway-env's vehicles [m]."""
 TIGHTEST = 1 / 6.5
-"""Curvature of the tightest bend that a car of that length can follow [1/m]."""
+"""Curvature of the tightest bend that an NPC can follow [1/m]."""
 SHORTEST_LANE = 10.0
 """A lane beside the way that is shorter is none for the grid [m]."""
 BEYOND_ENDS = 0.5
@@ -255,7 +254,7 @@ def _course(
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
-    direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi
+    direction = heading + wrapped(turned)
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     return x, y, direction, lengths
 
