@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +21,12 @@ from pytest_pafot.plugin import node_ids
 from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.run import Run
+from pytest_pafot.versions import installed_versions
 from pytest_pafot.world.codec import described
 
 if TYPE_CHECKING:
     from pytest_pafot.scenario import Scenario
     from pytest_pafot.trace import Trace
-
-PACKAGES = ("pytest-pafot", "highway-env", "numpy")
-"""Whose versions a finding depends on."""
 
 WORLD_ATTRIBUTES = ("rollout", "to_dict", "speed_limit", "longest_run")
 """What a search needs of any world."""
@@ -230,17 +227,6 @@ class Bench:
 def is_same_run(a: Run, b: Run) -> bool:
     """Whether two runs are the same to the last bit."""
     return a.outcome == b.outcome and a.trace.states.shape == b.trace.states.shape and _equal(a, b)
-
-
-def installed_versions() -> dict[str, str]:
-    """Of the packages that a run depends on, where they are installed as packages."""
-    versions: dict[str, str] = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "unknown"
-    return versions
 
 
 def _check_world(request: Request, world: Any) -> None:

@@ -14,8 +14,9 @@ import pandas as pd
 
 from pytest_pafot.comparison import run_measures, statistics
 from pytest_pafot.comparison.paper import PAPER, PEAKS
-from pytest_pafot.comparison.plan import Plan, versions
+from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Comparison, Measures
+from pytest_pafot.versions import installed_versions
 
 BIN_SECONDS = 10.0
 """Width of the intervals in which the paper tells when collisions happen [s]."""
@@ -69,7 +70,7 @@ def _head(material: Material) -> str:
     wall = "" if material.wall_seconds is None else f", {_time(material.wall_seconds)} of computing"
     budget = f"{plan.generations} generations" if plan.generations else f"{plan.seconds:g} simulated seconds"
     hits = "all collisions" if plan.blame == "any" else "collisions that the ego is responsible for (`--blame ego`)"
-    packages = ", ".join(f"{name} {version}" for name, version in versions().items())
+    packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     return f"""
 # {" against ".join(plan.algorithms)} on {plan.ads}
 

@@ -18,6 +18,7 @@ from typing import Any, Literal
 from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
 from pytest_pafot.world.protocol import WorldLike, road_start
@@ -70,7 +71,7 @@ class Plan:
     def question(self) -> str:
         """All but which algorithms and how many runs, as canonical text: results of equal questions go together."""
         plain = asdict(replace(self, algorithms=(), runs=1))
-        return json.dumps({"plan": plain, "versions": versions()}, indent=1, sort_keys=True) + "\n"
+        return json.dumps({"plan": plain, "versions": installed_versions()}, indent=1, sort_keys=True) + "\n"
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
@@ -171,13 +172,6 @@ def _examples() -> list[str]:
 def world_of(plan: Plan) -> WorldLike:
     """The world of a plan."""
     return world_from_dict(dict(plan.world))
-
-
-def versions() -> dict[str, str]:
-    """Of the packages that results depend on."""
-    from importlib import metadata  # noqa: PLC0415
-
-    return {name: metadata.version(name) for name in ("pytest-pafot", "highway-env", "numpy")}
 
 
 def file_name(algorithm: str, run: int) -> str:

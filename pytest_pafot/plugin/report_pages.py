@@ -106,7 +106,7 @@ class _Page:
         )
 
     def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
-        from pytest_pafot.campaign.harness import installed_versions  # noqa: PLC0415
+        from pytest_pafot.versions import installed_versions  # noqa: PLC0415
 
         if is_interrupted:
             yield "session", "interrupted; what ran until then is here"

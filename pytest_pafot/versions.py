@@ -1,0 +1,19 @@
+"""Versions of the packages that decide how a run goes."""
+
+from __future__ import annotations
+
+from importlib import metadata
+
+PACKAGES = ("pytest-pafot", "highway-env", "numpy")
+
+
+def installed_versions() -> dict[str, str]:
+    """By package; ``unknown`` for one that is not installed as a package."""
+    return {package: _version_of(package) for package in PACKAGES}
+
+
+def _version_of(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
