@@ -132,6 +132,7 @@ def test_a_folder_gets_the_page_and_a_moving_picture_of_each_finding(failing):
 
 
 def test_without_pillow_the_page_is_written_and_the_summary_says_what_is_missing(failing, monkeypatch):
+    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
     result = failing.run("--pafot-report=report/")
     assert (failing.path / "report" / "index.html").is_file()
