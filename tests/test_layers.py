@@ -10,9 +10,9 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "errors", "locks", "files", "versions", "grid", "scenario", "trace", "rejection", "criticality", "attribution",
-    "run", "findings", "searching", "corpus", "world", "execution", "strategies", "testing", "campaign", "comparison",
-    "report", "plugin", "__main__",
+    "errors", "text", "locks", "files", "versions", "grid", "scenario", "trace", "rejection", "criticality",
+    "attribution", "run", "findings", "searching", "corpus", "world", "execution", "strategies", "testing", "campaign",
+    "comparison", "report", "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""
 

@@ -11,7 +11,6 @@ import pytest
 from pytest_pafot.campaign.harness import Bench, is_same_run
 from pytest_pafot.campaign.recorder import cause, what_happened
 from pytest_pafot.campaign.request import Request, RequestError
-from pytest_pafot.campaign.summary import ascii_text
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.separate_process import tried_apart
@@ -23,6 +22,7 @@ from pytest_pafot.plugin.crash_folder import left_behind
 from pytest_pafot.plugin.failure_reports import SUMMARY
 from pytest_pafot.plugin.report_pages import showing_of
 from pytest_pafot.run import Run
+from pytest_pafot.text import ascii_text
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import codec as worlds
 

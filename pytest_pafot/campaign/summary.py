@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
+from pytest_pafot.text import ascii_text
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
@@ -148,8 +150,3 @@ class SearchSummary:
         values["finds"] = tuple(Find(**find) for find in values["finds"])
         values["warnings"], values["notes"] = tuple(values["warnings"]), tuple(values["notes"])
         return cls(**values)
-
-
-def ascii_text(text: str) -> str:
-    """Text that any terminal and log can show."""
-    return text.encode("ascii", "backslashreplace").decode("ascii")

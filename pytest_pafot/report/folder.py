@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from pytest_pafot.report.animation import Format, animate
-from pytest_pafot.report.markup import finding_keys
+from pytest_pafot.report.finding_markup import finding_keys
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 

@@ -10,7 +10,9 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-from pytest_pafot.report import markup
+from pytest_pafot.report.campaign_markup import campaign_article
+from pytest_pafot.report.finding_markup import finding_article, finding_list
+from pytest_pafot.report.markup import copyable, facts, text
 from pytest_pafot.report.page_codec import encode
 from pytest_pafot.report.page_data import FindingView, Report
 
@@ -35,7 +37,7 @@ def render_frame(finding: FindingView) -> str:
     """
     page = _rendered(Report(title=finding.headline, findings=(finding,)), embedded=True)
     return (
-        f'<iframe class="pafot-finding" title="{markup.text(finding.headline)}" sandbox="allow-scripts" '
+        f'<iframe class="pafot-finding" title="{text(finding.headline)}" sandbox="allow-scripts" '
         f'loading="lazy" width="100%" height="{FRAME_HEIGHT}" style="border:0" srcdoc="{escape(page)}"></iframe>'
     )
 
@@ -56,29 +58,49 @@ def _rendered(report: Report, *, embedded: bool) -> str:
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     is_open = len(report.campaigns) == 1
-    campaigns = "".join(markup.campaign(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
+    campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
+    searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(
-        title=markup.text(report.title),
-        policy=_policy(style, script),
+        title=text(report.title),
+        # This very style and script, and no connection to anywhere.
+        policy=f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; "
+        "base-uri 'none'; form-action 'none'",
         style=style,
         script=script,
         kind="embedded" if embedded else "whole",
-        facts=markup.session_facts(report),
+        facts=facts(report.facts) + (copyable("Command", report.command) if report.command else ""),
         count=len(report.findings),
-        errors=markup.errors(report),
-        list=markup.finding_list(report.findings) or f'<p class="empty">{markup.nothing_found(report)}</p>',
-        articles="".join(markup.article(finding, index) for index, finding in enumerate(report.findings)),
-        campaigns=f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
-        if campaigns
-        else "",
+        errors=_errors(report),
+        list=finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>',
+        articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
+        campaigns=searches if campaigns else "",
         data=data_json(report),
     )
 
 
-def _policy(style: str, script: str) -> str:
-    """A content security policy: this very style and script, and no connection to anywhere."""
-    sources = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
-    return f"{sources}; base-uri 'none'; form-action 'none'"
+def _errors(report: Report) -> str:
+    """What failed by no finding, with what pytest says of it; empty where nothing did."""
+    ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
+    return "".join(
+        f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
+        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows that.')}</p>"
+        f"<pre>{text(told.strip())}</pre></article>"
+        for node_id, told in report.errors
+    )
+
+
+def _nothing_found(report: Report) -> str:
+    """What a page without findings says of the property: that it held only where everything ran to its end."""
+    ends = {view.reason for view in report.campaigns}
+    if report.errors or "error" in ends:
+        return "No findings, since not everything ran to its end: an error came first."
+    if report.is_interrupted or ends & {"", "interrupted"}:
+        return "No findings until the interrupt. What had not run by then says nothing."
+    if any(row.failing for view in report.campaigns for row in view.generations):
+        return "No new findings. Runs that failed are known: a saved scenario covers them."
+    if "time" in ends:
+        return "No findings until time was over. Every run that was judged by then kept the property."
+    return "No findings. Every judged run kept the property."
 
 
 def _hash(content: str) -> str:

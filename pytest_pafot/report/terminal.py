@@ -10,8 +10,9 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_pafot.campaign.summary import Find, Progress, SearchSummary, ascii_text
+from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
+from pytest_pafot.text import ascii_text, plural
 
 WIDTH = 80
 MAX_FINDS = 20
@@ -78,7 +79,7 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
     """One line, cut at the left of the node id, and at the end where even that does not make it fit."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     done = (
-        f"{progress.generation}/{progress.generations} generations, {_plural(progress.runs, 'run')}, "
+        f"{progress.generation}/{progress.generations} generations, {plural(progress.runs, 'run')}, "
         f"{progress.failing} failing, {progress.finds} new, {speed:.0f}/s"
     )
     tail = f" {progress.phase or done}"
@@ -128,14 +129,14 @@ def failure_line(search: SearchSummary) -> str:
     """Why a searching item fails, in one line."""
     ids = [*(find.id for find in search.finds), *search.unsaved]
     more = f" and {len(ids) - MAX_NAMED} more" if len(ids) > MAX_NAMED else ""
-    return f"{_plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
+    return f"{plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
 
 
 def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
     firm = [_counted(find.id, find.repeats) for find in search.finds if not find.is_flaky]
-    lines = [f"{_plural(count, 'new finding')} in {_plural(search.runs, 'run')}, reported below"]
+    lines = [f"{plural(count, 'new finding')} in {plural(search.runs, 'run')}, reported below"]
     lines += [f"  {_listed(firm)}"] if firm else []
     lines += [
         f"  {_counted(find.id, find.repeats)} is flaky, so never called fixed: {ascii_text(find.difference)}"
@@ -149,7 +150,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     """A search in the summary: three lines when it is well, more where there is something to say."""
     texts = [_figures(search), *_kept_lines(search), _origin(search)]
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
-    texts += [f"known: {_plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
+    texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in search.notes]
     return [ascii_text(search.node_id), *(line for text in texts for line in _wrapped(text, width))]
@@ -164,7 +165,7 @@ def replay_lines(replays: Iterable[ReplaySummary], width: int = WIDTH) -> list[s
     for replay in replays:
         counts[replay.label] = counts.get(replay.label, 0) + 1
     figures = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
-    lines = [f"replayed {_plural(len(replays), 'saved scenario')}: {figures}"]
+    lines = [f"replayed {plural(len(replays), 'saved scenario')}: {figures}"]
     shown = [replay for replay in replays if replay.label != "still failing"]
     for replay in shown[:MAX_QUIET_REPLAYS]:
         lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))
@@ -184,7 +185,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     lines += replay_lines(session.replays, width)
     for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
         for folder, count in folders:
-            lines.append(ascii_text(f"{verb}: {_plural(count, 'saved scenario')} of no test in {folder}"))
+            lines.append(ascii_text(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}"))
     if session.orphans:
         lines += _wrapped(_LEFT_ALONE if session.pruned else _ORPHANED, width)
     for file, place in session.strays:
@@ -200,7 +201,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
 
 
 def _figures(search: SearchSummary) -> str:
-    parts = [f"{_plural(search.runs, 'run')} in {search.seconds:.1f} s"]
+    parts = [f"{plural(search.runs, 'run')} in {search.seconds:.1f} s"]
     if search.shrink_runs:
         parts.append(f"{search.shrink_runs} more to shrink")
     if search.known_runs:
@@ -222,7 +223,7 @@ def _figures(search: SearchSummary) -> str:
 def _origin(search: SearchSummary) -> str:
     return (
         f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
-        f"{search.generations} of {_plural(search.asked, 'generation')}, ended: {search.reason}"
+        f"{search.generations} of {plural(search.asked, 'generation')}, ended: {search.reason}"
     )
 
 
@@ -233,7 +234,7 @@ def _kept_lines(search: SearchSummary) -> list[str]:
     folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
     problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
     flaky = sum(find.is_flaky for find in search.finds)
-    count = _plural(len(search.finds) + len(search.unsaved), "new finding")
+    count = plural(len(search.finds) + len(search.unsaved), "new finding")
     place = f", saved in {' and '.join(folders)}" if folders else ""
     lines = [f"{count}{f' ({flaky} flaky)' if flaky else ''}{place}"]
     return [*lines, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search.unsaved)]
@@ -242,12 +243,12 @@ def _kept_lines(search: SearchSummary) -> list[str]:
 def _unsaved_lines(unsaved: Mapping[str, int]) -> list[str]:
     if not unsaved:
         return []
-    names = _listed([f"{id_} ({_plural(count, 'run')})" for id_, count in unsaved.items()])
-    return [f"  {_plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}"]
+    names = _listed([f"{id_} ({plural(count, 'run')})" for id_, count in unsaved.items()])
+    return [f"  {plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}"]
 
 
 def _counted(id_: str, repeats: int) -> str:
-    return f"{id_} ({_plural(1 + repeats, 'run')})"
+    return f"{id_} ({plural(1 + repeats, 'run')})"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -257,7 +258,3 @@ def _listed(names: Sequence[str]) -> str:
 
 def _wrapped(text: str, width: int) -> list[str]:
     return wrapped_to(f"  {ascii_text(text).strip()}", width)
-
-
-def _plural(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

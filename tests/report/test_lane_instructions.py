@@ -3,7 +3,7 @@
 import pytest
 
 from pytest_pafot.report.drawing import speeds_text
-from pytest_pafot.report.markup import _instruction_table
+from pytest_pafot.report.finding_markup import instruction_table
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.picture import instruction_at, picture_at
@@ -34,7 +34,7 @@ def test_no_line_leads_to_a_cell(view):
 
 
 def test_the_table_says_where_to_in_words(view):
-    table = _instruction_table(view)
+    table = instruction_table(view.instructions)
     assert "<td>lane left</td><td>25.0</td><td>at 2.0 s</td>" in table
     assert "<td>keep lane</td><td>8.0</td><td>not reached</td>" in table
 

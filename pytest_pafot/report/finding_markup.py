@@ -1,0 +1,159 @@
+"""What the page says of findings without a script: their list, and an article on each with a place for its picture."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from textwrap import dedent
+from urllib.parse import quote
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.report.markup import columns, copyable, details, row, table, text
+from pytest_pafot.report.page_data import FindingView, InstructionView, ShrinkView
+from pytest_pafot.text import plural
+
+SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013"}
+"""Beside the word, so that a glance tells responsibilities apart without colour."""
+
+WHO = {"ego": "ego responsible", "npc": "NPC responsible", "both": "both responsible", "none": "nobody responsible"}
+
+
+def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
+    """By which links and files name findings: their ids, numbered where several tests share one."""
+    keys: dict[str, None] = {}
+    for finding in findings:
+        number = 1
+        while (key := finding.id if number == 1 else f"{finding.id}-{number}") in keys:
+            number += 1
+        keys[key] = None
+    return tuple(keys)
+
+
+def finding_list(findings: Sequence[FindingView]) -> str:
+    """Links to all findings, with counts; empty without any."""
+    if not findings:
+        return ""
+    groups: dict[str, list[str]] = {}
+    for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
+        groups.setdefault(finding.test, []).append(_list_item(finding, key, index))
+    counts = Counter(finding.responsibility for finding in findings)
+    names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
+    summary = ", ".join(f"{counts[name]} {WHO.get(name, name)}" for name in names)
+    parts = [f'<p class="summary">{text(summary)}</p>', _filter(findings) if len(findings) > 1 else ""]
+    if len(groups) == 1:
+        return "".join([*parts, *(f"<ol>{''.join(items)}</ol>" for items in groups.values())])
+    for number, (test, items) in enumerate(groups.items()):
+        name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
+        parts.append(f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>')
+    return "".join(parts)
+
+
+def _list_item(finding: FindingView, key: str, index: int) -> str:
+    meta = ", ".join(_tags(finding))
+    # What the filter looks through.
+    words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
+    return (
+        f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
+        f'data-outcome="{text(finding.event.kind)}" data-words="{text(words)}">'
+        f'<span class="mark" aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
+        f'<span class="what"><span class="id">{text(finding.id)}</span>'
+        f'<span class="headline">{text(finding.headline)}</span>'
+        f'<span class="meta">{text(meta)}</span></span></a></li>'
+    )
+
+
+def _filter(findings: Sequence[FindingView]) -> str:
+    """Fields that leave some findings out of the list; they need the script."""
+    counts = Counter(finding.event.kind for finding in findings)
+    options = "".join(
+        f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
+        for kind, count in sorted(counts.items())
+    )
+    return (
+        '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
+        'aria-label="Filter findings by text"><select id="outcome" aria-label="Filter findings by outcome">'
+        f'<option value="">all outcomes</option>{options}</select>'
+        '<p id="nothing" hidden>No finding is like this.</p></div>'
+    )
+
+
+def finding_article(finding: FindingView, index: int) -> str:
+    """One finding in words; an empty place for its picture."""
+    parts = [
+        f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
+        f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
+        f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else "",
+        _tag_list(finding),
+        f'<p class="test">{text(finding.node_id)}</p></header>',
+        '<div class="player"></div>' if finding.times else '<p class="empty">Nobody saw a run to draw.</p>',
+        "<section><h3>What happened</h3>",
+        f'<pre class="explanation">{text(dedent(finding.explanation).strip())}</pre></section>',
+        "" if finding.shrink is None else _shrink_section(finding.shrink),
+        details("Instructions as a table", instruction_table(finding.instructions)),
+        '<section class="keep"><h3>Run it again</h3>',
+        copyable("Command", finding.command),
+        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + ".pafot.yaml")}</h4>',
+        '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>',
+        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>',
+        "</article>",
+    ]
+    return "".join(parts)
+
+
+def _tags(finding: FindingView) -> list[str]:
+    """What tells a finding from others at a glance."""
+    tags = [WHO.get(finding.responsibility, finding.responsibility), plural(finding.runs, "run")]
+    tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
+    return [*tags, finding.label] if finding.label else tags
+
+
+def _tag_list(finding: FindingView) -> str:
+    who, *tags = _tags(finding)
+    if finding.preventable_by:
+        tags.append(f"preventable by {', '.join(finding.preventable_by)}")
+    elif finding.preventable_tried:
+        tags.append(f"no reference driver prevents it (tried: {', '.join(finding.preventable_tried)})")
+    mark = f'<span aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
+    items = "".join(f"<li>{text(tag)}</li>" for tag in tags)
+    return f'<ul class="tags"><li>{mark} {text(who)}</li>{items}</ul>'
+
+
+def _shrink_section(shrink: ShrinkView) -> str:
+    notes = "".join(f'<p class="note">{text(note)}</p>' for note in shrink.notes)
+    if shrink.original == shrink.shrunk:
+        return f"<section><h3>Nothing simpler found in {plural(shrink.rollouts, 'run')}</h3>{notes}</section>"
+    chains = ("".join(f"<div>{text(chain)}</div>" for chain in each) for each in (shrink.original, shrink.shrunk))
+    rows = (
+        row("NPCs", shrink.original_npcs, shrink.shrunk_npcs),
+        row("instructions", shrink.original_instructions, shrink.shrunk_instructions),
+        row("chains", *chains, attributes=' class="chains"'),
+    )
+    head = f"<th></th>{columns('as found', 'shrunk')}"
+    return (
+        f"<section><h3>Shrunk in {plural(shrink.rollouts, 'run')}</h3>{notes}"
+        f'<div class="scroll">{table(head, rows)}</div></section>'
+    )
+
+
+def instruction_table(instructions: Iterable[InstructionView]) -> str:
+    """What the NPCs are told, and whether they did it."""
+    rows = (
+        row(
+            f"NPC {told.npc}",
+            f"{told.start:.1f}",
+            _goal(told),
+            f"{told.speed:.1f}",
+            ("not reached" if told.arrived is None else f"at {told.arrived:.1f} s") if told.started else "not begun",
+            attributes="" if told.started else " class=unstarted",
+        )
+        for told in instructions
+    )
+    head = columns("NPC", "from [s]", "cell or lane", "speed [m/s]", "reached")
+    return f'<div class="scroll">{table(head, rows)}</div>'
+
+
+def _goal(told: InstructionView) -> str:
+    if told.lane:
+        return "keep lane" if told.lane == "keep" else f"lane {told.lane}"
+    names = [f"{cell} {Cell(cell).label}" for cell in (told.cell, told.requested)]
+    return names[0] if told.requested == told.cell else f"{names[0]} (requested {names[1]})"
