@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.comparison.plan import Plan, PlanError, checked, world_of
-from pytest_pafot.comparison.processes import WorkerDied
-from pytest_pafot.comparison.resumable_runs import run_all
+from pytest_pafot.comparison.resumable_runs import WorkerDied, run_all
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
 from pytest_pafot.searching.space import space_on

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,8 +11,8 @@ from typing import TextIO
 
 from pytest_pafot.comparison.algorithm_run import Tick, run_rows
 from pytest_pafot.comparison.plan import RUNS, Plan, PlanError, file_name
-from pytest_pafot.comparison.processes import side_by_side
 from pytest_pafot.comparison.rows import text_of
+from pytest_pafot.execution.pool import Lost, Raised, WorkerPool
 from pytest_pafot.files import write_whole
 
 QUESTION = "comparison.json"
@@ -24,6 +25,10 @@ TOLD_EVERY = 10.0
 """How often progress is told where it cannot be rewritten in place [s]."""
 
 Task = tuple[str, int]
+
+
+class WorkerDied(RuntimeError):  # noqa: N818  (it says what happened)
+    """A worker process ended without an answer, as one that the system kills."""
 
 
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
@@ -41,6 +46,8 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
 
     Raises:
         PlanError: when the folder holds another comparison.
+        WorkerDied: when a worker is killed.
+        Exception: what a run raises.
     """
     claim(plan, folder)
     left = [task for task in plan.tasks if not (folder / file_name(*task)).exists()]
@@ -127,12 +134,24 @@ class Progress:
 def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:
     """Each task when its results are written."""
     work = Runner(plan, folder)
-    if workers > 1:
-        yield from side_by_side(work, tasks, workers, progress.tick)
+    if workers == 1:
+        for task in tasks:
+            work(task, progress.tick)
+            yield task
         return
-    for task in tasks:
-        work(task, progress.tick)
-        yield task
+    # Started anew on every system, so that nothing of this process has a part in the results.
+    with WorkerPool(work, workers, method="spawn", patience=math.inf, grace=math.inf) as pool:
+        pool.expect(tasks)
+        for task, answer in pool.completed(progress.tick):
+            if pool.failure or isinstance(answer, Lost):
+                ended = f"its process {answer.how}" if isinstance(answer, Lost) else pool.failure
+                raise WorkerDied(
+                    f"compare: expected a worker to finish {task!r}, received: {ended}; the system may be short of "
+                    "memory: use fewer --workers, then run it again, what is finished is kept"
+                )
+            if isinstance(answer, Raised):
+                raise answer.error
+            yield task
 
 
 @dataclass(frozen=True, slots=True)

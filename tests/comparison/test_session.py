@@ -12,8 +12,7 @@ import pytest
 
 from pytest_pafot.comparison import resumable_runs
 from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.processes import WorkerDied, side_by_side
-from pytest_pafot.comparison.resumable_runs import Progress, run_all
+from pytest_pafot.comparison.resumable_runs import Progress, WorkerDied, run_all
 from pytest_pafot.world import Highway
 
 
@@ -142,36 +141,23 @@ class TestProgress:
         assert lines[-1] == "compare: 1 of 2 runs, pafot run 0 done after 24 s"
 
 
-def _troublesome(task, tick):
-    tick(0.5)
-    if task == 3:
-        raise ValueError("three")
-    if task == 4:
-        raise Unportable("four", "arguments")
-    if task == 9:
-        os._exit(5)
+def dying():
+    """A factory that takes its process with it."""
+    os._exit(5)
 
 
-class Unportable(Exception):  # noqa: N818
-    """Pickled, it would be made of one argument."""
+def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
+    plan = quick(ads="tests.comparison.test_session:dying", algorithms=("random",), runs=1)
+    with pytest.raises(WorkerDied, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
+        run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
 
-    def __init__(self, number, noun):
-        super().__init__(f"{number} {noun}")
+
+def raising():
+    raise LookupError("no such planner")
 
 
-class TestWorkers:
-    def test_every_task_is_done_once(self):
-        assert sorted(side_by_side(_troublesome, [1, 2, 5, 6], 2, lambda share: None)) == [1, 2, 5, 6]
-
-    def test_what_a_task_raises_is_raised(self):
-        with pytest.raises(ValueError, match="three") as raised:
-            list(side_by_side(_troublesome, [1, 3], 1, lambda share: None))
-        assert 'raise ValueError("three")' in raised.value.__notes__[0], "where it was raised is lost"
-
-    def test_an_error_that_cannot_travel_is_told_in_words(self):
-        with pytest.raises(RuntimeError, match="Unportable: four arguments"):
-            list(side_by_side(_troublesome, [4], 1, lambda share: None))
-
-    def test_a_worker_that_is_killed_is_told_with_a_way_out(self):
-        with pytest.raises(WorkerDied, match=r"exit code 5; .* fewer --workers"):
-            list(side_by_side(_troublesome, [9], 1, lambda share: None))
+def test_what_a_worker_raises_is_raised_with_the_place(tmp_path, quick, quiet):
+    plan = quick(ads="tests.comparison.test_session:raising", algorithms=("random",), runs=1)
+    with pytest.raises(LookupError, match="no such planner") as raised:
+        run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
+    assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]

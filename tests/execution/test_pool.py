@@ -1,0 +1,349 @@
+"""A pool of processes for any task: what it answers, and what is told of processes that do not come back."""
+
+import faulthandler
+import multiprocessing
+import os
+import signal
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.execution.pool import FAREWELL, Lost, Raised, WorkerPool
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+TASKS = list(range(6))
+
+
+@pytest.fixture
+def pool_of():
+    """Makes pools that square numbers after doing something with them; none of their processes remains."""
+    pools = []
+
+    def make(do, size=2, patience=30.0, method="fork", **options):
+        def work(number, tell):
+            do(number)
+            return number * number
+
+        pools.append(WorkerPool(work, size, method=method, patience=patience, **options))
+        return pools[-1]
+
+    yield make
+    for pool in pools:
+        pool.close(at_once=True)
+    assert multiprocessing.active_children() == []
+
+
+def fetched(pool, tasks=TASKS):
+    return [pool.fetch(task) for task in tasks]
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_answers_are_fetched_in_any_order_whatever_the_number_of_processes(pool_of, size):
+    pool = pool_of(lambda number: time.sleep(0.01 * (5 - number)), size)
+    pool.expect(TASKS)
+    assert fetched(pool, TASKS[::-1]) == [25, 16, 9, 4, 1, 0]
+
+
+def test_there_are_no_more_processes_than_asked_for_and_they_are_not_this_one(pool_of, tmp_path):
+    pool = pool_of(lambda number: (tmp_path / f"{os.getpid()}").touch())
+    pool.expect(TASKS)
+    fetched(pool)
+    pids = {path.name for path in tmp_path.iterdir()}
+    assert 1 <= len(pids) <= 2
+    assert str(os.getpid()) not in pids
+
+
+def test_processes_run_at_the_same_time(pool_of, tmp_path):
+    def meet(number):
+        (tmp_path / f"{number}").touch()
+        while not (tmp_path / f"{1 - number}").exists():
+            time.sleep(0.001)
+
+    pool = pool_of(meet)
+    pool.expect(TASKS[:2])
+    assert fetched(pool, TASKS[:2]) == [0, 1]
+
+
+def test_what_is_raised_is_an_answer_and_says_where(pool_of):
+    def fail(number):
+        if number == 1:
+            raise LookupError("no such planner")
+
+    pool = pool_of(fail)
+    pool.expect(TASKS)
+    answers = fetched(pool)
+    assert isinstance(answers[1].error, LookupError)
+    assert str(answers[1].error) == "no such planner"
+    assert 'raise LookupError("no such planner")' in answers[1].error.__notes__[0]
+    assert [answers[0], *answers[2:]] == [0, 4, 9, 16, 25]
+
+
+class Unportable(Exception):  # noqa: N818
+    """Pickled, it would be made of one argument."""
+
+    def __init__(self, number, noun):
+        super().__init__(f"{number} {noun}")
+
+
+@pytest.mark.parametrize(
+    ("error", "text"), [(Unportable("four", "arguments"), "four arguments"), (SystemExit("enough"), "enough")]
+)
+def test_an_error_that_cannot_travel_is_told_in_words(pool_of, error, text):
+    def fail(number):
+        raise error
+
+    pool = pool_of(fail)
+    pool.expect([0])
+    told = pool.fetch(0).error
+    assert type(told) is RuntimeError
+    assert f"{type(error).__name__}: {text}" in str(told)
+
+
+def test_a_result_that_cannot_be_sent_is_told_in_words():
+    with WorkerPool(lambda number, tell: lambda: number, 1, method="fork", patience=30.0) as pool:
+        pool.expect([0])
+        assert "pickle" in str(pool.fetch(0).error)
+
+
+def test_an_answer_is_fetched_once_and_only_if_it_was_expected(pool_of):
+    pool = pool_of(lambda number: None)
+    pool.expect([0])
+    assert pool.expects(0)
+    assert not pool.expects(1)
+    pool.fetch(0)
+    with pytest.raises(ValueError, match="expected one that is expected"):
+        pool.fetch(0)
+
+
+def test_what_is_not_fetched_is_forgotten_with_the_next_tasks(pool_of):
+    pool = pool_of(lambda number: time.sleep(0.05))
+    pool.expect(TASKS[:4])
+    pool.expect(TASKS[4:])
+    assert fetched(pool, TASKS[4:]) == [16, 25]
+    assert not pool.expects(0)
+
+
+def test_a_task_can_be_put_before_the_expected_ones(pool_of, tmp_path):
+    pool = pool_of(lambda number: (tmp_path / "order").open("a").write(f"{number} "), size=1)
+    pool.expect([0, 1])
+    pool.insert(9)
+    assert fetched(pool, [0, 1, 9]) == [0, 1, 81]
+    assert (tmp_path / "order").read_text() == "0 9 1 "
+
+
+@pytest.mark.parametrize(
+    ("die", "how"),
+    [
+        (lambda: os._exit(9), "ended with exit code 9"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), "was ended by SIGKILL"),
+        (lambda: (faulthandler.disable(), os.abort()), "was ended by SIGABRT"),
+    ],
+    ids=["exit", "kill", "abort"],
+)
+def test_a_process_that_dies_names_its_task_and_the_others_are_answered(pool_of, die, how):
+    pool = pool_of(lambda number: die() if number == 2 else time.sleep(0.01))
+    pool.expect(TASKS)
+    answers = fetched(pool)
+    lost = answers.pop(2)
+    assert (lost.task, lost.how, lost.is_hang) == (2, how, False)
+    assert answers == [0, 1, 9, 16, 25]
+    assert pool.recovered == []
+
+
+def test_a_task_in_which_a_process_died_is_tried_once_more_alone(pool_of, tmp_path):
+    def work(number):
+        running = tmp_path / f"running-{number}"
+        if number == 0 and running.exists():
+            (tmp_path / "meanwhile").write_text(" ".join(path.name for path in tmp_path.glob("running-*")))
+            return
+        running.touch()
+        if number == 0:
+            os._exit(1)
+        time.sleep(0.1)
+        running.unlink()
+
+    pool = pool_of(work)
+    pool.expect(TASKS[:4])
+    assert pool.fetch(0) == 0
+    assert (tmp_path / "meanwhile").read_text() == "running-0"
+    assert [lost.task for lost in pool.recovered] == [0]
+    assert fetched(pool, TASKS[1:4]) == [1, 4, 9]
+
+
+def test_every_task_that_kills_its_process_is_named(pool_of):
+    pool = pool_of(os._exit)
+    pool.expect(TASKS)
+    assert [lost.how for lost in fetched(pool)] == [f"ended with exit code {number}" for number in TASKS]
+
+
+def test_a_process_that_dies_between_two_tasks_is_replaced_and_blames_nobody(pool_of):
+    pool = pool_of(lambda number: None, size=1)
+    for task in TASKS[:2]:
+        pool.expect([task])
+        assert pool.fetch(task) == task
+        (process,) = multiprocessing.active_children()
+        process.kill()
+        process.join()
+    assert pool.recovered == []
+
+
+def test_a_process_that_falls_silent_is_killed_and_its_task_is_a_hang(pool_of):
+    def work(number):
+        if number == 1:  # Not a signal in the world reaches Python code in this thread.
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR2])
+            time.sleep(60)
+
+    pool = pool_of(work, patience=0.3)
+    pool.expect(TASKS[:3])
+    answers = fetched(pool, TASKS[:3])
+    lost = answers.pop(1)
+    assert (lost.is_hang, lost.how) == (True, "did not answer for 0.3 s and was killed")
+    assert answers == [0, 4]
+
+
+def test_a_process_that_is_slow_and_answers_signals_lives(pool_of):
+    pool = pool_of(lambda number: time.sleep(1.0), patience=0.3)
+    pool.expect([3])
+    assert pool.fetch(3) == 9
+
+
+def test_a_process_that_is_not_looked_at_for_long_is_not_silent(pool_of):
+    pool = pool_of(lambda number: time.sleep(0.7), patience=0.3)
+    pool.expect([3])
+    time.sleep(0.6)
+    assert pool.fetch(3) == 9
+
+
+def test_an_interrupt_from_the_keyboard_is_for_the_session_alone(pool_of):
+    def work(number):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+    pool = pool_of(work)
+    pool.expect(TASKS[:2])
+    assert fetched(pool, TASKS[:2]) == [0, 1]
+
+
+def test_an_exception_kills_those_at_work_at_once(pool_of):
+    pool = pool_of(lambda number: time.sleep(60))
+    pool.expect(TASKS)
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), pool:
+        raise KeyboardInterrupt
+    assert time.monotonic() - started < 5
+    assert multiprocessing.active_children() == []
+
+
+def test_the_end_does_not_wait_for_answers_that_nobody_asks_for_any_more(pool_of):
+    with pool_of(lambda number: time.sleep(60)) as pool:
+        pool.expect(TASKS[:2])
+        started = time.monotonic()
+    assert time.monotonic() - started < FAREWELL
+
+
+def test_a_process_that_is_not_needed_any_more_ends_by_itself(pool_of, tmp_path):
+    def work(number):
+        multiprocessing.util.Finalize(None, (tmp_path / "ended").touch, exitpriority=1)
+
+    with pool_of(work) as pool:
+        pool.expect([0])
+        pool.fetch(0)
+    assert (tmp_path / "ended").exists()
+
+
+def test_the_end_of_each_process_is_told(pool_of):
+    ended = []
+    with pool_of(lambda number: os._exit(1) if number == 1 else None, ended=ended.append) as pool:
+        pool.expect([0, 1])
+        lost = fetched(pool, [0, 1])[1]
+        assert lost.pid in ended
+    assert len(ended) == len(set(ended)) == 2
+
+
+def test_processes_end_when_the_session_is_killed(tmp_path):
+    def session():
+        pool = WorkerPool(write, 2, method="fork", patience=30.0)
+        pool.expect([0, 1])
+        fetched(pool, [0, 1])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def write(number, tell):
+        (tmp_path / f"{os.getpid()}").touch()
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.001)
+
+    process = multiprocessing.get_context("fork").Process(target=session)
+    process.start()
+    process.join()
+    pids = [int(path.name) for path in tmp_path.iterdir()]
+    deadline = time.monotonic() + 5
+    while any(is_alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert [pid for pid in pids if is_alive(pid)] == []
+    assert len(pids) == 2
+
+
+def is_alive(pid):
+    """Whether a process runs: one that nobody has waited for yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_where_no_process_can_be_started_each_answer_says_so(pool_of, monkeypatch):
+    pool = pool_of(lambda number: None)
+
+    def refuse():
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", refuse)
+    pool.expect(TASKS)
+    assert all("temporarily unavailable" in str(answer.error) for answer in fetched(pool))
+    assert "temporarily unavailable" in pool.failure
+    pool.expect(TASKS)
+    assert not pool.expects(0)
+    pool.insert(7)
+    assert isinstance(pool.fetch(7), Raised)
+
+
+def pause(seconds, tell):
+    """Of this module, so that processes that are not forked find it."""
+    tell(0.25)
+    time.sleep(seconds)
+    tell(0.75)
+    return seconds
+
+
+def test_tasks_are_completed_in_the_order_in_which_they_are_done_and_tell_their_shares():
+    shares = []
+    with WorkerPool(pause, 2, method="fork", patience=30.0) as pool:
+        pool.expect([0.5, 0.0, 0.1])
+        assert list(pool.completed(shares.append)) == [(0.0, 0.0), (0.1, 0.1), (0.5, 0.5)]
+    assert {0.25, 0.75} <= set(shares)
+
+
+def test_processes_that_are_not_forked_complete_tasks_too():
+    with WorkerPool(pause, 1, method="spawn", patience=30.0) as pool:
+        pool.expect([0.0, 0.1])
+        assert dict(pool.completed(lambda share: None)) == {0.0: 0.0, 0.1: 0.1}
+
+
+def test_a_task_to_complete_in_which_a_process_died_is_not_tried_again(pool_of):
+    pool = pool_of(lambda number: os._exit(5) if number == 1 else None)
+    pool.expect([0, 1, 2])
+    answers = dict(pool.completed(lambda share: None))
+    assert isinstance(answers.pop(1), Lost)
+    assert answers == {0: 0, 2: 4}
+
+
+def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_of):
+    pool = pool_of(lambda number: None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pool.expect([0])
+        assert pool.fetch(0) == 0
