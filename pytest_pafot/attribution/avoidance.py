@@ -85,7 +85,10 @@ class Chase:
             emergency: the harder response, where it is one.
         """
         ticks = len(self.gap) + math.ceil(HORIZON * self.hz) - since
-        leader = self._leader(since, ticks)
+        leader = self._extended(self.leader, since, ticks)
+        beyond = np.arange(ticks) - (len(self.gap) - 1 - since)
+        braking = min(float(self.leader_acceleration[-1]), 0.0)
+        leader = np.where(beyond > 0, np.maximum(leader + braking * beyond / self.hz, 0.0), leader)
         recorded = self._extended(self.follower, since, ticks)
         perceives = round(response.perception * self.hz)
         recorded[perceives:] = np.minimum(recorded[perceives:], recorded[perceives])
@@ -114,11 +117,8 @@ class Chase:
             if not ends.size:
                 return speed
             over = acts + int(ends[0])
-            speed = self._braked(self._held(speed, over), over, calm)
-
-    def _held(self, speed: FloatArray, since: int) -> FloatArray:
-        """As given up to a tick, and its speed from there."""
-        return np.where(np.arange(len(speed)) < since, speed, speed[since])
+            held = np.where(np.arange(len(speed)) < over, speed, speed[over])
+            speed = self._braked(held, over, calm)
 
     def _braked(self, speed: FloatArray, begin: int, braking: Braking) -> FloatArray:
         """Speeds as given until the delay is over, then braking at least so hard."""
@@ -135,12 +135,6 @@ class Chase:
         gained = np.cumsum(leader - speed) / self.hz
         gap: FloatArray = self.gap[since] + np.concatenate(([0.0], gained[:-1]))
         return gap
-
-    def _leader(self, since: int, ticks: int) -> FloatArray:
-        speed = self._extended(self.leader, since, ticks)
-        beyond = np.arange(ticks) - (len(self.gap) - 1 - since)
-        braking = min(float(self.leader_acceleration[-1]), 0.0)
-        return np.where(beyond > 0, np.maximum(speed + braking * beyond / self.hz, 0.0), speed)
 
     def _extended(self, values: npt.NDArray[_Scalar], since: int, ticks: int) -> npt.NDArray[_Scalar]:
         """From a tick on, with the last value held."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_pafot.attribution.responsibility import Conflict, Fault, Scene
+from pytest_pafot.attribution.responsibility import Conflict, Dangers, Fault
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.trace import FloatArray, Trace
+from pytest_pafot.trace import Trace
 
 NEAR_SECONDS = 1.5
 """The time to contact at which half of its risk is reached [s]: between normal and critical (van der Horst 1990)."""
@@ -53,30 +53,18 @@ def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
 
 
 def _all(trace: Trace) -> Iterator[NearMiss]:
-    scene = Scene(trace)
-    is_dangerous = scene.is_close & scene.is_beside
-    if not is_dangerous.any():
+    dangers = Dangers(trace)
+    if not dangers.is_dangerous.any():
         return
-    severity = _severity(Encounters(trace))
+    encounters = Encounters(trace)
+    severity = (1 / (1 + encounters.ttc.T / NEAR_SECONDS) + 1 / (1 + encounters.gap.T / NEAR_METRES)) / 2
     for npc in range(len(trace.scenario.npcs)):
-        for start, end in _stretches(is_dangerous[:, npc]):
-            is_impact = trace.collision is not None and trace.collision.npc == npc and end == len(is_dangerous)
-            if is_impact:
-                continue
+        # First ticks of stretches in which it is dangerous and the ticks after their last, by turns.
+        edges = np.flatnonzero(np.diff(dangers.is_dangerous[:, npc].astype(np.int8), prepend=0, append=0)).tolist()
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if trace.collision is not None and trace.collision.npc == npc and end == len(severity):
+                continue  # the impact itself
             tick = start + int(np.argmax(severity[start:end, npc]))
-            verdict = Conflict(scene, npc, start, tick, by_ego_front=True).verdict
-            if verdict.fault is not None:
-                yield NearMiss(fault=verdict.fault, npc=npc, tick=tick, severity=float(severity[tick, npc]))
-
-
-def _severity(encounters: Encounters) -> FloatArray:
-    by_time = 1 / (1 + encounters.ttc.T / NEAR_SECONDS)
-    by_gap = 1 / (1 + encounters.gap.T / NEAR_METRES)
-    mean: FloatArray = (by_time + by_gap) / 2
-    return mean
-
-
-def _stretches(holds: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Iterator[tuple[int, int]]:
-    """First tick and the tick after the last of each stretch in which a condition holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
-    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+            fault = Conflict(dangers, npc, start, tick, by_ego_front=True).attribution.fault
+            if fault is not None:
+                yield NearMiss(fault=fault, npc=npc, tick=tick, severity=float(severity[tick, npc]))

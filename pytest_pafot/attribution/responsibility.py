@@ -7,15 +7,14 @@ sources.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.attribution.avoidance import Braking, Chase, Emergency
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, Collision, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, FloatArray, Trace, X, Y
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -119,19 +118,13 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
-    scene, collision = Scene(trace), trace.collision
-    start = _start(scene.is_close[:, collision.npc] & scene.is_beside[:, collision.npc])
-    conflict = Conflict(scene, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front")
-    verdict = conflict.verdict
+    dangers, collision = Dangers(trace), trace.collision
+    safe = np.flatnonzero(~dangers.is_dangerous[:-1, collision.npc])
+    start = int(safe[-1]) + 1 if safe.size else 0
+    conflict = Conflict(dangers, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front")
     if collision.ego_speed <= STANDING_SPEED:
-        verdict = Verdict("npc", f"the ego was standing ({collision.ego_speed:.1f} m/s) at the impact")
-    return Attribution(**verdict._asdict(), tick=start, time=start / trace.physics_hz)
-
-
-def _start(is_dangerous: npt.NDArray[np.bool_]) -> int:
-    """First tick of the danger that ends in the impact, at the last tick."""
-    safe = np.flatnonzero(~is_dangerous[:-1])
-    return int(safe[-1]) + 1 if safe.size else 0
+        return conflict.attributed("npc", f"the ego was standing ({collision.ego_speed:.1f} m/s) at the impact")
+    return conflict.attribution
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -152,37 +145,16 @@ def position_rule(trace: Trace) -> Responsibility:
     return "ego"
 
 
-def position_reason(trace: Trace) -> str:
-    """Why :func:`position_rule` says what it says: the end of a sentence that begins with "because"."""
-    collision = trace.collision
-    if collision is None:
-        return "there was no collision"
-    if collision.ego_speed <= STANDING_SPEED:
-        return f"the ego was standing ({collision.ego_speed:.1f} m/s) at the impact"
-    return f"NPC {collision.npc} was {_place(collision)} the ego (cell {int(collision.cell)}) at the impact"
-
-
-def _place(collision: Collision) -> str:
-    return {1: "ahead of", 0: "beside", -1: "behind"}[collision.cell.row]
-
-
-class Verdict(NamedTuple):
-    """An attribution without its moment."""
-
-    responsibility: Responsibility
-    reason: str
-    fault: Fault | None = None
-
-
-class Scene:
-    """A run as the rule sees it, for all of its conflicts.
+class Dangers:
+    """Where in a run the ego and each NPC were closer than RSS allows; arrays have the shape [ticks + 1, NPCs].
 
     Attributes:
         trace: of the run.
         frame: positions and speeds along and across the road.
-        along, across: gaps between the boxes [m], shape [ticks + 1, NPCs].
+        along, across: gaps between the boxes [m].
         safe_along: what RSS asks for along the road [m].
-        is_close, is_beside: where RSS would have more, along and across the road. Both at once are a danger.
+        is_close, is_beside: where RSS would have more, along and across the road.
+        is_dangerous: where both hold.
     """
 
     def __init__(self, trace: Trace) -> None:
@@ -192,167 +164,140 @@ class Scene:
         self.safe_along = self.frame.safe_along(DISTANCES)
         self.is_close = (self.along < self.safe_along) | (self.along <= 0)
         self.is_beside = self.across < self.frame.safe_across(DISTANCES)
+        self.is_dangerous = self.is_close & self.is_beside
 
 
 class Conflict:
     """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one.
 
-    Arrays are of the two up to the end, shape [end + 1].
-
     Args:
-        scene: of the run.
+        dangers: of the run.
         npc: the other vehicle.
         start: first tick of the danger.
         end: tick at which they touched, or nearly did.
         by_ego_front: whether it was, or would have been, the ego's front that hit.
     """
 
-    def __init__(self, scene: Scene, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
-        frame, past = scene.frame, slice(end + 1)
-        self._scene, self._npc, self._start, self._end = scene, npc, start, end
-        self._name, self._hz = f"NPC {npc}", scene.trace.physics_hz
+    def __init__(self, dangers: Dangers, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
+        frame, trace, past = dangers.frame, dangers.trace, slice(end + 1)
+        self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
         self._by_ego_front = by_ego_front
-        self._ego, self._other = scene.trace.ego[past], scene.trace.npcs[past, npc]
-        self._road = frame.ahead[npc, past], frame.right[npc, past]
+        self._name, self._hz = f"NPC {npc}", trace.physics_hz
+        self._when = f"{start / self._hz:.1f} s"
+        self._before = max(start - 1, 0)  # the last safe tick, from which on a response counts
+        self._ahead = frame.ahead[npc, past]
+        self._ego_is_behind = bool(self._ahead[start] >= 0)
         self._speeds = frame.speed[0, past], frame.speed[npc + 1, past]
-        self._drifts = frame.drift[0, past], frame.drift[npc + 1, past]
+        self._accelerations = trace.ego[past, ACCELERATION], trace.npcs[past, npc, ACCELERATION]
         self._half_lengths = (frame.half_along[0] + frame.half_along[npc + 1])[past]
-        self._along, self._across = scene.along[past, npc], scene.across[past, npc]
-        self._safe_along, self._is_beside = scene.safe_along[past, npc], scene.is_beside[past, npc]
-        self._abreast = self._across <= 0
-        self._abreast[-1] = True  # They touched there, or are judged as if they had.
+        self._gap, self._safe = dangers.along[start, npc], dangers.safe_along[start, npc]
+        self._abreast = dangers.across[past, npc] <= 0
+        self._abreast[-1] = True  # they touched there, or are judged as if they had
+        side = 1.0 if frame.right[npc, start] >= 0 else -1.0
+        ego, other = side * frame.drift[0, start], -side * frame.drift[npc + 1, start]
+        self._towards = max(float(ego), 0.0), max(float(other), 0.0)  # lateral speeds when the danger began [m/s]
+
+    def attributed(self, responsibility: Responsibility, reason: str, fault: Fault | None = None) -> Attribution:
+        """An attribution since the first tick of this danger."""
+        time = self._start / self._hz
+        return Attribution(responsibility=responsibility, tick=self._start, time=time, reason=reason, fault=fault)
 
     @property
-    def _before(self) -> int:
-        """The last safe tick, from which on a response counts; the start of the run if there is none."""
-        return max(self._start - 1, 0)
-
-    @property
-    def verdict(self) -> Verdict:
+    def attribution(self) -> Attribution:
         """By the rules 3 and 4 of :func:`rss_rule`."""
         ego_moved, npc_moved = self._movers()
-        if ego_moved and not self._ego_is_behind and self._leaves_room():
-            gap, speed = self._along[self._start], self._towards()[0]
-            return Verdict(
+        to_npc, to_ego = self._towards
+        is_ahead = not self._ego_is_behind and self._gap > 0
+        if ego_moved and is_ahead and self._npc_chase.is_avoided(self._start, GIVING_WAY):
+            return self.attributed(
                 "npc",
-                f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s), {gap:.1f} m ahead "
-                f"of it, which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
+                f"at {self._when} the ego moved sideways towards {self._name} ({to_npc:.1f} m/s), {self._gap:.1f} m "
+                f"ahead of it, which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
             )
         if ego_moved and npc_moved:
-            towards = self._towards()
-            return Verdict(
+            return self.attributed(
                 "both",
                 f"at {self._when} the ego and {self._name} moved sideways into each other "
-                f"({towards[0]:.1f} and {towards[1]:.1f} m/s)",
+                f"({to_npc:.1f} and {to_ego:.1f} m/s)",
                 "entered-lane",
             )
         if ego_moved:
-            return self._ego_moved()
+            where = f"{self._gap:.1f} m ahead of it, where RSS demands {self._safe:.1f} m" if is_ahead else self._place
+            reason = f"at {self._when} the ego moved sideways towards {self._name} ({to_npc:.1f} m/s), {where}"
+            return self.attributed("ego", reason, "entered-lane")
         if npc_moved:
             return self._npc_moved()
         return self._ego_followed() if self._ego_is_behind else self._npc_followed()
 
-    @property
-    def _when(self) -> str:
-        return f"{self._start / self._hz:.1f} s"
-
-    @property
-    def _ego_is_behind(self) -> bool:
-        return bool(self._road[0][self._start] >= 0)
-
-    def _towards(self) -> tuple[float, float]:
-        """Lateral speeds of the ego and of the NPC towards the other when the danger began [m/s]."""
-        sign = 1.0 if self._road[1][self._start] >= 0 else -1.0
-        ego, npc = self._drifts
-        return max(float(sign * ego[self._start]), 0.0), max(float(-sign * npc[self._start]), 0.0)
-
     def _movers(self) -> tuple[bool, bool]:
         """Whether the ego, and whether the NPC, made the danger by moving sideways."""
-        lateral_last = bool(self._start > 0 and not self._is_beside[self._start - 1])
-        if not lateral_last and self._across[self._start] <= 0:
+        dangers, start, npc = self._dangers, self._start, self._npc
+        lateral_last = bool(start > 0 and not dangers.is_beside[start - 1, npc])
+        if not lateral_last and dangers.across[start, npc] <= 0:
             return False, False
-        towards = self._towards()
-        ego, npc = (speed >= max(DRIFTING, SHARE * sum(towards)) for speed in towards)
-        return ego, npc
+        ego, other = (speed >= max(DRIFTING, SHARE * sum(self._towards)) for speed in self._towards)
+        return ego, other
 
-    def _ego_moved(self) -> Verdict:
-        speed, gap = self._towards()[0], self._along[self._start]
-        moved = f"at {self._when} the ego moved sideways towards {self._name} ({speed:.1f} m/s)"
-        if self._ego_is_behind or gap <= 0:
-            where = f", {self._along_text()}"
-        else:
-            where = f", {gap:.1f} m ahead of it, where RSS demands {self._safe_along[self._start]:.1f} m"
-        return Verdict("ego", f"{moved}{where}", "entered-lane")
-
-    def _leaves_room(self) -> bool:
-        """Whether a lane change of the ego asks little of the NPC behind."""
-        return bool(self._along[self._start] > 0) and self._npc_chase.is_avoided(self._start, GIVING_WAY)
-
-    def _npc_moved(self) -> Verdict:
+    def _npc_moved(self) -> Attribution:
         moved = (
-            f"at {self._when} {self._name} moved sideways towards the ego ({self._towards()[1]:.1f} m/s), "
-            f"{self._along_text()}"
+            f"at {self._when} {self._name} moved sideways towards the ego ({self._towards[1]:.1f} m/s), {self._place}"
         )
         if not self._ego_is_behind or not self._by_ego_front:
-            return Verdict("npc", moved)
-        seen = self._cut_in_seen()
+            return self.attributed("npc", moved)
+        offset = np.abs(_lane_offset(self._dangers.trace, self._npc, slice(self._start, self._end + 1)))
+        left = np.flatnonzero(offset > LEAVING)
+        seen = self._start + (int(left[0]) if left.size else 0)  # from the start where it never left a lane's centre
         if not self._ego_chase.is_avoided(seen, CUT_OFF, EMERGENCY):
-            return Verdict("npc", f"{moved}, too late to avoid it")
-        reason = f"{moved}, but {self._braked_text(seen)} would have avoided it"
-        return Verdict("ego", reason, "cut-in-unanswered")
+            return self.attributed("npc", f"{moved}, too late to avoid it")
+        demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
+        speed = self._speeds[0][min(seen + round(CUT_OFF.perception * self._hz), self._end) :]
+        highest = float(speed.max())
+        sped_up = highest > speed[0] + SPED_UP
+        driven = f"speeding up to {highest:.1f} m/s" if sped_up else f"{self._mean_braking(seen, CUT_OFF):.1f}"
+        return self.attributed(
+            "ego", f"{moved}, but {demanded} instead of {driven} would have avoided it", "cut-in-unanswered"
+        )
 
-    def _ego_followed(self) -> Verdict:
-        safe = self._safe_along[self._start]
-        close = f"from {self._when} it was closer than the {safe:.1f} m that RSS demands behind {self._name}"
+    def _ego_followed(self) -> Attribution:
+        safe = f"the {self._safe:.1f} m"
         if self._ego_chase.is_avoided(self._before, FOLLOWING):
-            reason = f"{close} and {self._ego_braking(self._before, FOLLOWING)}"
-            return Verdict("ego", reason, "leader-unanswered")
+            braked = f"{self._mean_braking(self._before, FOLLOWING):.1f} of {FOLLOWING.deceleration:.1f} m/s^2"
+            reason = f"from {self._when} it was closer than {safe} that RSS demands behind {self._name}"
+            return self.attributed("ego", f"{reason} and braked with {braked}", "leader-unanswered")
         if self._start == 0:
-            reason = f"the run began closer than the {safe:.1f} m that RSS demands, with no time to respond"
-        else:
-            reason = f"from {self._when} the {safe:.1f} m of RSS were gone, and no response could avoid {self._name}"
-        return Verdict("npc", reason)
+            return self.attributed("npc", f"the run began closer than {safe} that RSS demands, with no time to respond")
+        return self.attributed(
+            "npc", f"from {self._when} {safe} of RSS were gone, and no response could avoid {self._name}"
+        )
 
-    def _npc_followed(self) -> Verdict:
-        safe = self._safe_along[self._start]
-        hardest = float(-self._ego[self._start :, ACCELERATION].min())
-        if (
-            hardest > DISTANCES.hardest_braking
-            and not self._had_reason_to_brake()
-            and not self._npc_chase.is_avoided(self._before, FOLLOWING)
-        ):
-            return Verdict(
+    def _npc_followed(self) -> Attribution:
+        dangers, during = self._dangers, slice(self._start, self._end + 1)
+        hardest = float(-self._accelerations[0][self._start :].min())
+        # Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger.
+        is_close = (dangers.along < dangers.safe_along) & (dangers.frame.ahead.T > 0)
+        had_reason = bool((is_close & dangers.is_beside)[during].any())
+        too_hard = hardest > DISTANCES.hardest_braking and not had_reason
+        if too_hard and not self._npc_chase.is_avoided(self._before, FOLLOWING):
+            return self.attributed(
                 "ego",
                 f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
                 f"and {self._name} behind had no chance",
                 "braked-hard",
             )
-        reason = f"from {self._when} {self._name} was closer than the {safe:.1f} m that RSS demands behind the ego"
-        return Verdict("npc", reason)
+        reason = (
+            f"from {self._when} {self._name} was closer than the {self._safe:.1f} m that RSS demands behind the ego"
+        )
+        return self.attributed("npc", reason)
 
-    def _had_reason_to_brake(self) -> bool:
-        """Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger."""
-        scene, past = self._scene, slice(self._start, self._end + 1)
-        is_close = (scene.along < scene.safe_along) & (scene.frame.ahead.T > 0)
-        return bool((is_close & scene.is_beside)[past].any())
-
-    def _cut_in_seen(self) -> int:
-        """First tick of the danger at which the NPC had left the centre of a lane; the first of all if it never did."""
-        offset = np.abs(_lane_offset(self._scene.trace, self._npc, slice(self._start, self._end + 1)))
-        left = np.flatnonzero(offset > LEAVING)
-        return self._start + (int(left[0]) if left.size else 0)
-
-    @cached_property
+    @property
     def _ego_chase(self) -> Chase:
         """The ego behind the NPC."""
-        ego, npc = self._speeds
-        return self._chase(self._road[0], ego, npc, self._other[:, ACCELERATION])
+        return self._chase(self._ahead, *self._speeds, self._accelerations[1])
 
-    @cached_property
+    @property
     def _npc_chase(self) -> Chase:
         """The NPC behind the ego."""
-        ego, npc = self._speeds
-        return self._chase(-self._road[0], npc, ego, self._ego[:, ACCELERATION])
+        return self._chase(-self._ahead, *self._speeds[::-1], self._accelerations[0])
 
     def _chase(self, ahead: FloatArray, follower: FloatArray, leader: FloatArray, acceleration: FloatArray) -> Chase:
         return Chase(
@@ -364,23 +309,10 @@ class Conflict:
             hz=self._hz,
         )
 
-    def _along_text(self) -> str:
-        gap = self._along[self._start]
-        if gap <= 0:
-            return "side by side"
-        return f"{gap:.1f} m {'ahead' if self._ego_is_behind else 'behind'}"
-
-    def _ego_braking(self, since: int, response: Braking) -> str:
-        return f"braked with {self._mean_braking(since, response):.1f} of {response.deceleration:.1f} m/s^2"
-
-    def _braked_text(self, seen: int) -> str:
-        demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
-        perceived = min(seen + round(CUT_OFF.perception * self._hz), self._end)
-        speed = self._speeds[0]
-        highest = float(speed[perceived:].max())
-        if highest > speed[perceived] + SPED_UP:
-            return f"{demanded} instead of speeding up to {highest:.1f} m/s"
-        return f"{demanded} instead of {self._mean_braking(seen, CUT_OFF):.1f}"
+    @property
+    def _place(self) -> str:
+        """Where the NPC was along the road when the danger began."""
+        return "side by side" if self._gap <= 0 else f"{self._gap:.1f} m {'ahead' if self._ego_is_behind else 'behind'}"
 
     def _mean_braking(self, since: int, response: Braking) -> float:
         """The ego's, from when its response was due to the end [m/s^2]."""
