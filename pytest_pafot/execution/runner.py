@@ -17,7 +17,7 @@ from pytest_pafot.execution.known_decisions import KnownDecisions
 from pytest_pafot.execution.prefetching import LockStep, Processes
 from pytest_pafot.execution.scenario_pool import (
     ExecutionError,
-    Lost,
+    LostRun,
     ScenarioPool,
     pool_for,
     recovery_note,
@@ -210,7 +210,7 @@ class Isolated:
         self._record = record
         self._workers = workers
         self._pool: ScenarioPool | None = None
-        self._recovered: list[Lost] = []
+        self._recovered: list[LostRun] = []
 
     @property
     def notes(self) -> list[str]:

@@ -1,24 +1,44 @@
-"""Processes that run scenarios of a job, and what becomes of their answers in this one."""
+"""Processes that run the scenarios of a job, and what becomes of their answers in this one."""
 
 from __future__ import annotations
 
 import pickle
 import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeAlias
 
+from pytest_pafot.execution.captured_output import Echo, listening
+from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, leftovers
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.worker_pool import GRACE, Crew, Errand, Lost, ProcessLostError, trace_from
-
-__all__ = ["ExecutionError", "Lost", "ProcessLostError", "ScenarioPool", "pool_for", "recovery_note", "trace_from"]
+from pytest_pafot.execution.pool import GRACE, Lost, Raised, WorkerPool
+from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Outcome, Trace
 
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """Forked processes have the factory and the fixtures that it uses. Elsewhere the systems' own libraries do not survive
 it, and the factory must be one that can be pickled."""
 
-ScenarioPool = Crew
+LostRun: TypeAlias = Lost[Scenario]
+ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, Echo]]
+Answer: TypeAlias = tuple[Trace, Echo] | Raised | LostRun
+"""A run and what was said in it; or only a run in the session's own process can show what happens; or neither."""
 
 
 class ExecutionError(Exception):
     """A run must be made in another process, and none can be had; the message says why, and the way out."""
+
+
+class ProcessLostError(Exception):
+    """What a scenario that was asked for shows cannot be told: its process did not come back."""
+
+    def __init__(self, lost: LostRun) -> None:
+        super().__init__(f"the process (pid {lost.pid}) that ran {lost.task!r} {lost.how}")
+        self.lost = lost
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
@@ -27,22 +47,70 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     Raises:
         ExecutionError: where processes cannot be given what they need.
     """
-    errand = Errand(world=job.world, ads=job.ads, folder=job.records, owner=job.owner, plain_world=job.world_data)
+    work = _Rollouts(job=job, record=job.crash_record())
     if METHOD != "fork":
         try:
-            pickle.dumps(errand)
+            pickle.dumps(work)
         except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
             raise ExecutionError(
                 "where processes cannot be forked, the ADS factory must be one that can be pickled, such as a class of "
                 f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
             ) from None
-    limit = float(getattr(job.world, "hang_limit", 30.0))
-    return Crew(errand, size, method=METHOD, patience=limit + GRACE, grace=GRACE)
+    patience = float(getattr(job.world, "hang_limit", 30.0)) + GRACE
+    return WorkerPool(work, size, method=METHOD, patience=patience, grace=GRACE, ended=partial(_forget, job))
 
 
-def recovery_note(lost: Lost) -> str:
+@dataclass(frozen=True, slots=True)
+class _Rollouts:
+    """The work of each process: runs, with the scenario on disk meanwhile."""
+
+    job: Job
+    record: CrashRecord
+
+    def __call__(self, scenario: Scenario, tell: Callable[[float], None]) -> tuple[Trace, Echo]:
+        self.record.write(scenario)
+        try:
+            with listening() as echo:
+                trace = self.job.rollout(scenario)
+        finally:
+            self.record.clear()
+        return trace, echo
+
+
+def _forget(job: Job, pid: int) -> None:
+    """Remove the record of a process that has ended: this session is told otherwise."""
+    with suppress(InFlightError):  # A folder that cannot be read holds no records of this session.
+        for leftover in leftovers(job.records):
+            if (leftover.pid, leftover.owner) == (pid, job.owner):
+                leftover.discard()
+
+
+def trace_from(answer: Answer) -> Trace | None:
+    """The trace of an answer, once what was said in the run is said again here; None where it must run here.
+
+    Raises:
+        ProcessLostError: where the process that made it did not come back.
+    """
+    __tracebackhide__ = True
+    if isinstance(answer, Lost):
+        raise ProcessLostError(answer)
+    if isinstance(answer, Raised):
+        return None
+    trace, echo = answer
+    echo.repeat()
+    return trace
+
+
+def expectation(lost: LostRun) -> Expect:
+    """What running a scenario again is expected to show. Nobody saw it; the ADS is the code that a process dies in."""
+    outcome = Outcome.HANG if lost.is_hang else Outcome.ADS_ERROR
+    message = f"the process that ran this scenario {lost.how}"
+    return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
+
+
+def recovery_note(lost: LostRun) -> str:
     """What to tell of a process that died in a run that came to its end when it was tried again."""
     return (
-        f"a process (pid {lost.pid}) {lost.how} while it ran {lost.scenario!r}, which ran to its end when it was tried "
+        f"a process (pid {lost.pid}) {lost.how} while it ran {lost.task!r}, which ran to its end when it was tried "
         "alone: there may be too little memory for so many workers, or the process was killed from outside"
     )

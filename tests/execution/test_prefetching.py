@@ -8,9 +8,9 @@ import pytest
 from pytest_pafot.execution import prefetching
 from pytest_pafot.execution.captured_output import Echo
 from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Lost, Raised
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, ProcessLostError
-from pytest_pafot.execution.worker_pool import Answer, Lost
 from tests.support.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
@@ -33,7 +33,7 @@ class Pool:
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
-        return self.answers.get(scenario.seed) or Answer(trace=trace_of(scenario))
+        return self.answers.get(scenario.seed) or (trace_of(scenario), Echo())
 
     def close(self, *, at_once):
         self.expected, self.closed = [], at_once
@@ -143,17 +143,17 @@ class TestProcesses:
         assert world.ran == [0, 1, 2, 5]
 
     def test_a_run_that_none_of_them_can_make_is_made_in_this_one(self, runner_of):
-        world, pool = World(0.02), Pool({4: Answer()})
+        world, pool = World(0.02), Pool({4: Raised(error=ValueError())})
         assert asked(runner_of(world, pool)) == list(range(8))
         assert world.ran == [0, 1, 2, 4]
 
     def test_what_was_said_in_them_is_said_here_in_the_order_of_the_scenarios(self, runner_of, capsys):
-        answers = {n: Answer(trace=trace_of(scenario(n)), echo=Echo(out=f"run {n}\n")) for n in range(3, 8)}
+        answers = {n: (trace_of(scenario(n)), Echo(out=f"run {n}\n")) for n in range(3, 8)}
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
     def test_a_scenario_whose_process_did_not_come_back_raises(self, runner_of):
-        lost = Lost(scenario=SCENARIOS[3], pid=7, how="ended with exit code 9")
+        lost = Lost(task=SCENARIOS[3], pid=7, how="ended with exit code 9")
         runner = runner_of(World(0.02), Pool({3: lost}))
         with pytest.raises(ProcessLostError, match=r"pid 7\) that ran .* ended with exit code 9") as raised:
             asked(runner)
@@ -194,7 +194,7 @@ class TestProcesses:
 
     def test_the_notes_say_what_was_used_and_what_came_back_at_the_second_try(self, runner_of):
         pool = Pool()
-        pool.recovered = [Lost(scenario=SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
+        pool.recovered = [Lost(task=SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
         with runner_of(World(0.02), pool) as runner:
             asked(runner)
         used, recovered = runner.notes

@@ -1,0 +1,95 @@
+"""What was in flight when a process died runs again, in a process of its own, before it is called a finding.
+
+A process also dies because somebody ends it: a job that is cancelled, a system that is short of memory. The scenario
+that it ran then says nothing of the ADS. Where the next session dies as well, it is no accident: something that builds
+up from run to run, such as memory. That scenario is then called a finding after all, or nobody would hear of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Lost, Raised
+from pytest_pafot.execution.scenario_pool import Answer, LostRun
+from pytest_pafot.execution.separate_runs import answers_apart
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Outcome, Trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retried:
+    """What came of the record of a process that died.
+
+    Attributes:
+        notes: on what is not to blame.
+        pending: a record to discard once the search is through; until then this session may die as well.
+    """
+
+    notes: tuple[str, ...] = ()
+    pending: Leftover | None = None
+
+
+def retry(
+    leftover: Leftover,
+    job: Job | None,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    keep: Callable[[Leftover, Scenario, LostRun | None], object],
+    run_here: Callable[[Leftover], object],
+) -> Retried:
+    """Keep what is to blame for the death of a process.
+
+    Where no process can be made to try it in, one death is enough for a scenario that was alone in flight; and where
+    the session that tried it died as well, that is enough too.
+
+    Args:
+        leftover: of the process; removed once all is said, unless it is pending.
+        job: what the process ran; None where its world cannot be made again.
+        judge: of a trace.
+        isolate: whether another process without the judge will do where none can be forked.
+        keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
+        run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
+    """
+    scenarios = leftover.together or ((leftover.scenario,) if leftover.scenario else ())
+    answers: dict[Scenario, Answer] | None = None
+    if job is not None and not leftover.is_tried:
+        answers = answers_apart(job, scenarios, judge, isolate=isolate)
+    if answers is None and leftover.together:
+        run_here(leftover)
+        return Retried()
+    is_innocent = True
+    for scenario in scenarios:
+        answer = None if answers is None else answers[scenario]
+        if _came_to_its_end(answer):
+            continue
+        is_innocent = False
+        if isinstance(answer, Lost):
+            keep(leftover, scenario, answer)
+        elif not leftover.together:
+            keep(leftover, scenario, None)
+    if not is_innocent:
+        leftover.discard()
+        return Retried()
+    return Retried(notes=(_recovery(leftover),), pending=leftover.tried())
+
+
+def _came_to_its_end(answer: Answer | None) -> bool:
+    """Whether a run did. One in which the ADS failed may have failed since it was another process."""
+    if answer is None or isinstance(answer, (Lost, Raised)):
+        return False
+    trace, _ = answer
+    return trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+
+
+def _recovery(leftover: Leftover) -> str:
+    ran = f"{leftover.scenario!r},"
+    if leftover.together:
+        ran = f"{len(leftover.together)} scenarios in lock step, each of"
+    return (
+        f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
+        "process was killed from outside, or there was too little memory"
+    )

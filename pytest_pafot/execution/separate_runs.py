@@ -1,0 +1,194 @@
+"""Runs in another process, each with its verdict, since a process may die of both.
+
+Forked processes have the fixtures of the test function. Where processes cannot be forked, a session of its own tries
+a saved scenario first, which needs nothing that can be pickled.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.captured_output import listening
+from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, leftovers
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Lost, ending
+from pytest_pafot.execution.runner import Isolated
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, ProcessLostError, pool_for, trace_from
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.engines.gym_replay import replay_in_gym
+
+REPLAYED = (0, 1)
+"""Exit codes of a session that came to the verdict on a saved scenario: all tests passed, or some failed."""
+
+HUNG = 2
+"""Exit code of a session that ended itself since the ADS took no interruption."""
+
+IN_SESSION = "PAFOT_REPLAY_HERE"
+"""Set in the environment of a session that was started to replay a file in its own process."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """How a session of its own is started that replays a saved scenario.
+
+    Attributes:
+        file: of the scenario.
+        command: the program and its arguments.
+        folder: that it starts in.
+    """
+
+    file: Path
+    command: Sequence[str]
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """A world whose every run is judged where it was made."""
+
+    world: Any
+    judge: Callable[[Trace], object]
+
+    @property
+    def hang_limit(self) -> float:
+        """Of a decision [s]."""
+        return float(getattr(self.world, "hang_limit", 30.0))
+
+    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        """The run; what its judge prints is said where the verdict counts."""
+        trace: Trace = self.world.rollout(scenario, ads)
+        with listening():
+            self.judge(trace)
+        return trace
+
+
+def answers_apart(
+    job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
+) -> dict[Scenario, Answer] | None:
+    """What running and judging each by itself in another process shows.
+
+    A death counts, also where the process that tries it again lives: it is not the first of this scenario.
+
+    Args:
+        job: what is run.
+        scenarios: one after the other.
+        judge: of a trace; only forked processes have it.
+        isolate: whether another process without the judge will do where none can be forked.
+
+    Returns:
+        None where there can be no such process.
+    """
+    is_forked = scenario_pool.METHOD == "fork"
+    if not is_forked and not isolate:
+        return None
+    try:
+        pool = pool_for(replace(job, world=_Judged(job.world, judge)) if is_forked else job, 1)
+    except ExecutionError:
+        return None
+    with pool:
+        pool.expect(scenarios)
+        answers = {scenario: pool.fetch(scenario) for scenario in scenarios}
+    return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
+
+
+def run_apart(
+    job: Job,
+    scenario: Scenario,
+    judge: Callable[[Trace], object],
+    *,
+    isolate: bool,
+    session: Callable[[], Session],
+) -> Trace | None:
+    """The trace of a saved scenario that was run and judged in another process, to be judged again in this one.
+
+    Args:
+        job: what is run.
+        scenario: of the file.
+        judge: of a trace.
+        isolate: whether another process without the judge will do where none can be forked.
+        session: says how a session of its own is started, where there can be no other process.
+
+    Returns:
+        None where it must be run in this process: it raised, or cannot be sent, or a session of its own lived.
+
+    Raises:
+        ProcessLostError: where that process did not come back.
+        ExecutionError: where a session of its own did not come to the file.
+    """
+    __tracebackhide__ = True
+    answers = answers_apart(job, [scenario], judge, isolate=isolate)
+    if answers is not None:
+        return trace_from(answers[scenario])
+    if not os.environ.get(IN_SESSION):
+        _try_in_session(job, scenario, session())
+    return None
+
+
+def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
+    """One run in highway-env's own environment of the job's world, in another process.
+
+    Raises:
+        ProcessLostError: where that process did not come back.
+        ExecutionError: where there can be no other process.
+        Exception: what it raised there.
+    """
+    __tracebackhide__ = True
+    with Isolated(replace(job, world=_InGym(job.world)), record, workers=1) as runner:
+        return runner.run(scenario)
+
+
+@dataclass(frozen=True, slots=True)
+class _InGym:
+    """The plain environment of a world, in the place of that world."""
+
+    world: Any
+
+    @property
+    def hang_limit(self) -> float:
+        """Of a decision [s]."""
+        return float(self.world.hang_limit)
+
+    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        """The run by ``env.step``."""
+        return replay_in_gym(self.world, scenario, ads)
+
+
+def _try_in_session(job: Job, scenario: Scenario, session: Session) -> None:
+    """Replay a file in a session of its own."""
+    __tracebackhide__ = True
+    process = subprocess.Popen(  # noqa: S603  (this session's own command)
+        session.command,
+        cwd=session.folder,
+        env={**os.environ, IN_SESSION: "1"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    with process:
+        try:
+            code = process.wait()
+        finally:
+            process.kill()  # after an interrupt; it has ended by itself otherwise
+    if code < 0 or _has_left_a_record(job, process.pid):
+        lost = Lost(task=scenario, pid=process.pid, how=ending(code), is_hang=code == HUNG)
+        raise ProcessLostError(lost)
+    if code not in REPLAYED:
+        raise ExecutionError(
+            f"{session.file}: expected a session of its own to replay what a process died in, received {ending(code)} "
+            f"of: {shlex.join(session.command)}; run that to see why"
+        )
+
+
+def _has_left_a_record(job: Job, pid: int) -> bool:
+    try:
+        return any((each.pid, each.owner) == (pid, job.owner) for each in leftovers(job.records))
+    except InFlightError:
+        return False  # writing a record into the same folder fails as well, and says so

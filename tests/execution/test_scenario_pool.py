@@ -1,0 +1,136 @@
+"""Processes that run scenarios: what they answer, say and leave on disk."""
+
+import logging
+import os
+import sys
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.crash_records import leftovers
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Raised
+from pytest_pafot.execution.scenario_pool import ExecutionError, expectation, pool_for, trace_from
+from pytest_pafot.trace import Outcome
+from tests.support.toy_world import Toy, idle, scenario
+
+SCENARIOS = [scenario(number) for number in range(6)]
+
+
+@pytest.fixture
+def job_of(tmp_path):
+    """Makes jobs in a world without physics."""
+    return lambda ads: Job(world=Toy(), ads=ads, records=tmp_path / "records", owner="test_it.py::test_it")
+
+
+@pytest.fixture
+def pool_of(job_of, tmp_path):
+    """Makes pools whose ADS is a function of the number of the scenario; nothing of their records remains."""
+    if sys.platform != "linux":
+        pytest.skip("processes are forked on Linux alone")
+    pools = []
+
+    def make(drive):
+        pools.append(pool_for(job_of(lambda: drive), 1))
+        return pools[-1]
+
+    yield make
+    for pool in pools:
+        pool.close(at_once=True)
+    assert leftovers(tmp_path / "records") == ()
+    assert list((tmp_path / "records").iterdir()) == []
+
+
+def fetched(pool, scenario=SCENARIOS[0]):
+    pool.expect([scenario])
+    return pool.fetch(scenario)
+
+
+def test_traces_come_back_read_only(pool_of):
+    states = trace_from(fetched(pool_of(lambda number: None), SCENARIOS[3])).states
+    assert np.array_equal(states, np.full((2, 2, 7), 3.0))
+    assert not states.flags.writeable
+
+
+def test_what_raises_is_left_to_this_process(pool_of):
+    def fail(number):
+        raise SystemExit("no such planner")
+
+    assert trace_from(fetched(pool_of(fail))) is None
+
+
+def test_what_cannot_be_sent_is_left_to_this_process(pool_of):
+    class Local(UserWarning):
+        """Of no module, so that it cannot be pickled."""
+
+    assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Raised)
+
+
+def test_the_scenario_is_on_disk_while_it_runs_and_not_after_its_process_died(pool_of, tmp_path):
+    def copy_and_die(number):
+        (path,) = (tmp_path / "records").iterdir()
+        (tmp_path / "copy").write_text(f"{os.getpid()} {path.read_text()}")
+        os._exit(9)
+
+    lost = fetched(pool_of(copy_and_die), SCENARIOS[4])
+    assert lost.how == "ended with exit code 9"
+    pid, record = (tmp_path / "copy").read_text().split(maxsplit=1)
+    assert f'"owner": "test_it.py::test_it", "pid": {pid}, ' in record
+    assert SCENARIOS[4].canonical() in record
+    assert expectation(lost).outcome is Outcome.ADS_ERROR
+
+
+def test_a_process_that_is_killed_at_work_leaves_no_record(pool_of):
+    pool = pool_of(lambda number: time.sleep(60))
+    pool.expect(SCENARIOS)
+
+
+@pytest.mark.filterwarnings("always")
+def test_what_the_ads_says_is_said_again_here(pool_of, capsys, caplog):
+    def chat(number):
+        print("driving", number)
+        print("careful", file=sys.stderr)
+        sys.stdout.buffer.write(b"bytes\n")
+        logging.getLogger("planner").warning("gap of %d m", number)
+        warnings.warn("old interface", DeprecationWarning, stacklevel=1)
+
+    answer = fetched(pool_of(chat))
+    assert capsys.readouterr() == ("", "")
+    with pytest.warns(DeprecationWarning, match="old interface") as warned:
+        trace_from(answer)
+    assert warned[0].filename == __file__
+    assert capsys.readouterr() == ("driving 0\nbytes\n", "careful\n")
+    assert caplog.record_tuples == [("planner", logging.WARNING, "gap of 0 m")]
+
+
+def test_an_ads_that_closes_a_standard_stream_closes_that_of_nobody_else(pool_of, capsys):
+    def close(number):
+        print("last words")
+        sys.stdout.close()
+
+    assert trace_from(fetched(pool_of(close))) is not None
+    assert capsys.readouterr().out == "last words\n"
+
+
+def test_filters_of_warnings_act_in_the_process_that_runs_the_scenario(pool_of, recwarn):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        answer = fetched(pool_of(lambda number: warnings.warn("old interface", DeprecationWarning, stacklevel=1)))
+    trace_from(answer)
+    assert not recwarn.list
+
+
+def test_processes_that_are_not_forked_run_a_factory_that_can_be_pickled(job_of, monkeypatch):
+    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    with pool_for(job_of(idle), 1) as pool:
+        assert trace_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
+    assert pool.failure == ""
+
+
+def test_a_factory_that_cannot_be_pickled_where_processes_are_not_forked_is_told(job_of, monkeypatch):
+    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    with pytest.raises(ExecutionError, match="such as a class of a module that can be imported"):
+        pool_for(job_of(lambda: print), 2)
