@@ -8,30 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.schema import VERSION
+from pytest_pafot.corpus.errors import RESTORE, CorpusError
+from pytest_pafot.corpus.schema import VERSION, Keys
 from pytest_pafot.corpus.yaml_document import Document, Place
-
-RESTORE = "restore the file from version control, or delete it"
-
-
-class CorpusError(ValueError):
-    """A file of the corpus that cannot be used.
-
-    Attributes:
-        path: of the file.
-        line: counted from 1, or None where the fault has no line.
-        field: such as ``scenario.npcs[0][3].cell``; empty where the fault has no field.
-        expected, received, fix: what should be there, what is, and the way out.
-    """
-
-    def __init__(
-        self, path: Path, *, line: int | None, field: str, expected: str, received: str, fix: str = RESTORE
-    ) -> None:
-        place = f"{path}:{line}" if line is not None else f"{path}"
-        name = f"{field}: " if field else ""
-        super().__init__(f"{place}: {name}expected {expected}, received {received}; {fix}")
-        self.path, self.line, self.field = path, line, field
-        self.expected, self.received, self.fix = expected, received, fix
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +27,12 @@ class Field:
         """As in an error: ``scenario.npcs[0][3].cell``."""
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
 
-    def error(self, expected: str, fix: str, received: str | None = None) -> CorpusError:
+    def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
         """What is wrong with the value, at the nearest line that is known."""
-        known = next(place for end in range(len(self.place), -1, -1) if (place := self.place[:end]) in self.lines)
-        return CorpusError(
-            self.path,
-            line=self.lines[known],
-            field=self.name,
-            expected=expected,
-            received=received or f"{self.value!r:.80}",
-            fix=fix,
-        )
-
-    @property
-    def lines(self) -> dict[Place, int]:
-        """Of the whole document."""
-        return self.document.lines
+        lines = self.document.lines
+        line = next(lines[place] for end in range(len(self.place), -1, -1) if (place := self.place[:end]) in lines)
+        received = received or f"{self.value!r:.80}"
+        return CorpusError(self.path, line=line, field=self.name, expected=expected, received=received, fix=fix)
 
     def at(self, *inner: str | int) -> Field:
         """A value inside of this one."""
@@ -72,14 +41,14 @@ class Field:
             value = value[part]
         return Field(self.path, self.document, (*self.place, *inner), value)
 
-    def mapping(self, required: Collection[str], optional: Collection[str] = ()) -> dict[str, Field]:
+    def mapping(self, keys: Keys) -> dict[str, Field]:
         """The values of a mapping that has all required keys and no unknown ones."""
         fields = self.any_mapping()
+        known = [*keys.required, *keys.optional]
         for key in fields:
-            if key not in required and key not in optional:
-                known = [*required, *optional]
-                raise fields[key].error(f"{one_of(known)} (format {VERSION})", guess(key, known), repr(key))
-        for key in required:
+            if key not in known:
+                raise fields[key].error(f"{_one_of(known)} (format {VERSION})", _guess(key, known), repr(key))
+        for key in keys.required:
             if key not in fields:
                 received = f"only {', '.join(fields)}" if fields else "nothing"
                 raise self.error(f"the key '{key}'", "add it, or restore the file from version control", received)
@@ -88,13 +57,13 @@ class Field:
     def any_mapping(self) -> dict[str, Field]:
         """The values of a mapping with any keys."""
         if not isinstance(self.value, dict):
-            raise self.error("a mapping (key: value)", RESTORE)
+            raise self.error("a mapping (key: value)")
         return {key: self.at(key) for key in self.value}
 
     def items(self) -> list[Field]:
         """The values of a list."""
         if not isinstance(self.value, list):
-            raise self.error("a list", RESTORE)
+            raise self.error("a list")
         return [self.at(index) for index in range(len(self.value))]
 
     def text(self) -> str:
@@ -112,7 +81,7 @@ class Field:
     def choice(self, options: Collection[str]) -> Any:
         """One of these texts."""
         if not isinstance(self.value, str) or self.value not in options:
-            raise self.error(one_of(options), guess(str(self.value), options))
+            raise self.error(_one_of(options), _guess(str(self.value), options))
         return self.value
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
@@ -137,12 +106,12 @@ class Field:
         return float(self.value)
 
 
-def one_of(options: Collection[str]) -> str:
+def _one_of(options: Collection[str]) -> str:
     """What is expected where there is a choice."""
     return f"one of {', '.join(options)}"
 
 
-def guess(word: str, options: Collection[str]) -> str:
+def _guess(word: str, options: Collection[str]) -> str:
     """The way out of a word that is unknown."""
     close = difflib.get_close_matches(word, list(options), n=1)
     return f"did you mean {close[0]!r}?" if close else "correct or remove it"

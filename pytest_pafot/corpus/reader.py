@@ -8,17 +8,20 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.corpus.fields import RESTORE, CorpusError, Field
+from pytest_pafot.corpus import schema
+from pytest_pafot.corpus.errors import CorpusError
+from pytest_pafot.corpus.fields import Field
+from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.schema import LIMITS, VERSION, VERSIONS, WORLDS, upgraded
-from pytest_pafot.corpus.yaml_document import MAX_BYTES, DocumentError, decoded, parse
+from pytest_pafot.corpus.schema import VERSION, VERSIONS
+from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import FieldError
 from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
@@ -49,12 +52,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
 
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
     """The document in the content of a file, as one of the version that is written."""
-    try:
-        document = parse(decoded(content), loader)
-    except DocumentError as error:
-        raise CorpusError(
-            path, line=error.line, field="", expected=error.expected, received=error.received, fix=error.fix
-        ) from None
+    document = parse(path, content, loader)
     top = Field(path, document, (), document.value)
     return replace(top, value=upgraded(top.value)) if _version(top) == 1 else top
 
@@ -82,17 +80,17 @@ def _content(path: Path) -> bytes:
         received = "a folder" if stat.S_ISDIR(status.st_mode) else "something else"
     except OSError as error:
         received = error.strerror or str(error)
-    raise CorpusError(path, line=None, field="", expected="a file that can be read", received=received)
+    raise CorpusError(path, expected="a file that can be read", received=received)
 
 
 def _finding(path: Path, top: Field) -> Finding:
     name = path.name.removesuffix(SUFFIX)
     if not path.name.endswith(SUFFIX) or not is_id(name):
         expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
-        raise CorpusError(path, line=None, field="", expected=expected, received=path.name, fix="rename the file")
-    required = ("pafot", "test", "world", "scenario", "expect", "found")
-    fields = top.mapping(required, ("original", "shrunk", "flaky", "xfail"))
+        raise CorpusError(path, expected=expected, received=path.name, fix="rename the file")
+    fields = top.mapping(schema.FILE)
     scenario = _scenario(fields["scenario"])
+    reason = 'write the reason in quotes, as in xfail: "issue 12"'
     return Finding(
         id=name,
         test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
@@ -100,20 +98,23 @@ def _finding(path: Path, top: Field) -> Finding:
         scenario=scenario,
         expect=_expect(fields["expect"], len(scenario.npcs)),
         found=_found(fields["found"]),
-        original=_scenario(fields["original"]) if "original" in fields else None,
-        shrunk=_shrunk(fields["shrunk"], scenario) if "shrunk" in fields else None,
-        flaky=fields["flaky"].some_text("say what differed, or remove the line") if "flaky" in fields else None,
-        xfail=fields["xfail"].some_text('write the reason in quotes, as in xfail: "issue 12"')
-        if "xfail" in fields
-        else None,
+        original=_given(fields, "original", _scenario),
+        shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario)),
+        flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
+        xfail=_given(fields, "xfail", lambda field: field.some_text(reason)),
     )
+
+
+def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
+    """The value of an optional key."""
+    return get(fields[key]) if key in fields else default
 
 
 def _version(top: Field) -> int:
     """The version comes first: of a newer one, nothing else can be judged."""
     fields = top.any_mapping()
     if "pafot" not in fields:
-        raise top.error(f"the key 'pafot' with the version {VERSION}", RESTORE, "a document without it")
+        raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
     version = fields["pafot"]
     if isinstance(version.value, bool) or not isinstance(version.value, int) or version.value not in VERSIONS:
         known = " or ".join(map(str, VERSIONS))
@@ -132,17 +133,16 @@ def _world(field: Field) -> dict[str, Any]:
         except ValueError as error:
             raise field.at(key).error("plain data", "correct it", str(error)) from None
     kind = world.get("kind")
-    if isinstance(kind, str) and kind in WORLDS:
-        keys = WORLDS[kind]
-        field.mapping(keys.required, keys.optional)
+    if isinstance(kind, str) and kind in schema.WORLDS:
+        field.mapping(schema.WORLDS[kind])
         if "limits" in fields:
-            fields["limits"].mapping(LIMITS.required, LIMITS.optional)
+            fields["limits"].mapping(schema.LIMITS)
     return world
 
 
 def _scenario(field: Field) -> Scenario:
-    fields = field.mapping(("seed", "ego", "npcs"), ("gene_seconds",))
-    ego = fields["ego"].mapping(("lane", "speed"))
+    fields = field.mapping(schema.SCENARIO)
+    ego = fields["ego"].mapping(schema.EGO)
     chains: Any = tuple(tuple(_gene(gene) for gene in chain.items()) for chain in fields["npcs"].items())
     try:
         return Scenario(
@@ -150,7 +150,7 @@ def _scenario(field: Field) -> Scenario:
             seed=fields["seed"].whole(),
             ego_lane=ego["lane"].whole(),
             ego_speed=ego["speed"].number(),
-            gene_seconds=fields["gene_seconds"].number() if "gene_seconds" in fields else DEFAULT_GENE_SECONDS,
+            gene_seconds=_given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
         )
     except ScenarioError as error:
         raise _rule_broken(field, error) from None
@@ -158,7 +158,7 @@ def _scenario(field: Field) -> Scenario:
 
 def _gene(field: Field) -> Gene:
     has_lane = "lane" in field.any_mapping() and "cell" not in field.any_mapping()
-    fields = field.mapping(("lane", "speed") if has_lane else ("cell", "speed"))
+    fields = field.mapping(schema.LANE_INSTRUCTION if has_lane else schema.POSITION_INSTRUCTION)
     target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
     speed = fields["speed"].number()
     try:
@@ -194,37 +194,30 @@ def _has(value: object, part: str | int) -> bool:
 
 
 def _expect(field: Field, npcs: int) -> Expect:
-    required = ("failure", "outcome", "time", "responsibility")
-    manoeuvres = ("npc_manoeuvre", "ego_manoeuvre")
-    optional = ("assertion", "message", "npc", "cell", "side", "fault", *manoeuvres, "preventable_by", "traceback")
-    fields = field.mapping(required, optional)
+    fields = field.mapping(schema.EXPECT)
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
-        field.mapping((*required, "npc", "cell", "side"), optional)
-
-    def given(key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
-        return get(fields[key]) if key in fields else default
-
+        field.mapping(schema.EXPECT_OF_COLLISION)
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
-        assertion=given("assertion", Field.text, ""),
-        message=given("message", Field.text, ""),
+        assertion=_given(fields, "assertion", Field.text, ""),
+        message=_given(fields, "message", Field.text, ""),
         outcome=outcome,
         time=fields["time"].number(),
-        npc=given("npc", lambda inner: inner.whole(0, npcs - 1)),
-        cell=given("cell", lambda inner: Cell(inner.whole(1, 8))),
-        side=given("side", lambda inner: inner.choice(get_args(Side))),
+        npc=_given(fields, "npc", lambda inner: inner.whole(0, npcs - 1)),
+        cell=_given(fields, "cell", lambda inner: Cell(inner.whole(1, 8))),
+        side=_given(fields, "side", lambda inner: inner.choice(get_args(Side))),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
-        fault=given("fault", lambda inner: inner.choice(get_args(Fault))),
-        npc_manoeuvre=given("npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
-        ego_manoeuvre=given("ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
-        preventable_by=given("preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),
-        traceback=given("traceback", Field.text, ""),
+        fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
+        npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
+        ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
+        preventable_by=_given(fields, "preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),
+        traceback=_given(fields, "traceback", Field.text, ""),
     )
 
 
 def _found(field: Field) -> Found:
-    fields = field.mapping(("seed", "generation", "algorithm", "versions"))
+    fields = field.mapping(schema.FOUND)
     return Found(
         seed=fields["seed"].whole(),
         generation=fields["generation"].whole(),
@@ -234,7 +227,7 @@ def _found(field: Field) -> Found:
 
 
 def _shrunk(field: Field, scenario: Scenario) -> Simplified:
-    fields = field.mapping(("rollouts", "is_minimal", "speeds"))
+    fields = field.mapping(schema.SHRUNK)
     return Simplified(
         rollouts=fields["rollouts"].whole(),
         is_minimal=fields["is_minimal"].truth(),
@@ -243,7 +236,7 @@ def _shrunk(field: Field, scenario: Scenario) -> Simplified:
 
 
 def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
-    fields = field.mapping(("npc", "gene", "low", "high"))
+    fields = field.mapping(schema.SPEEDS)
     npc, low = fields["npc"].whole(0, len(scenario.npcs) - 1), fields["low"].number()
     gene, high = fields["gene"].whole(0, len(scenario.npcs[npc]) - 1), fields["high"].number()
     if low > high:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.yaml_document import MAX_BYTES

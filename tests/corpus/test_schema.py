@@ -10,8 +10,9 @@ import yaml
 from hypothesis import given
 
 from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.reader import load, parsed
-from pytest_pafot.corpus.schema import LIMITS, WORLDS, upgraded
+from pytest_pafot.corpus.schema import LIMITS, WORLDS
 from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.scenario import Scenario

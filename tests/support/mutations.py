@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from pytest_pafot.corpus.schema import upgraded
+from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.scenario import Scenario
 

@@ -1,0 +1,28 @@
+"""The error of a file that cannot be used, with its line, field and way out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pytest_pafot.errors import FieldError, sentence
+
+RESTORE = "restore the file from version control, or delete it"
+
+
+class CorpusError(FieldError):
+    """A file of the corpus that cannot be used.
+
+    Attributes:
+        path: of the file.
+        line: counted from 1, or None where the fault has no line.
+        field: such as ``scenario.npcs[0][3].cell``; empty where the fault has no field.
+        expected, received, fix: what should be there, what is, and the way out.
+    """
+
+    def __init__(
+        self, path: Path, *, expected: str, received: str, fix: str = RESTORE, field: str = "", line: int | None = None
+    ) -> None:
+        place = f"{path}" if line is None else f"{path}:{line}"
+        text = f"{place}: {sentence(field, expected, received, fix)}"
+        super().__init__(text, field=field, expected=expected, received=received, fix=fix)
+        self.path, self.line = path, line
