@@ -1,0 +1,110 @@
+"""How the words of a page, and the file of a finding on it, read as a whole, for a run that is made by hand.
+
+The texts lie in ``__snapshots__``. ``--snapshot-update`` writes them anew; what it changes is to be read, then kept.
+"""
+
+import re
+from dataclasses import replace
+
+from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.findings.finding import Simplified
+from pytest_pafot.report.campaign_markup import campaign_article
+from pytest_pafot.report.finding_markup import finding_article, finding_list
+from pytest_pafot.report.finding_view import shrink_view
+from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView, Report
+from pytest_pafot.trace import Outcome
+from tests.report.builders import CUT_IN, TEST, finding_of, scenario, view_of
+from tests.support.traces import trace_of, vehicle
+
+
+def hand_made_trace():
+    """An NPC brakes ahead of the ego, which hits it after 3.5 s; a second NPC stays at the right."""
+    ticks = 52
+    npcs = vehicle(40.0, 4.0, speed=10.0, ticks=ticks), vehicle(0.0, 8.0, speed=20.0, ticks=ticks)
+    return trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=ticks), *npcs, outcome=Outcome.COLLISION,
+        scenario=scenario([(2, 10.0), (2, 8.0)], [(4, 20.0), (4, 20.0)]), arrivals=((30,), (None,)),
+    )  # fmt: skip
+
+
+def hand_made_finding():
+    return view_of(hand_made_trace(), yaml="test: '<its>' file\n", preventable_tried=("idm-aeb",))
+
+
+def hand_made_campaign():
+    """Two generations, the second after a restart, and a local search."""
+    counts = [(label, 9 - number, 8 - number, 7 - number) for number, label in enumerate("12345678")]
+    rows = tuple(CoverageRow(label=label, requested=a, driven=b, reached=c) for label, a, b, c in counts)
+    never = CoverageRow(label="8 to 7", requested=1, driven=0, reached=0)
+    return CampaignView(
+        node_id=f"{TEST}[search]",
+        algorithm="pafot",
+        seed=7,
+        generations=(
+            GenerationView(generation=0, best=1.25, mean=0.5, failing=1, population=4),
+            GenerationView(
+                generation=1, best=None, mean=None, failing=0, population=4, restarted=True, local_best=2.0,
+                local_replaced=True,
+            ),
+        ),
+        asked=3,
+        reason="time",
+        simulated=8,
+        reused=1,
+        outcomes=(("safe", 7), ("collision", 1)),
+        responsibilities=(("none", 7), ("ego", 1)),
+        cells=rows[:3],
+        steps=rows * 2 + rows[:7] + (never,),
+        speeds=rows[:2],
+        warnings=("few NPCs reached their cell",),
+    )  # fmt: skip
+
+
+def lines_of(markup):
+    """HTML with a line for each block and each row of a table."""
+    blocks = "article|section|header|nav|div|details|summary|h[1-6]|p|pre|ul|ol|li|dl|table|tr"
+    return re.sub(rf">(?=<(?:{blocks})\b)", ">\n", markup)
+
+
+def test_an_article_on_a_finding_reads_so(snapshot):
+    assert lines_of(finding_article(hand_made_finding(), 0)) == snapshot
+
+
+def test_an_article_on_a_finding_that_was_shrunk_and_that_nobody_saw_reads_so(snapshot):
+    shrunk = shrink_view(scenario([(1, 25.0), (2, 8.0)], [(4, 20.0)]), scenario([(2, 8.0), (2, 8.0)]), rollouts=41)
+    finding = replace(
+        hand_made_finding(), shrink=shrunk, label="new", runs=3, path="corpus/a.pafot.yaml", instructions=(),
+        preventable_by=("idm-aeb",), explanation="", times=(), vehicles=(),
+    )  # fmt: skip
+    assert lines_of(finding_article(finding, 1)) == snapshot
+
+
+def test_the_list_of_findings_of_two_tests_reads_so(snapshot):
+    finding = hand_made_finding()
+    other = replace(finding, test="tests/test_b.py::test_other", responsibility="npc", label="flaky")
+    assert lines_of(finding_list([finding, other])) == snapshot
+
+
+def test_an_article_on_a_search_reads_so(snapshot):
+    assert lines_of(campaign_article(hand_made_campaign(), 0)) == snapshot
+
+
+def test_a_page_with_an_error_and_no_finding_reads_so(snapshot):
+    report = Report(
+        title="Nothing found",
+        facts=(("base seed", "7"), ("pytest-pafot", "0.1.0")),
+        command="pytest --pafot-seed=7",
+        errors=(("tests/test_c.py::test_c[search]", "E   ValueError: no plan"),),
+    )
+    body = re.search('<div class="session">.*(?=<script type)', render_page(report), re.DOTALL)[0]
+    assert lines_of(body) == snapshot
+
+
+def test_the_file_of_a_finding_reads_so(snapshot):
+    assert text_of(finding_of(hand_made_trace())) == snapshot
+
+
+def test_the_file_of_a_flaky_finding_that_was_shrunk_and_accepted_reads_so(snapshot):
+    changes = {"shrunk": Simplified(rollouts=41), "flaky": "another run", "xfail": "known: no fix planned"}
+    assert text_of(replace(finding_of(hand_made_trace()), original=CUT_IN, **changes)) == snapshot
