@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypedDict
 
 if TYPE_CHECKING:
+    from pytest_pafot.searching.ask_tell import Algorithm
     from pytest_pafot.searching.fitness import Weights
     from pytest_pafot.trace import Trace
 
@@ -30,7 +31,7 @@ class SearchArguments(TypedDict, total=False):
     generations: int
     population: int
     seed: int
-    algorithm: str
+    algorithm: str | type[Algorithm[Any]]
     max_time: float
     stop_after: int
     shrink_rollouts: int

@@ -11,9 +11,12 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.ask_tell import Algorithm
 
 Kind = Literal["integer", "seconds", "text", "page", "switch", "workers"]
 
@@ -44,6 +47,7 @@ class Option(NamedTuple):
         help: one sentence.
         least: smallest number that is accepted.
         choices: the texts that are accepted, or nothing for any.
+        or_class: whether a class, or its ``module:Class``, is accepted as well.
         everywhere: False for what concerns the session and is a deliberate act: command line only.
         is_argument: False for what concerns the session as a whole: no marker argument.
     """
@@ -54,6 +58,7 @@ class Option(NamedTuple):
     help: str
     least: float = 0
     choices: tuple[str, ...] = ()
+    or_class: bool = False
     everywhere: bool = True
     is_argument: bool = True
 
@@ -84,10 +89,13 @@ class Option(NamedTuple):
         Raises:
             OptionError: expected, received; without the place, which the caller knows.
         """
+        if self.or_class and (not isinstance(value, str) or ":" in value):
+            return value  # whoever uses it checks it: nothing is imported for options
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}")
+            own = "; or give a class of your own, as module:Class where only text can be given" if self.or_class else ""
+            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{own}")
         return typed
 
 
@@ -110,9 +118,10 @@ OPTIONS: tuple[Option, ...] = (
         kind="text",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
+        or_class=True,
         help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
         "looking for other failures once it has found one, the others are baselines; the last three need "
-        "pytest-pafot[search].",
+        "pytest-pafot[search]. Or module:Class for an algorithm of your own.",
     ),
     Option(
         name="max_time",
@@ -220,7 +229,7 @@ class Settings:
     generations: int
     population: int
     seed: int
-    algorithm: str
+    algorithm: str | type[Algorithm[Any]]
     max_time: float | None
     total_time: float | None
     stop_after: int | None

@@ -128,7 +128,7 @@ class Keeper:
         found = Found(
             seed=self.seed,
             generation=generation,
-            algorithm=self.bench.request.settings.algorithm,
+            algorithm=self.bench.request.algorithm.name,
             versions=self.bench.versions,
         )
         finding = self._finding(run, verdict.failure, found)
@@ -274,7 +274,7 @@ class Keeper:
             generation: of the search, from 0.
             number: of the run in the search, from 1.
         """
-        algorithm = self.bench.request.settings.algorithm
+        algorithm = self.bench.request.algorithm.name
         found = Found(seed=self.seed, generation=generation, algorithm=algorithm, versions=self.bench.versions)
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
         text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "

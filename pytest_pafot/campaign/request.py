@@ -12,6 +12,7 @@ from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import BY_NAME, Settings
 
 if TYPE_CHECKING:
+    from pytest_pafot.searching.algorithms import AlgorithmClass
     from pytest_pafot.searching.space import SearchSpace
     from pytest_pafot.trace import Trace
 
@@ -30,6 +31,7 @@ class Request:
 
     Attributes:
         settings: the options.
+        algorithm: that they ask for.
         ads: name of the fixture that gives the factory, or the factory itself.
         arg: the parameter of the test function that receives the run.
         blame: ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody.
@@ -42,6 +44,7 @@ class Request:
     """
 
     settings: Settings
+    algorithm: AlgorithmClass
     ads: str | Callable[..., Any]
     arg: str = "run"
     blame: str = "any"
@@ -71,13 +74,15 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     try:
         if arguments.get("world") is not None:
             _check_world(arguments)
+        algorithm = _algorithm(settings)
         return Request(
             settings=settings,
+            algorithm=algorithm,
             ads=_ads(arguments["ads"]),
             arg=_identifier("arg", arguments.get("arg", "run")),
             blame=_blame(arguments.get("blame", "any")),
             decision_limit=_positive("decision_limit", arguments.get("decision_limit")),
-            fitness=_fitness(arguments.get("fitness"), settings.algorithm),
+            fitness=_fitness(arguments.get("fitness"), algorithm),
             world=arguments.get("world"),
             road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
             space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
@@ -229,12 +234,20 @@ def _positive(name: str, value: object) -> float | None:
     return float(value)
 
 
-def _fitness(value: object, algorithm: str) -> Any:
-    from pytest_pafot.searching.algorithms import fitness_of  # noqa: PLC0415
+def _algorithm(settings: Settings) -> AlgorithmClass:
+    from pytest_pafot.searching.algorithms import resolve_algorithm  # noqa: PLC0415
+
+    try:
+        return resolve_algorithm(settings.algorithm)
+    except ValueError as error:
+        raise RequestError(str(error)) from error
+
+
+def _fitness(value: object, algorithm: AlgorithmClass) -> Any:
     from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
 
     if value is None:
-        return fitness_of(algorithm)
+        return algorithm.fitness
     if not isinstance(value, (str, Weights)) and not callable(value):
         raise _ArgumentError(
             "fitness",

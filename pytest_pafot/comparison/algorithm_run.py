@@ -16,7 +16,7 @@ from pytest_pafot.findings.finding import ads_failure, of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Evaluation, algorithm_named, fitness_of, reads_near_misses, run_campaign
+from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.searching.space import SearchSpace
@@ -89,18 +89,18 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     Raises:
         PlanError: where the ADS fails alike at its first decision in the whole first generation.
     """
-    world, factory = world_of(plan), ads_factory(plan.ads)
+    world, factory, chosen = world_of(plan), ads_factory(plan.ads), plan.algorithm(algorithm)
     seed = plan.run_seed(algorithm, run)
     simulator = Simulator(
         rollout=lambda scenario: world.rollout(scenario, factory),
-        fitness=_fitness(plan, algorithm),
+        fitness=_fitness(plan, chosen),
         blame=plan.blame,
-        asks_for_near_misses=plan.blame == "ego" and reads_near_misses(algorithm),
+        asks_for_near_misses=plan.blame == "ego" and chosen.reads_near_misses,
     )
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
     events = run_campaign(
-        algorithm_named(algorithm, SearchSpace(**plan.space), **plan.parameters),
+        chosen.make(SearchSpace(**plan.space), **plan.parameters),
         simulator.evaluate,
         generations=generations,
         seed=seed,
@@ -169,8 +169,8 @@ def signature_text(signature: Signature) -> str:
     return f"{signature.slug}-{hashlib.sha256(repr(signature).encode()).hexdigest()[:6]}"
 
 
-def _fitness(plan: Plan, algorithm: str) -> Fitness:
+def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
     """Of the plan, or the algorithm's own. Blame steers all but AV-Fuzzer's, which its authors did not steer."""
-    name = plan.fitness or fitness_of(algorithm)
+    name = plan.fitness or algorithm.fitness
     is_steered = plan.blame == "ego" and name != "av-fuzzer"
     return resolve(name, responsible=is_ego_responsible if is_steered else None)

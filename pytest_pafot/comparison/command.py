@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random",
         metavar="A,B,...",
-        help=f"of {', '.join(ALGORITHMS)}; the first is compared with each other one (default: %(default)s)",
+        help=f"of {', '.join(ALGORITHMS)}, or module:Class of your own; the first is compared with each other one "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--ads",
@@ -55,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="any",
         help="ego: search for collisions that the ego is responsible for (default: %(default)s, as the paper)",
     )
-    parser.add_argument("--fitness", help="of all algorithms: default, paper or av-fuzzer (default: each one's own)")
+    parser.add_argument(
+        "--fitness", help="of all algorithms: default, paper, av-fuzzer or module:function (default: each one's own)"
+    )
     parser.add_argument("--population", type=int, metavar="N", help="scenarios of a generation (default: 4)")
     _add_world_arguments(parser)
 
@@ -151,7 +154,7 @@ def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]
     data = figures.Data(
         frame=frame,
         runs=whole,
-        algorithms=plan.algorithms,
+        algorithms=plan.names,
         longest=longest,
         has_papers_size=plan.generations == PAPER_GENERATIONS,
     )

@@ -72,7 +72,7 @@ def _head(material: Material) -> str:
     hits = "all collisions" if plan.blame == "any" else "collisions that the ego is responsible for (`--blame ego`)"
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     return f"""
-# {" against ".join(plan.algorithms)} on {plan.ads}
+# {" against ".join(plan.names)} on {plan.ads}
 
 ```sh
 {shlex.join(material.command)}
@@ -216,7 +216,7 @@ time to the first failure counts runs without one as censored (Kaplan-Meier).
 
 
 def _tests(material: Material) -> str:
-    found = run_measures.comparisons(material.whole, material.equal, material.plan.algorithms)
+    found = run_measures.comparisons(material.whole, material.equal, material.plan.names)
     if not found:
         return "## Statistics\n\nOne algorithm alone, so that nothing is compared."
     adjusted = statistics.holm([each.p for each in found])
@@ -261,7 +261,7 @@ def _terms(material: Material) -> str:
 
 
 def _by_algorithm(material: Material) -> Iterable[tuple[str, list[Measures]]]:
-    return [(name, run_measures.of(name, material.whole)) for name in material.plan.algorithms]
+    return [(name, run_measures.of(name, material.whole)) for name in material.plan.names]
 
 
 def _collision_times(material: Material, algorithm: str) -> list[float]:

@@ -15,7 +15,7 @@ from pathlib import PurePath
 from types import ModuleType
 from typing import Any, Literal
 
-from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road
+from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.versions import installed_versions
@@ -42,14 +42,14 @@ class Plan:
 
     Attributes:
         ads: the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``.
-        algorithms: names.
+        algorithms: names, or ``module:Class``.
         runs: of each algorithm.
         generations: of the main search; None where the budget is a time.
         seconds: simulated time of each run, at the end of which the last scenario is finished; None for generations.
         seed: from which the seeds of all runs follow.
         blame: ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible
             for, and steers the default fitness towards them.
-        fitness: of all algorithms; None for each one's own.
+        fitness: of all algorithms, a name or ``module:function``; None for each one's own.
         parameters: of the algorithms, such as ``{"population": 8}``; each must take all of them.
         world: as a corpus file has it.
         space: fields of :class:`~pytest_pafot.searching.space.SearchSpace`.
@@ -76,7 +76,16 @@ class Plan:
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
         """(algorithm, run) in the order in which they are started: run by run, so that a part is balanced."""
-        return tuple((algorithm, run) for run in range(self.runs) for algorithm in self.algorithms)
+        return tuple((name, run) for run in range(self.runs) for name in self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the algorithms, by which files, tables and figures call them."""
+        return tuple(resolve_algorithm(each).name for each in self.algorithms)
+
+    def algorithm(self, name: str) -> AlgorithmClass:
+        """The algorithm of one of the names."""
+        return resolve_algorithm(self.algorithms[self.names.index(name)])
 
     def run_seed(self, algorithm: str, run: int) -> int:
         """The seed of one run; runs of different algorithms are independent samples."""
@@ -92,9 +101,6 @@ def checked(plan: Plan) -> Plan:
     """
     if not plan.algorithms:
         raise PlanError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
-    repeated = {name for name in plan.algorithms if plan.algorithms.count(name) > 1}
-    if repeated:
-        raise PlanError(f"--algorithms: expected each name once, received {', '.join(sorted(repeated))} again")
     if (plan.generations is None) == (plan.seconds is None):
         raise PlanError("--generations, --seconds: expected one budget, received both or none")
     for name, value in (("--runs", plan.runs), ("--generations", plan.generations)):
@@ -111,10 +117,13 @@ def checked(plan: Plan) -> Plan:
 
 def _check_searches(plan: Plan) -> None:
     try:
-        space = SearchSpace(**plan.space)
-        for name in plan.algorithms:
-            algorithm_named(name, space, **plan.parameters)
-            check_road(name, is_straight=road_start(world_of(plan)) is None)
+        names = plan.names
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise PlanError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
+        for name in names:
+            plan.algorithm(name).make(SearchSpace(**plan.space), **plan.parameters)
+            plan.algorithm(name).check_road(is_straight=road_start(world_of(plan)) is None)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

@@ -55,7 +55,8 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
     for task in _done(plan, folder, left, progress, workers):
         progress.finished(task)
     progress.close()
-    parts = [(folder / file_name(*task)).read_text(encoding="utf-8") for task in sorted(plan.tasks, key=_order(plan))]
+    in_order = [(name, run) for name in plan.names for run in range(plan.runs)]
+    parts = [(folder / file_name(*task)).read_text(encoding="utf-8") for task in in_order]
     header = parts[0].partition("\n")[0] + "\n"
     write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
     return folder / RESULTS
@@ -182,11 +183,6 @@ class _Sparse:
         if share - self.last >= 0.01:
             self.last = share
             self.tick(share)
-
-
-def _order(plan: Plan) -> Callable[[Task], tuple[int, int]]:
-    places = {name: place for place, name in enumerate(plan.algorithms)}
-    return lambda task: (places[task[0]], task[1])
 
 
 def _duration(seconds: float) -> str:

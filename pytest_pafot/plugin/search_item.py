@@ -39,7 +39,7 @@ from pytest_pafot.plugin.time_limits import TimeLimit, searches_left, time_limit
 from pytest_pafot.report import terminal
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Algorithm, algorithm_named, check_road, reads_near_misses, run_campaign, sample
+from pytest_pafot.searching import Algorithm, run_campaign, sample
 from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world.driving.failure import is_interruption
@@ -340,7 +340,7 @@ class Searching:
         self.notes += self._left_undone(hunt, keeper, reason)
         return SearchSummary(
             node_id=self.bench.item.nodeid,
-            algorithm=settings.algorithm,
+            algorithm=self.bench.request.algorithm.name,
             profile=settings.profile,
             base_seed=settings.seed,
             seed=self.seed,
@@ -455,10 +455,10 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
     Raises:
         RequestError: where it does not take the settings or the road, or its library is not installed.
     """
-    settings = bench.request.settings
+    settings, chosen = bench.request.settings, bench.request.algorithm
     try:
-        algorithm = algorithm_named(settings.algorithm, space, population=settings.population)
-        check_road(settings.algorithm, is_straight=road_start(bench.world) is None)
+        algorithm = chosen.make(space, population=settings.population)
+        chosen.check_road(is_straight=road_start(bench.world) is None)
     except ValueError as error:
         raise RequestError(str(error)) from None
     return algorithm
@@ -466,7 +466,7 @@ def checked_algorithm(bench: Bench, space: SearchSpace) -> Algorithm[Any]:
 
 def _asks_for_near_misses(request: Request) -> bool:
     """Whether it matters whose a collision is, to a search that makes use of it."""
-    return request.blame == "ego" and reads_near_misses(request.settings.algorithm)
+    return request.blame == "ego" and request.algorithm.reads_near_misses
 
 
 def _nobody_asks(trace: Trace) -> tuple[NearMiss, ...]:

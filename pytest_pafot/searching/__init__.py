@@ -5,34 +5,39 @@ Nothing here simulates. How a scenario becomes an evaluation is given to :func:`
 
 from __future__ import annotations
 
-from pytest_pafot.searching.algorithms import ALGORITHMS, algorithm_named, check_road, fitness_of, reads_near_misses
+from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, SearchState
 from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.operators import crossover, mutate, tournament
 from pytest_pafot.searching.pafot import PafotSearch
 from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.search_loop import Algorithm, Evaluate, SearchState, run_campaign
+from pytest_pafot.searching.search_loop import Evaluate, run_campaign
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
     "ALGORITHMS",
     "Algorithm",
+    "AlgorithmClass",
     "AvFuzzerSearch",
     "DistinctSearch",
     "Evaluate",
     "Evaluation",
+    "GenerationState",
+    "GenerationalSearch",
     "Health",
     "PafotSearch",
     "RandomManoeuvreSearch",
     "RandomSearch",
     "SearchSpace",
     "SearchState",
-    "algorithm_named",
-    "check_road",
-    "fitness_of",
-    "reads_near_misses",
+    "crossover",
+    "mutate",
+    "resolve_algorithm",
     "run_campaign",
     "sample",
     "sample_manoeuvres",
+    "tournament",
 ]

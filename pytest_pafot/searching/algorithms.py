@@ -1,111 +1,148 @@
-"""The search algorithms by name. Those that rest on a library of their own are imported when they are asked for."""
+"""The search algorithms by name, and those of others by class: what can be asked of either before it runs."""
 
 from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import import_module
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.searching.search_loop import Algorithm
+from pytest_pafot.searching.ask_tell import Algorithm
+from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
+from pytest_pafot.searching.cma_es import CmaEsSearch
+from pytest_pafot.searching.distinct import DistinctSearch
+from pytest_pafot.searching.fitness import Fitness, Weights
+from pytest_pafot.searching.map_elites import MapElitesSearch
+from pytest_pafot.searching.nsga2 import Nsga2Search
+from pytest_pafot.searching.pafot import PafotSearch
+from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
+from pytest_pafot.searching.references import referred_to
 from pytest_pafot.searching.space import SearchSpace
 
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """Where an algorithm is.
-
-    Attributes:
-        module, class_name: within :mod:`pytest_pafot.searching`.
-        fitness: that it maximises unless another one is asked for.
-        library: that it needs beside this package, as pip knows it.
-        knows_grid: whether its genes are Position-Instructions; else they are Lane-Instructions.
-        reads_near_misses: whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`.
-    """
-
-    module: str
-    class_name: str
-    fitness: str = "default"
-    library: str | None = None
-    knows_grid: bool = True
-    reads_near_misses: bool = False
-
-
-CATALOGUE: Mapping[str, Entry] = MappingProxyType(
+CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType(
     {
-        "distinct": Entry("distinct", "DistinctSearch", reads_near_misses=True),
-        "pafot": Entry("pafot", "PafotSearch"),
-        "av-fuzzer": Entry("av_fuzzer", "AvFuzzerSearch", fitness="av-fuzzer", knows_grid=False),
-        "random": Entry("random_search", "RandomSearch"),
-        "random-manoeuvre": Entry("random_search", "RandomManoeuvreSearch", knows_grid=False),
-        "nsga2": Entry("nsga2", "Nsga2Search", library="pymoo"),
-        "map-elites": Entry("map_elites", "MapElitesSearch", library="ribs"),
-        "cma-es": Entry("cma_es", "CmaEsSearch", library="cmaes"),
+        each.name: each
+        for each in (
+            DistinctSearch,
+            PafotSearch,
+            AvFuzzerSearch,
+            RandomSearch,
+            RandomManoeuvreSearch,
+            Nsga2Search,
+            MapElitesSearch,
+            CmaEsSearch,
+        )
     }
 )
 
 ALGORITHMS = tuple(CATALOGUE)
-"""Names that :func:`algorithm_named` takes."""
+"""Names that :func:`resolve_algorithm` takes."""
 
 
-def algorithm_named(name: str, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
-    """The search algorithm of a name, with its own parameters, such as ``population=4``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlgorithmClass:
+    """The class of a search algorithm, and what it says of itself by class attributes.
 
-    Raises:
-        ValueError: for a name or a parameter that does not exist, in a message that lists those that do; and where the
-            library of the algorithm is not installed, in a message that tells how to install it.
+    All but the name may be missing in a class; they are then as here.
+
+    Attributes:
+        made_by: the class.
+        name: by which files and reports call it.
+        fitness: that it maximises unless another one is asked for: a name, weights or a function.
+        knows_grid: whether its genes are Position-Instructions; else they are Lane-Instructions.
+        reads_near_misses: whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`.
+        library: that it needs beside this package, as it is imported.
     """
-    if name not in CATALOGUE:
-        near = difflib.get_close_matches(name, ALGORITHMS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {name!r}{hint}")
-    algorithm = _class(name)
-    known = [parameter for parameter in inspect.signature(algorithm).parameters if parameter != "space"]
-    for parameter in parameters:
-        if parameter not in known:
+
+    made_by: Callable[..., Algorithm[Any]]
+    name: str
+    fitness: str | Weights | Fitness = "default"
+    knows_grid: bool = True
+    reads_near_misses: bool = False
+    library: str | None = None
+
+    def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
+        """The algorithm on a space, with its own parameters, such as ``population=4``.
+
+        Raises:
+            ValueError: for a parameter that does not exist, in a message that lists those that do; and where the
+                library of the algorithm is not installed, in a message that tells how to install it.
+        """
+        if self.library is not None and find_spec(self.library) is None:
+            extra = "`pip install 'pytest-pafot[search]'` or " if self.name in CATALOGUE else ""
             raise ValueError(
-                f"{parameter}: expected a parameter of the algorithm {name!r}, which takes {', '.join(known)}"
+                f"algorithm: expected {self.name!r} with the library {self.library}, received an environment without "
+                f"it; run {extra}`pip install {self.library}`"
             )
-    made: Algorithm[Any] = algorithm(space, **parameters)
-    return made
+        known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
+        for parameter in parameters:
+            if parameter not in known:
+                raise ValueError(
+                    f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {', '.join(known)}"
+                )
+        return self.made_by(space, **parameters)
+
+    def check_road(self, *, is_straight: bool) -> None:
+        """Check the algorithm against a road that is straight, or not.
+
+        Raises:
+            ValueError: for one with Lane-Instructions where the road is not straight, with those that can be used.
+        """
+        if self.knows_grid or is_straight:
+            return
+        others = ", ".join(name for name in ALGORITHMS if resolve_algorithm(name).knows_grid)
+        raise ValueError(
+            f"algorithm: expected one of {others} on a road that is not straight, received {self.name!r}, whose "
+            "Lane-Instructions know no lanes that begin and end; or take a straight road such as pafot.Highway()"
+        )
 
 
-def check_road(name: str, *, is_straight: bool) -> None:
-    """Check an algorithm against a road that is straight, or not.
+def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
+    """The algorithm of a name, of ``module:Class`` or of a class, see :class:`~pytest_pafot.searching.Algorithm`.
 
     Raises:
-        ValueError: for one with Lane-Instructions where the road is not straight, with those that can be used.
+        ValueError: for anything else, in a message that lists the names and what the class must have.
     """
-    if CATALOGUE[name].knows_grid or is_straight:
-        return
-    others = ", ".join(other for other, entry in CATALOGUE.items() if entry.knows_grid)
-    raise ValueError(
-        f"algorithm: expected one of {others} on a road that is not straight, received {name!r}, whose "
-        "Lane-Instructions know no lanes that begin and end; or take a straight road such as pafot.Highway()"
-    )
+    made_by = _named(given) if isinstance(given, str) else given
+    _check_class(made_by)
+    said = {each.name: getattr(made_by, each.name) for each in fields(AlgorithmClass) if hasattr(made_by, each.name)}
+    return AlgorithmClass(made_by=made_by, **said)
 
 
-def reads_near_misses(name: str) -> bool:
-    """Whether an algorithm makes use of near-misses, so that it is worth looking for them."""
-    return CATALOGUE[name].reads_near_misses
+def _named(given: str) -> Any:
+    if given in CATALOGUE:
+        return CATALOGUE[given]
+    if ":" in given:
+        try:
+            return referred_to(given)
+        except ValueError as error:
+            raise ValueError(f"algorithm: {error}") from error
+    near = difflib.get_close_matches(given, ALGORITHMS, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else "or give module:Class for an algorithm of your own"
+    raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {given!r}; {hint}")
 
 
-def fitness_of(name: str) -> str:
-    """The name of the fitness that an algorithm maximises unless another one is asked for."""
-    return CATALOGUE[name].fitness
-
-
-def _class(name: str) -> Any:
-    entry = CATALOGUE[name]
-    try:
-        return getattr(import_module(f"pytest_pafot.searching.{entry.module}"), entry.class_name)
-    except ModuleNotFoundError as error:
-        if entry.library is None or (error.name or "").partition(".")[0] != entry.library:
-            raise
+def _check_class(given: Any) -> None:
+    if not isinstance(given, type):
         raise ValueError(
-            f"algorithm: expected {name!r} with the library {entry.library}, received an environment without it; "
-            f"run `pip install 'pytest-pafot[search]'` or `pip install {entry.library}`"
-        ) from None
+            f"algorithm: expected one of {', '.join(ALGORITHMS)}, a class, or module:Class, received {given!r}; give "
+            "the class itself, which is called with the space and population="
+        )
+    name = getattr(given, "name", None)
+    missing = [method for method in ("start", "ask", "tell") if not callable(getattr(given, method, None))]
+    missing += sorted(getattr(given, "__abstractmethods__", ()))
+    missing += [] if isinstance(name, str) else ["name"]
+    if missing:
+        raise ValueError(
+            f"algorithm: expected a class with a name, start, ask and tell, received {given.__name__} without "
+            f"{', '.join(missing)}; derive it from pytest_pafot.searching.GenerationalSearch, or see "
+            "pytest_pafot.searching.Algorithm"
+        )
+    if CATALOGUE.get(str(name), given) is not given:
+        raise ValueError(
+            f"algorithm: expected a name of its own for {given.__name__}, received {name!r}, by which files and "
+            "reports call another one; set its class attribute name"
+        )

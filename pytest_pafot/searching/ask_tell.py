@@ -1,41 +1,179 @@
-"""Ask and tell take turns: checks that refuse everything else, and what an end of a turn says."""
+"""What a search algorithm is: it is asked for scenarios, and told what their runs showed.
+
+:class:`Algorithm` is all that a search needs. :class:`GenerationalSearch` is a base for algorithms without local
+searches, ours and those of others: a subclass says what it proposes and what it learns.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
 from pytest_pafot.searching.operators import best_of, improves
+from pytest_pafot.searching.parameters import check_counts
+from pytest_pafot.searching.space import SearchSpace
 
 
-def check_ask(asked: Sequence[Scenario]) -> None:
-    """Refuse an ask while scenarios are out.
+class SearchState(Protocol):
+    """What a campaign needs to know of an algorithm's state, which is a value."""
+
+    @property
+    def generation(self) -> int:
+        """The generation of the main search that is in progress or comes next, from 0."""
+        ...
+
+    @property
+    def local_generation(self) -> int:
+        """Within a local search the generation from 1; 0 in the main search."""
+        ...
+
+
+StateT = TypeVar("StateT", bound=SearchState)
+
+
+class Algorithm(Protocol[StateT]):
+    """A search strategy: a value with no state of its own and no randomness but what it is given.
+
+    Its class is called with a :class:`~pytest_pafot.searching.space.SearchSpace` and the parameter ``population``, and
+    may have the attributes of :class:`~pytest_pafot.searching.algorithms.AlgorithmClass`.
+    """
+
+    @property
+    def name(self) -> str:
+        """By which files and reports call it."""
+        ...
+
+    def start(self, rng: np.random.Generator) -> StateT:
+        """The state before the first generation."""
+        ...
+
+    def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
+        """The scenarios to evaluate next; none where a generation brings nothing new."""
+        ...
+
+    def tell(
+        self, state: StateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+        """Finish the generation that was asked for."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerationState:
+    """Where a search without local searches is, between two calls.
+
+    Attributes:
+        generation: from 0.
+        local_generation: always 0; there is no local search.
+        best: so far; None before the first eligible run.
+        asked: scenarios that are out for evaluation; None when it is time to ask.
+    """
+
+    generation: int = 0
+    local_generation: int = 0
+    best: Evaluation | None = None
+    asked: tuple[Scenario, ...] | None = None
+
+
+GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
+
+
+@dataclass(frozen=True, slots=True)
+class GenerationalSearch(ABC, Generic[GenerationStateT]):
+    """An algorithm without local searches.
+
+    Attributes:
+        space: of the scenarios.
+        population: scenarios in a generation.
+    """
+
+    name: ClassVar[str]
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_counts(self, population=1)
+
+    @abstractmethod
+    def start(self, rng: np.random.Generator) -> GenerationStateT:
+        """The state before the first generation."""
+
+    @abstractmethod
+    def propose(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
+        """The scenarios of the next generation, and the state if drawing them changes it."""
+
+    def learn(
+        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> GenerationStateT:
+        """The state with what the runs of a generation show; its best and its generation follow by themselves."""
+        return state
+
+    def ask(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
+        """The scenarios of the next generation.
+
+        Raises:
+            RuntimeError: when the last ask has not been told.
+        """
+        check_ask(state.asked)
+        state, proposed = self.propose(state, rng)
+        return replace(state, asked=tuple(proposed)), tuple(proposed)
+
+    def tell(
+        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order.
+
+        Raises:
+            RuntimeError: without an ask before.
+            ValueError: when the evaluations are not those of the scenarios asked for.
+        """
+        check_evaluations(state.asked, evaluations)
+        kept = self.kept(state)
+        finished = GenerationFinished(
+            generation=state.generation, local_generation=0, population=(*kept, *evaluations), elites=len(kept)
+        )
+        candidate = best_of(evaluations)
+        is_new = candidate is not None and improves(candidate, state.best)
+        learnt = self.learn(state, evaluations, rng)
+        learnt = replace(learnt, generation=state.generation + 1, asked=None, best=candidate if is_new else state.best)
+        if candidate is None or not is_new:
+            return learnt, (finished,)
+        return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=candidate))
+
+    def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
+        """What passes on untouched into the generation that was asked for."""
+        return ()
+
+
+def check_ask(asked: Sequence[object] | None) -> None:
+    """Refuse an ask while scenarios are out, which are None where it is time to ask.
 
     Raises:
         RuntimeError: when the state's last ask has not been told.
     """
-    if asked:
-        raise asked_again(len(asked))
+    if asked is not None:
+        raise RuntimeError(
+            f"ask: expected tell after the last ask, which gave {len(asked)} scenarios; received another ask; "
+            "evaluate them and pass the state that ask returned to tell"
+        )
 
 
-def asked_again(scenarios: int) -> RuntimeError:
-    """The error of an ask while so many scenarios of the last one are out, which may be none."""
-    return RuntimeError(
-        f"ask: expected tell after the last ask, which gave {scenarios} scenarios; received another ask; "
-        "evaluate them and pass the state that ask returned to tell"
-    )
-
-
-def check_evaluations(asked: Sequence[Scenario], evaluations: Sequence[Evaluation]) -> None:
+def check_evaluations(asked: Sequence[Scenario] | None, evaluations: Sequence[Evaluation]) -> None:
     """Refuse evaluations that do not belong one by one to the scenarios asked for.
 
     Raises:
         RuntimeError: when nothing was asked for.
         ValueError: when the number or a scenario differs.
     """
-    if not asked:
+    if asked is None:
         raise RuntimeError(
             "tell: expected an ask before; received a state without one; pass the state that ask returned"
         )
@@ -59,23 +197,3 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
                 f"{place}: expected the evaluation of {scenario!r} at {index}, received one of "
                 f"{evaluation.scenario!r}; keep the order of the scenarios"
             )
-
-
-def end_of_generation(
-    generation: int, best: Evaluation | None, evaluations: Sequence[Evaluation], *, kept: Sequence[Evaluation] = ()
-) -> tuple[Evaluation | None, tuple[AlgorithmEvent, ...]]:
-    """The best so far and the events at the end of a generation of an algorithm that has no local searches.
-
-    Args:
-        generation: that ends.
-        best: before it.
-        evaluations: of what was asked for.
-        kept: what passed on untouched.
-    """
-    end = GenerationFinished(
-        generation=generation, local_generation=0, population=(*kept, *evaluations), elites=len(kept)
-    )
-    candidate = best_of(evaluations)
-    if candidate is None or not improves(candidate, best):
-        return best, (end,)
-    return candidate, (end, NewBest(generation=generation, local_generation=0, evaluation=candidate))

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
-from pytest_pafot.searching.ask_tell import asked_again, check_evaluations, check_order
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
@@ -90,6 +90,8 @@ class AvFuzzerSearch:
     """
 
     name: ClassVar[str] = "av-fuzzer"
+    fitness: ClassVar[str] = "av-fuzzer"
+    knows_grid: ClassVar[bool] = False
 
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)
@@ -123,8 +125,7 @@ class AvFuzzerSearch:
         Raises:
             RuntimeError: when the last ask has not been told.
         """
-        if state.asked is not None:
-            raise asked_again(len(state.asked))
+        check_ask(state.asked)
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
 
@@ -137,13 +138,10 @@ class AvFuzzerSearch:
             RuntimeError: without an ask before.
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
-        if state.asked is None:
-            check_evaluations((), evaluations)
-        asked = state.asked or ()
-        check_order("tell", [scenario for _, scenario in asked], evaluations)
+        check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
         population = list(state.local_population if state.local_generation else state.population)
         is_random = not population
-        for (index, _), evaluation in zip(asked, evaluations, strict=True):
+        for (index, _), evaluation in zip(state.asked or (), evaluations, strict=True):
             population[index : index + 1] = [evaluation]
         finished = GenerationFinished(
             generation=state.generation,

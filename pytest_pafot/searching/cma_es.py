@@ -11,44 +11,36 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from cmaes import CatCMAwM
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
-from pytest_pafot.searching.space import SearchSpace, fresh_seed
-from pytest_pafot.searching.valid_scenario import repaired
+from pytest_pafot.searching.space import fresh_seed, repaired
+
+if TYPE_CHECKING:
+    from cmaes import CatCMAwM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CmaEsState:
+class CmaEsState(GenerationState):
     """Where a search is, between two calls.
 
     Attributes:
-        generation: from 0.
-        local_generation: always 0; there is no local search.
         optimiser: of cmaes, with its distribution and its own random state; never changed, but copied.
         solutions: of the optimiser, one for each scenario that is out.
-        best: so far; None before the first eligible run.
-        asked: scenarios that are out for evaluation.
     """
 
-    generation: int = 0
-    local_generation: int = 0
-    optimiser: Any = None
+    optimiser: CatCMAwM
     solutions: tuple[Any, ...] = ()
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class CmaEsSearch:
+class CmaEsSearch(GenerationalSearch[CmaEsState]):
     """CatCMA with margin over chains of Position-Instructions.
 
     A chain is its first cell, a category of eight; the steps to the next cells, categories of three; and its speeds,
@@ -60,9 +52,7 @@ class CmaEsSearch:
     """
 
     name: ClassVar[str] = "cma-es"
-
-    space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
+    library: ClassVar[str] = "cmaes"
 
     def __post_init__(self) -> None:
         if self.population < 2:
@@ -70,6 +60,8 @@ class CmaEsSearch:
 
     def start(self, rng: np.random.Generator) -> CmaEsState:
         """The state before the first generation; the optimiser's own draws follow from one of the generator."""
+        from cmaes import CatCMAwM  # noqa: PLC0415  (slow to import)
+
         space = self.space
         optimiser = CatCMAwM(
             z_space=[list(range(space.top_step + 1))] * (space.npcs * space.genes),
@@ -79,33 +71,18 @@ class CmaEsSearch:
         )
         return CmaEsState(optimiser=optimiser)
 
-    def ask(self, state: CmaEsState, rng: np.random.Generator) -> tuple[CmaEsState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation.
-
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
-        check_ask(state.asked)
+    def propose(self, state: CmaEsState, rng: np.random.Generator) -> tuple[CmaEsState, Sequence[Scenario]]:
+        """Scenarios drawn from the optimiser's distribution."""
         optimiser = copy.deepcopy(state.optimiser)
         solutions = tuple(optimiser.ask() for _ in range(self.population))
-        asked = tuple(self._decoded(solution, fresh_seed(rng)) for solution in solutions)
-        return replace(state, optimiser=optimiser, solutions=solutions, asked=asked), asked
+        state = replace(state, optimiser=optimiser, solutions=solutions)
+        return state, [self._decoded(solution, fresh_seed(rng)) for solution in solutions]
 
-    def tell(
-        self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> tuple[CmaEsState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
-        check_evaluations(state.asked, evaluations)
-        best, events = end_of_generation(state.generation, state.best, evaluations)
+    def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> CmaEsState:
+        """The distribution moved towards what is worse for the ego."""
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
-        state = replace(state, generation=state.generation + 1, optimiser=optimiser, solutions=(), best=best, asked=())
-        return state, events
+        return replace(state, optimiser=optimiser, solutions=())
 
     def _decoded(self, solution: Any, seed: int) -> Scenario:
         space = self.space

@@ -19,12 +19,11 @@ import numpy as np
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
+from pytest_pafot.searching.ask_tell import GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
-from pytest_pafot.searching.parameters import check_counts, check_rates
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.parameters import check_counts
 
 SPEED_NICHE = 5.0
 """Width of a niche in closing speed [m/s]."""
@@ -44,32 +43,24 @@ Near = tuple[NearMiss, Evaluation]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DistinctState:
+class DistinctState(GenerationState):
     """Where a search is, between two calls.
 
     Attributes:
-        generation: from 0.
-        local_generation: always 0; there is no local search.
         kinds: of failures that were shown so far.
         faults: of the ego that these failures had.
         elites: the worst run for the ego of each niche, in the order of the niches, without those of known kinds.
         near: the worst near-misses of each fault that is not known, with their runs, the worst first.
-        best: so far; None before the first eligible run.
-        asked: scenarios that are out for evaluation.
     """
 
-    generation: int = 0
-    local_generation: int = 0
     kinds: frozenset[Hashable] = frozenset()
     faults: frozenset[Fault] = frozenset()
     elites: tuple[tuple[Niche, Evaluation], ...] = ()
     near: tuple[tuple[Near, ...], ...] = ()
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class DistinctSearch:
+class DistinctSearch(NicheSearch[DistinctState]):
     """Varies the worst runs of all niches, and drops what shows a known failure.
 
     1. The first generations are random, as the paper's first one is.
@@ -90,67 +81,45 @@ class DistinctSearch:
     """
 
     name: ClassVar[str] = "distinct"
+    reads_near_misses: ClassVar[bool] = True
 
-    space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
-    random_generations: int = field(default=5, kw_only=True)
-    crossover_rate: float = field(default=0.5, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_counts(self, population=1, random_generations=1, most_mutations=1)
-        check_rates(self, "crossover_rate")
+        NicheSearch.__post_init__(self)
+        check_counts(self, most_mutations=1)
 
     def start(self, rng: np.random.Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
         return DistinctState()
 
-    def ask(self, state: DistinctState, rng: np.random.Generator) -> tuple[DistinctState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation.
+    def parents(self, state: DistinctState) -> list[list[Evaluation]]:
+        """Groups that have the same chance each: the elites, and whoever came near to a fault."""
+        elites = [evaluation for _, evaluation in state.elites]
+        groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
+        return [group for group in groups if group]
 
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
-        check_ask(state.asked)
-        groups = _groups(state)
-        is_random = state.generation < self.random_generations or not groups
-        asked = tuple(
-            sample(self.space, rng) if is_random else self._child(groups, rng) for _ in range(self.population)
-        )
-        return replace(state, asked=asked), asked
+    def child(self, parents: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Scenario:
+        """One to three mutations of a parent, or of two that have swapped NPCs."""
+        child = _parent(parents, rng).executed
+        if rng.random() < self.crossover_rate:
+            child, _ = crossover(child, _parent(parents, rng).executed, rng)
+        for _ in range(int(rng.integers(1, self.most_mutations + 1))):
+            child = mutate(child, self.space, rng)
+        return child
 
-    def tell(
-        self, state: DistinctState, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> tuple[DistinctState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
-        check_evaluations(state.asked, evaluations)
-        best, events = end_of_generation(state.generation, state.best, evaluations)
-        kinds = state.kinds | {each.kind for each in evaluations if each.failing and each.kind is not None}
-        faults = state.faults | {each.fault for each in evaluations if each.failing and each.fault is not None}
-        state = replace(
+    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> DistinctState:
+        """The failures that are known now, and the runs that may be parents."""
+        failed = [each for each in evaluations if each.failing]
+        kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
+        faults = state.faults | {each.fault for each in failed if each.fault is not None}
+        return replace(
             state,
-            generation=state.generation + 1,
             kinds=kinds,
             faults=faults,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
             near=_near(state.near, evaluations, faults),
-            best=best,
-            asked=(),
         )
-        return state, events
-
-    def _child(self, groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Scenario:
-        child = _parent(groups, rng).executed
-        if rng.random() < self.crossover_rate:
-            child, _ = crossover(child, _parent(groups, rng).executed, rng)
-        for _ in range(int(rng.integers(1, self.most_mutations + 1))):
-            child = mutate(child, self.space, rng)
-        return child
 
 
 def niche(evaluation: Evaluation) -> Niche:
@@ -159,13 +128,6 @@ def niche(evaluation: Evaluation) -> Niche:
     if hit is None:
         return NO_IMPACT
     return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
-
-
-def _groups(state: DistinctState) -> list[list[Evaluation]]:
-    """Who may have children, each group with the same chance: the elites, and whoever came near to a fault."""
-    elites = [evaluation for _, evaluation in state.elites]
-    groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
-    return [group for group in groups if group]
 
 
 def _parent(groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Evaluation:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.valid_scenario import repaired
+from pytest_pafot.searching.space import repaired
 
 _Chains = tuple[tuple[float, ...], ...]
 _Key = tuple[object, ...]

@@ -23,6 +23,7 @@ import numpy as np
 from pytest_pafot.attribution.near_misses import NEAR_SECONDS
 from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, execution_time, planned_duration
 from pytest_pafot.searching.av_fuzzer_fitness import av_fuzzer_fitness
+from pytest_pafot.searching.references import referred_to
 from pytest_pafot.trace import Outcome, Trace
 
 Fitness = Callable[[Trace], float]
@@ -124,7 +125,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
 
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
-            a function of a Trace that returns a number, higher = worse for the ego.
+            a function of a Trace that returns a number, higher = worse for the ego, or ``module:function``.
         responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
             then :func:`steered` by it.
 
@@ -233,6 +234,11 @@ def _function(fitness: object) -> Fitness:
     if isinstance(fitness, str) and fitness in FITNESSES:
         return FITNESSES[fitness]
     names = ", ".join(map(repr, FITNESSES))
+    if isinstance(fitness, str) and ":" in fitness:
+        try:
+            return _function(referred_to(fitness))
+        except ValueError as error:
+            raise FitnessError(f"fitness: {error}") from error
     if isinstance(fitness, str):
         near = difflib.get_close_matches(fitness, FITNESSES, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""

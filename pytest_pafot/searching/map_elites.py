@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from ribs.archives import GridArchive
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
+from pytest_pafot.searching.ask_tell import GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
+from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import crossover, mutate
-from pytest_pafot.searching.parameters import check_counts, check_rates
-from pytest_pafot.searching.space import SearchSpace, sample
+
+if TYPE_CHECKING:
+    from ribs.archives import GridArchive
 
 NO_IMPACT = 0
 """The cell of a run without a collision; all of these share one niche, in which the nearest miss stays."""
@@ -33,28 +33,20 @@ CLOSING_SPEED_NICHES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapElitesState:
+class MapElitesState(GenerationState):
     """Where a search is, between two calls.
 
     Attributes:
-        generation: from 0.
-        local_generation: always 0; there is no local search.
         archive: of pyribs, with numbers of evaluations for solutions; never changed, but copied.
         evaluations: all eligible ones so far.
-        best: so far; None before the first eligible run.
-        asked: scenarios that are out for evaluation.
     """
 
-    generation: int = 0
-    local_generation: int = 0
-    archive: Any = None
+    archive: GridArchive
     evaluations: tuple[Evaluation, ...] = ()
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class MapElitesSearch:
+class MapElitesSearch(NicheSearch[MapElitesState]):
     """MAP-Elites over chains of Position-Instructions; niches are the impact cell and the closing speed.
 
     Attributes:
@@ -65,83 +57,45 @@ class MapElitesSearch:
     """
 
     name: ClassVar[str] = "map-elites"
-
-    space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
-    random_generations: int = field(default=5, kw_only=True)
-    crossover_rate: float = field(default=0.5, kw_only=True)
-
-    def __post_init__(self) -> None:
-        check_counts(self, population=1, random_generations=1)
-        check_rates(self, "crossover_rate")
+    library: ClassVar[str] = "ribs"
 
     def start(self, rng: np.random.Generator) -> MapElitesState:
         """The state before the first generation: an empty archive."""
-        archive = GridArchive(
-            solution_dim=1,
-            dims=(9, CLOSING_SPEED_NICHES),
-            ranges=((-0.5, 8.5), (0.0, TOP_CLOSING_SPEED)),
-        )
-        return MapElitesState(archive=archive)
+        from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
 
-    def ask(self, state: MapElitesState, rng: np.random.Generator) -> tuple[MapElitesState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation: random ones at first, then varied elites.
+        ranges = ((-0.5, 8.5), (0.0, TOP_CLOSING_SPEED))
+        return MapElitesState(archive=GridArchive(solution_dim=1, dims=(9, CLOSING_SPEED_NICHES), ranges=ranges))
 
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
-        check_ask(state.asked)
-        elites = _elites(state)
-        is_random = state.generation < self.random_generations or not elites
-        asked = tuple(
-            sample(self.space, rng) if is_random else self._child(elites, rng) for _ in range(self.population)
-        )
-        return replace(state, asked=asked), asked
+    def parents(self, state: MapElitesState) -> list[Evaluation]:
+        """The elites in the order of the niches, so that the same draws give the same ones."""
+        if not len(state.archive):
+            return []
+        elites = state.archive.data(["solution", "index"], return_type="dict")
+        return [state.evaluations[int(number)] for number in elites["solution"][np.argsort(elites["index"]), 0]]
 
-    def tell(
-        self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> tuple[MapElitesState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
-        check_evaluations(state.asked, evaluations)
-        best, events = end_of_generation(state.generation, state.best, evaluations)
-        eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
-        archive = copy.deepcopy(state.archive)
-        if eligible:
-            first = len(state.evaluations)
-            archive.add(
-                solution=np.arange(first, first + len(eligible), dtype=np.float64)[:, None],
-                objective=np.array([each.fitness for each in eligible]),
-                measures=np.array([niche(each) for each in eligible]),
-            )
-        state = replace(
-            state,
-            generation=state.generation + 1,
-            archive=archive,
-            evaluations=(*state.evaluations, *eligible),
-            best=best,
-            asked=(),
-        )
-        return state, events
-
-    def _child(self, elites: Sequence[Evaluation], rng: np.random.Generator) -> Scenario:
-        a, b = (elites[int(index)].executed for index in rng.integers(len(elites), size=2))
+    def child(self, parents: Sequence[Evaluation], rng: np.random.Generator) -> Scenario:
+        """A mutation of an elite, or of two that have swapped NPCs."""
+        a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
         child = crossover(a, b, rng)[0] if rng.random() < self.crossover_rate else a
         return mutate(child, self.space, rng)
+
+    def learn(
+        self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: np.random.Generator
+    ) -> MapElitesState:
+        """The archive with what a generation adds to it."""
+        eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
+        if not eligible:
+            return state
+        archive, first = copy.deepcopy(state.archive), len(state.evaluations)
+        archive.add(
+            solution=np.arange(first, first + len(eligible), dtype=np.float64)[:, None],
+            objective=np.array([each.fitness for each in eligible]),
+            measures=np.array([niche(each) for each in eligible]),
+        )
+        return replace(state, archive=archive, evaluations=(*state.evaluations, *eligible))
 
 
 def niche(evaluation: Evaluation) -> tuple[float, float]:
     """The cell of the impact, 0 without one, and the closing speed [m/s]."""
     hit = evaluation.collision
     return (NO_IMPACT, 0.0) if hit is None else (float(hit.cell), hit.closing_speed)
-
-
-def _elites(state: MapElitesState) -> list[Evaluation]:
-    """In the order of the niches, so that the same draws give the same elites."""
-    found = state.archive.data(["solution", "index"], return_type="tuple") if len(state.archive) else ((), ())
-    numbers = [int(solution[0]) for solution in found[0]]
-    return [state.evaluations[number] for _, number in sorted(zip(map(int, found[1]), numbers, strict=True))]

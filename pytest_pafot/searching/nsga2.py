@@ -12,17 +12,13 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from pymoo.core.population import Population
-from pymoo.core.problem import Problem
-from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
 
 from pytest_pafot.scenario import Scenario, positions_of
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.parameters import check_rates
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import FloatArray
 
 WORST = 1e9
@@ -30,27 +26,19 @@ WORST = 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Nsga2State:
+class Nsga2State(GenerationState):
     """Where a search is, between two calls.
 
     Attributes:
-        generation: from 0, which is random.
-        local_generation: always 0; there is no local search.
         population: survivors, the best rank first, and within a rank the least crowded.
-        best: so far, by the search's own order; None before the first eligible run.
-        asked: scenarios that are out for evaluation.
     """
 
-    generation: int = 0
-    local_generation: int = 0
     population: tuple[Evaluation, ...] = ()
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Nsga2Search:
-    """NSGA-II over chains of Position-Instructions.
+class Nsga2Search(GenerationalSearch[Nsga2State]):
+    """NSGA-II over chains of Position-Instructions. Its first generation is random.
 
     Attributes:
         space: of the scenarios.
@@ -60,9 +48,8 @@ class Nsga2Search:
     """
 
     name: ClassVar[str] = "nsga2"
+    library: ClassVar[str] = "pymoo"
 
-    space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
     crossover_rate: float = field(default=0.5, kw_only=True)
     mutation_rate: float = field(default=0.5, kw_only=True)
 
@@ -75,32 +62,20 @@ class Nsga2Search:
         """The state before the first generation; it needs no draw."""
         return Nsga2State()
 
-    def ask(self, state: Nsga2State, rng: np.random.Generator) -> tuple[Nsga2State, tuple[Scenario, ...]]:
-        """The scenarios of the next generation.
+    def propose(self, state: Nsga2State, rng: np.random.Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
+        """Children of the survivors, random scenarios before there are any."""
+        proposed: list[Scenario] = []
+        while len(proposed) < self.population:
+            proposed += self._pair(state.population, rng) if state.population else [sample(self.space, rng)]
+        return state, proposed[: self.population]
 
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
-        check_ask(state.asked)
-        asked: list[Scenario] = []
-        while len(asked) < self.population:
-            asked += self._pair(state.population, rng) if state.population else [sample(self.space, rng)]
-        children = tuple(asked[: self.population])
-        return replace(state, asked=children), children
+    def kept(self, state: Nsga2State) -> Sequence[Evaluation]:
+        """The survivors of the generation before."""
+        return state.population
 
-    def tell(
-        self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> tuple[Nsga2State, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
-        check_evaluations(state.asked, evaluations)
-        best, events = end_of_generation(state.generation, state.best, evaluations, kept=state.population)
-        survivors = surviving((*state.population, *evaluations), self.population, rng)
-        return replace(state, generation=state.generation + 1, population=survivors, best=best, asked=()), events
+    def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> Nsga2State:
+        """Those who survive the generation."""
+        return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
 
     def _pair(self, population: Sequence[Evaluation], rng: np.random.Generator) -> list[Scenario]:
         """Two children; the population is in the order in which tournaments prefer it."""
@@ -113,6 +88,10 @@ class Nsga2Search:
 
 def surviving(evaluations: Sequence[Evaluation], count: int, rng: np.random.Generator) -> tuple[Evaluation, ...]:
     """As many as may survive, by rank of dominance, then the least crowded first."""
+    from pymoo.core.population import Population  # noqa: PLC0415  (slow to import)
+    from pymoo.core.problem import Problem  # noqa: PLC0415
+    from pymoo.operators.survival.rank_and_crowding import RankAndCrowding  # noqa: PLC0415
+
     values = objectives(evaluations)
     members = Population.new(F=values, index=np.arange(len(evaluations)))
     problem = Problem(n_var=1, n_obj=values.shape[1])
@@ -129,12 +108,9 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
     chains = np.array([[gene.cell for chain in positions_of(each.chains) for gene in chain] for each in evaluations])
     differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
     np.fill_diagonal(differ, 1.0)
+    severity = [0.0 if each.collision is None else each.collision.closing_speed for each in evaluations]
     rows = [
-        (-each.fitness, -_severity(each), -float(differ[index].min())) if each.eligible else (WORST, WORST, WORST)
+        (-each.fitness, -severity[index], -float(differ[index].min())) if each.eligible else (WORST, WORST, WORST)
         for index, each in enumerate(evaluations)
     ]
     return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)
-
-
-def _severity(evaluation: Evaluation) -> float:
-    return 0.0 if evaluation.collision is None else evaluation.collision.closing_speed

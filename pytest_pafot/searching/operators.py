@@ -15,8 +15,7 @@ import numpy as np
 from pytest_pafot.grid import is_adjacent
 from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction
-from pytest_pafot.searching.valid_scenario import repaired
+from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired
 
 
 def crossover(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:

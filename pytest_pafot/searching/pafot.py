@@ -44,7 +44,7 @@ class PafotState:
         improved_at: the last generation that set a new best, or ``restarted_at``.
         kept: evaluated members that the population in the making starts with.
         fresh: scenarios that the next ask gives instead of breeding.
-        asked: scenarios that are out for evaluation; empty when it is time to ask.
+        asked: scenarios that are out for evaluation; None when it is time to ask.
     """
 
     generation: int = 0
@@ -56,7 +56,7 @@ class PafotState:
     improved_at: int = 0
     kept: tuple[Evaluation, ...] = ()
     fresh: tuple[Scenario, ...] = ()
-    asked: tuple[Scenario, ...] = ()
+    asked: tuple[Scenario, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class PafotSearch:
             population=(*state.kept, *evaluations),
             elites=len(state.kept),
         )
-        state = replace(state, kept=(), asked=())
+        state = replace(state, kept=(), asked=None)
         if state.local_generation:
             state, events = self._after_local_generation(state, finished.population)
         else:

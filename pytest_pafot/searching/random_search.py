@@ -7,37 +7,18 @@ as random Position-Instructions or as random manoeuvres. Both are here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, end_of_generation
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent
-from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RandomState:
-    """Where a search is, between two calls.
-
-    Attributes:
-        generation: from 0.
-        local_generation: always 0; there is no local search.
-        best: so far; None before the first eligible run.
-        asked: scenarios that are out for evaluation.
-    """
-
-    generation: int = 0
-    local_generation: int = 0
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] = ()
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
+from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 
 @dataclass(frozen=True, slots=True)
-class RandomSearch:
+class RandomSearch(GenerationalSearch[GenerationState]):
     """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2).
 
     Attributes:
@@ -47,46 +28,17 @@ class RandomSearch:
 
     name: ClassVar[str] = "random"
 
-    space: SearchSpace = field(default_factory=SearchSpace)
-    population: int = field(default=4, kw_only=True)
-
-    def __post_init__(self) -> None:
-        if self.population < 1:
-            raise ValueError(f"population: expected at least one scenario, received {self.population!r}")
-
-    def start(self, rng: np.random.Generator) -> RandomState:
+    def start(self, rng: np.random.Generator) -> GenerationState:
         """The state before the first generation; it needs no draw."""
-        return RandomState()
+        return GenerationState()
+
+    def propose(self, state: GenerationState, rng: np.random.Generator) -> tuple[GenerationState, Sequence[Scenario]]:
+        """A generation of random scenarios."""
+        return state, [self.drawn(rng) for _ in range(self.population)]
 
     def drawn(self, rng: np.random.Generator) -> Scenario:
         """One scenario."""
         return sample(self.space, rng)
-
-    def ask(self, state: RandomState, rng: np.random.Generator) -> tuple[RandomState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation.
-
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
-        check_ask(state.asked)
-        asked = tuple(self.drawn(rng) for _ in range(self.population))
-        return replace(state, asked=asked), asked
-
-    def tell(
-        self,
-        state: RandomState,
-        evaluations: Sequence[Evaluation],
-        rng: np.random.Generator,
-    ) -> tuple[RandomState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
-        check_evaluations(state.asked, evaluations)
-        best, events = end_of_generation(state.generation, state.best, evaluations)
-        return replace(state, generation=state.generation + 1, best=best, asked=()), events
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +50,7 @@ class RandomManoeuvreSearch(RandomSearch):
     """
 
     name: ClassVar[str] = "random-manoeuvre"
+    knows_grid: ClassVar[bool] = False
 
     slices: int = field(default=5, kw_only=True)
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_order
+from pytest_pafot.searching.ask_tell import Algorithm, StateT, check_order
 from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
-    AlgorithmEvent,
     CampaignFinished,
     CampaignStarted,
     EndReason,
@@ -27,46 +25,6 @@ from pytest_pafot.searching.operators import improves
 
 Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
 """Simulates scenarios and judges them; the results are in the order of the scenarios."""
-
-
-class SearchState(Protocol):
-    """What a campaign needs to know of an algorithm's state, which is a value."""
-
-    @property
-    def generation(self) -> int:
-        """The generation of the main search that is in progress or comes next, from 0."""
-        ...
-
-    @property
-    def local_generation(self) -> int:
-        """Within a local search the generation from 1; 0 in the main search."""
-        ...
-
-
-StateT = TypeVar("StateT", bound=SearchState)
-
-
-class Algorithm(Protocol[StateT]):
-    """A search strategy: a value with no state of its own and no randomness but what it is given."""
-
-    @property
-    def name(self) -> str:
-        """By which users select it."""
-        ...
-
-    def start(self, rng: np.random.Generator) -> StateT:
-        """The state before the first generation."""
-        ...
-
-    def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next; none where a generation brings nothing new."""
-        ...
-
-    def tell(
-        self, state: StateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish the generation that was asked for."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,15 +1,16 @@
-"""The space that a search draws scenarios from."""
+"""The space that a search draws scenarios from, and valid scenarios out of chains that were drawn or varied."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pytest_pafot.grid import Cell
+from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 from pytest_pafot.scenario import (
     EGO_LANE,
     EGO_SPEED,
@@ -17,11 +18,13 @@ from pytest_pafot.scenario import (
     PAPER_SPEED_LIMIT,
     SHIFTS,
     SPEED_STEPS_PER_MPS,
+    Gene,
     LaneInstruction,
     PositionInstruction,
     Scenario,
+    positions_of,
+    with_cells,
 )
-from pytest_pafot.searching.valid_scenario import repaired
 
 LEAST_GENES = 3
 """Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""
@@ -135,6 +138,38 @@ def sample_manoeuvres(space: SearchSpace, rng: np.random.Generator) -> Scenario:
         for chain in zip(shifts, speeds, strict=True)
     ]
     return repaired(chains, 0, space)
+
+
+def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | SearchSpace) -> Scenario:
+    """A valid scenario, the step after every draw and every variation (section 2.1 of the paper).
+
+    It is the one from :meth:`Scenario.repaired` at a fraction of its cost: a search makes one for every child, and
+    valid chains, which a repair does not change, skip it.
+
+    Args:
+        chains: of genes that may break the ring or meet in a cell.
+        seed: of the repair.
+        start: gives the ego's lane, everybody's speed and the duration of a gene.
+    """
+    positions = positions_of(chains)
+    cells = [[gene.cell for gene in chain] for chain in positions]
+    make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
+    return make(
+        npcs=tuple(map(tuple, chains)) if _is_valid(cells) else with_cells(positions, repair_chains(cells, seed)),
+        seed=seed,
+        ego_lane=start.ego_lane,
+        ego_speed=start.ego_speed,
+        gene_seconds=start.gene_seconds,
+    )
+
+
+def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
+    for row in cells:  # plain loops: this is done for every child
+        for before, cell in pairwise(row):
+            if not is_adjacent(before, cell):
+                return False
+    held = [cell + 8 * gene for row in cells for gene, cell in enumerate(row)]
+    return len(held) == len(set(held))
 
 
 def random_instruction(space: SearchSpace, rng: np.random.Generator) -> PositionInstruction:

@@ -25,7 +25,7 @@ from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, algorithm_named, run_campaign
+from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 
@@ -150,7 +150,7 @@ class Search:
 def searched(policy: str, seed: int, setting: Setting, options: argparse.Namespace) -> Search:
     """One search from start to end."""
     search = Search(policy=policy, seed=seed, setting=setting)
-    algorithm = algorithm_named(options.algorithm, setting.space)
+    algorithm = resolve_algorithm(options.algorithm).make(setting.space)
     stop = (lambda: bool(search.finds)) if options.until_first else None
     for event in run_campaign(algorithm, search.evaluate, generations=options.generations, seed=seed, stop=stop):
         if isinstance(event, GenerationFinished) and event.local_generation == 0:

@@ -44,7 +44,7 @@ from pytest_pafot.searching import (
     PafotSearch,
     RandomSearch,
     SearchSpace,
-    algorithm_named,
+    resolve_algorithm,
     run_campaign,
     sample,
 )
@@ -416,7 +416,7 @@ def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[
         return done
 
     started = time.process_time()
-    algorithm = algorithm_named(name, SearchSpace(), population=4)
+    algorithm = resolve_algorithm(name).make(SearchSpace(), population=4)
     for _ in run_campaign(algorithm, evaluate, generations=20, seed=seed):
         pass
     return time.process_time() - started, asked, history

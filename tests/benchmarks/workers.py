@@ -25,7 +25,7 @@ from typing import Any
 from pytest_pafot import Highway, Observation, Scenario
 from pytest_pafot.execution.prefetch import METHOD, Ahead, hired
 from pytest_pafot.execution.worker_pool import Errand
-from pytest_pafot.searching import SearchSpace, algorithm_named, run_campaign
+from pytest_pafot.searching import SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event
 from pytest_pafot.searching.fitness import resolve
@@ -72,7 +72,7 @@ def searched(ads: Callable[[], Any], workers: int, population: int, options: arg
                 ]
 
             space = SearchSpace(genes=GENES, gene_seconds=options.gene_seconds)
-            algorithm = algorithm_named("pafot", space, population=population)
+            algorithm = resolve_algorithm("pafot").make(space, population=population)
             campaign = run_campaign(algorithm, evaluate, generations=options.generations, seed=1, foresee=ahead.foresee)
             return list(campaign)
 

@@ -3,12 +3,11 @@
 import re
 import sys
 
-import pytest
-
 # pytester forgets modules that a run imports; compiled ones of libraries cannot be loaded a second time
-import pytest_pafot.searching.cma_es
-import pytest_pafot.searching.map_elites
-import pytest_pafot.searching.nsga2  # noqa: F401
+import cmaes  # noqa: F401
+import pymoo.operators.survival.rank_and_crowding  # noqa: F401
+import pytest
+import ribs.archives  # noqa: F401
 
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
 
@@ -58,8 +57,6 @@ def test_av_fuzzer_climbs_its_own_fitness_unless_another_is_asked_for(project):
 
 
 def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_installs_it(project, monkeypatch):
-    for module in [name for name in sys.modules if name.partition(".")[0] == "cmaes" or name.endswith(".cma_es")]:
-        monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "cmaes", None)
     project.write(TEST.format("cma-es"))
     result = project.run()
@@ -82,3 +79,52 @@ def test_an_unknown_algorithm_is_answered_with_those_that_exist(project):
     project.write("@pafot.search(SHORT, algorithm='genetic')\ndef test_it(run):\n    pass\n")
     result = project.run()
     result.stdout.fnmatch_lines(["*expected distinct, pafot, *or cma-es, received 'genetic'*"])
+
+
+OWN = (
+    "from dataclasses import dataclass\n"
+    "from pytest_pafot.searching import GenerationalSearch, GenerationState, sample\n\n"
+    "@dataclass(frozen=True)\n"
+    "class Own(GenerationalSearch):\n"
+    "    name = 'own'\n"
+    "    fitness = 'paper'\n"
+    "    def start(self, rng):\n"
+    "        return GenerationState()\n"
+    "    def propose(self, state, rng):\n"
+    "        return state, [sample(self.space, rng) for _ in range(self.population)]\n"
+)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_algorithm_of_ones_own_is_given_by_its_class_and_named_in_files_and_summary(project, workers):
+    project.pytester.makepyfile(own=OWN)
+    project.write(
+        "from own import Own\n@pafot.search(SHORT, algorithm=Own, stop_after=1)\n"
+        "def test_it(run):\n    assert not run.collision\n"
+    )
+    result = project.run(f"--pafot-workers={workers}", generations=8)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*own, seed *"])
+    assert "algorithm: own" in project.only_file.read_text()
+
+
+def test_the_option_takes_a_class_by_its_module_and_name(project):
+    project.pytester.makepyfile(own=OWN)
+    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n")
+    project.run("--pafot-algorithm=own:Own", generations=8).assert_outcomes(failed=2)
+    assert "algorithm: own" in project.only_file.read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("own:Onw", "algorithm: expected a name in the module own, received 'own:Onw'; did you mean 'own:Own'?"),
+        ("onw:Own", "algorithm: expected a module that can be imported, received 'onw:Own' (ModuleNotFoundError*"),
+    ],
+)
+def test_a_class_that_is_not_there_fails_the_item_alone(project, given, message):
+    project.pytester.makepyfile(own=OWN)
+    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
+    result = project.run(f"--pafot-algorithm={given}")
+    result.assert_outcomes(passed=1, errors=1)
+    result.stdout.fnmatch_lines([f"*{message.replace('[', '[[]')}*"])

@@ -1,14 +1,81 @@
-"""What the room offers by name."""
+"""What the room offers by name, and algorithms of others by class."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from pytest_pafot import searching
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.searching import ALGORITHMS, PafotSearch, RandomSearch, SearchSpace, algorithm_named, fitness_of
-from pytest_pafot.searching.fitness import FITNESSES
+from pytest_pafot.searching import (
+    ALGORITHMS,
+    AvFuzzerSearch,
+    DistinctSearch,
+    GenerationalSearch,
+    GenerationState,
+    PafotSearch,
+    RandomSearch,
+    SearchSpace,
+    resolve_algorithm,
+    run_campaign,
+    sample,
+)
+from pytest_pafot.searching.events import GenerationFinished
+from pytest_pafot.searching.fitness import FITNESSES, FitnessError, resolve
 
 SPACE = SearchSpace(npcs=3)
+
+
+@dataclass(frozen=True)
+class Own(GenerationalSearch):
+    """An algorithm of somebody else."""
+
+    name = "own"
+    jump: float = field(default=0.5, kw_only=True)
+
+    def start(self, rng):
+        return GenerationState()
+
+    def propose(self, state, rng):
+        return state, [sample(self.space, rng) for _ in range(self.population if state.generation else 0)]
+
+
+class Structural:
+    """An algorithm without a base class."""
+
+    name = "structural"
+    fitness = "paper"
+    knows_grid = False
+    reads_near_misses = True
+
+    def __init__(self, space, population=4):
+        self.inner = RandomSearch(space, population=population)
+
+    def start(self, rng):
+        return self.inner.start(rng)
+
+    def ask(self, state, rng):
+        return self.inner.ask(state, rng)
+
+    def tell(self, state, evaluations, rng):
+        return self.inner.tell(state, evaluations, rng)
+
+
+class Borrowed(Structural):
+    name = "pafot"
+
+
+class Nameless:
+    def ask(self, state, rng):
+        return state, ()
+
+
+class Careful(DistinctSearch):
+    name = "careful"
+
+
+def own_fitness(trace):
+    return trace.duration
 
 
 def test_everything_in_the_catalogue_is_there():
@@ -16,24 +83,67 @@ def test_everything_in_the_catalogue_is_there():
 
 
 def test_algorithms_are_found_by_name():
-    assert algorithm_named("pafot", SPACE, population=6) == PafotSearch(SPACE, population=6)
-    assert algorithm_named("random", SPACE) == RandomSearch(SPACE)
-    assert [algorithm_named(name, SPACE).name for name in ALGORITHMS] == list(ALGORITHMS)
+    assert resolve_algorithm("pafot").make(SPACE, population=6) == PafotSearch(SPACE, population=6)
+    assert resolve_algorithm("random").make(SPACE) == RandomSearch(SPACE)
+    assert [resolve_algorithm(name).make(SPACE).name for name in ALGORITHMS] == list(ALGORITHMS)
+    assert [resolve_algorithm(name).name for name in ALGORITHMS] == list(ALGORITHMS)
 
 
-def test_an_unknown_name_is_answered_with_those_that_exist():
-    with pytest.raises(ValueError, match=r"algorithm: expected one of distinct, pafot, .*, received 'genetic'"):
-        algorithm_named("genetic", SPACE)
+def test_an_algorithm_of_ones_own_is_a_class_or_its_module_and_name():
+    of_class = resolve_algorithm(Own)
+    assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
+    assert resolve_algorithm("tests.searching.test_catalogue:Own") == of_class
+    assert (of_class.name, of_class.fitness, of_class.knows_grid) == ("own", "default", True)
+    assert (of_class.reads_near_misses, of_class.library) == (False, None)
 
 
-def test_a_name_that_nearly_exists_is_answered_with_the_near_one():
-    with pytest.raises(ValueError, match=r"received 'rand'; did you mean 'random'\?"):
-        algorithm_named("rand", SPACE)
+def test_a_class_says_what_is_otherwise_in_it_and_hands_that_down():
+    told = resolve_algorithm(Structural)
+    assert (told.fitness, told.knows_grid, told.reads_near_misses) == ("paper", False, True)
+    assert resolve_algorithm(Careful).reads_near_misses
+    assert resolve_algorithm(AvFuzzerSearch) == resolve_algorithm("av-fuzzer")
+
+
+@pytest.mark.parametrize("algorithm", [Own, Structural])
+def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, algorithm):
+    events = [
+        list(run_campaign(resolve_algorithm(algorithm).make(SPACE), cheap_world(), generations=4, seed=1, batch=batch))
+        for batch in (1, 4)
+    ]
+    assert events[0] == events[1]
+    assert events[0][0].algorithm == algorithm.name
+    sizes = [len(event.population) for event in events[0] if isinstance(event, GenerationFinished)]
+    assert sizes == [0 if algorithm is Own else 4, 4, 4, 4]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("genetic", r"expected one of distinct, pafot, .*, received 'genetic'; or give module:Class"),
+        ("rand", r"received 'rand'; did you mean 'random'\?"),
+        ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
+        (
+            "tests.searching.test_catalogue:Onw",
+            r"expected a name in the module tests.searching.test_catalogue, received "
+            r"'tests.searching.test_catalogue:Onw'; did you mean 'tests.searching.test_catalogue:Own'\?",
+        ),
+        (
+            RandomSearch(),
+            r"expected one of distinct, .*, a class, or module:Class, received RandomSearch\(.* the class",
+        ),
+        (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
+        (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
+        (Borrowed, r"expected a name of its own for Borrowed, received 'pafot'"),
+    ],
+)
+def test_what_is_no_algorithm_is_answered_with_what_would_be_one(given, message):
+    with pytest.raises(ValueError, match=f"algorithm: .*{message}"):
+        resolve_algorithm(given)
 
 
 def test_an_unknown_parameter_is_answered_with_those_that_exist():
     with pytest.raises(ValueError, match="mutation_rate: expected a parameter of the algorithm 'random', which takes"):
-        algorithm_named("random", SPACE, mutation_rate=0.5)
+        resolve_algorithm("random").make(SPACE, mutation_rate=0.5)
 
 
 def test_the_option_offers_exactly_the_algorithms_that_there_are():
@@ -41,13 +151,21 @@ def test_the_option_offers_exactly_the_algorithms_that_there_are():
 
 
 def test_each_algorithm_has_a_fitness_of_its_own_by_default():
-    own = {name: fitness_of(name) for name in ALGORITHMS if fitness_of(name) != "default"}
-    assert own == {"av-fuzzer": "av-fuzzer"}
-    assert all(fitness_of(name) in FITNESSES for name in ALGORITHMS)
+    fitness = {name: resolve_algorithm(name).fitness for name in ALGORITHMS}
+    assert {name: own for name, own in fitness.items() if own != "default"} == {"av-fuzzer": "av-fuzzer"}
+    assert set(fitness.values()) <= set(FITNESSES)
+
+
+def test_a_fitness_of_ones_own_is_a_function_or_its_module_and_name(make_evaluation):
+    assert resolve("tests.searching.test_catalogue:own_fitness") == resolve(own_fitness)
+    with pytest.raises(
+        FitnessError, match=r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
+    ):
+        resolve("tests.searching.test_catalogue:own_fitnes")
 
 
 def test_random_manoeuvres_are_drawn_anew_in_the_slices_of_av_fuzzer():
-    search = algorithm_named("random-manoeuvre", SPACE)
+    search = resolve_algorithm("random-manoeuvre").make(SPACE)
     rng = np.random.default_rng(0)
     _, scenarios = search.ask(search.start(rng), rng)
     assert len(set(scenarios)) == 4

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from pytest_pafot.grid import Cell, is_adjacent
-from pytest_pafot.searching import Evaluation, SearchSpace, algorithm_named, run_campaign
-from pytest_pafot.searching.algorithms import CATALOGUE
+from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
 from pytest_pafot.trace import Collision, Outcome
 
-NAMES = [name for name, entry in CATALOGUE.items() if entry.library]
+NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]
 
-for entry in CATALOGUE.values():
-    if entry.library:
-        pytest.importorskip(entry.library)
+for each in NAMES:
+    pytest.importorskip(resolve_algorithm(each).library)
 
 
 def hit(cell=Cell.FRONT, closing=10.0):
@@ -36,7 +34,7 @@ def hit(cell=Cell.FRONT, closing=10.0):
 @pytest.mark.parametrize("name", NAMES)
 def test_scenarios_are_valid_distinct_in_cells_and_within_the_space(name, cheap_world):
     space = SearchSpace(npcs=3, genes=4, speed_limit=20.0)
-    events = list(run_campaign(algorithm_named(name, space), cheap_world(genes=4), generations=12, seed=1))
+    events = list(run_campaign(resolve_algorithm(name).make(space), cheap_world(genes=4), generations=12, seed=1))
     scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
     assert len(scenarios) == 48
     for scenario in scenarios:
@@ -47,8 +45,9 @@ def test_scenarios_are_valid_distinct_in_cells_and_within_the_space(name, cheap_
 
 @pytest.mark.parametrize("name", NAMES)
 def test_equal_seeds_give_equal_events_whatever_the_batch_and_others_differ(name, cheap_world):
+    search = resolve_algorithm(name).make(SearchSpace())
     runs = [
-        list(run_campaign(algorithm_named(name, SearchSpace()), cheap_world(), generations=8, seed=seed, batch=batch))
+        list(run_campaign(search, cheap_world(), generations=8, seed=seed, batch=batch))
         for seed, batch in ((3, 1), (3, 4), (4, 1))
     ]
     assert runs[0] == runs[1] != runs[2]
@@ -56,7 +55,7 @@ def test_equal_seeds_give_equal_events_whatever_the_batch_and_others_differ(name
 
 @pytest.mark.parametrize("name", NAMES)
 def test_states_are_values_so_that_a_turn_can_be_taken_again(name, cheap_world):
-    search, world = algorithm_named(name, SearchSpace()), cheap_world()
+    search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world()
     state = search.start(np.random.default_rng(0))
     for _ in range(3):
         asked_state, asked = search.ask(state, np.random.default_rng(1))
@@ -73,7 +72,7 @@ def test_it_learns(name, cheap_world):
     """More failing scenarios in the second half than random search has."""
 
     def failing(name):
-        search, world = algorithm_named(name, SearchSpace()), cheap_world(crash_speed=25.0)
+        search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world(crash_speed=25.0)
         events = run_campaign(search, world, generations=120, seed=2)
         return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 60)
 
@@ -82,14 +81,14 @@ def test_it_learns(name, cheap_world):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_new_bests_rise(name, cheap_world):
-    events = run_campaign(algorithm_named(name, SearchSpace()), cheap_world(), generations=30, seed=1)
+    events = run_campaign(resolve_algorithm(name).make(SearchSpace()), cheap_world(), generations=30, seed=1)
     ranks = [event.evaluation.rank for event in events if isinstance(event, NewBest)]
     assert ranks == sorted(set(ranks))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_out_of_turn_is_refused(name):
-    search, rng = algorithm_named(name, SearchSpace()), np.random.default_rng(0)
+    search, rng = resolve_algorithm(name).make(SearchSpace()), np.random.default_rng(0)
     state = search.start(rng)
     with pytest.raises(RuntimeError, match="tell: expected an ask before"):
         search.tell(state, [], rng)
@@ -100,18 +99,15 @@ def test_out_of_turn_is_refused(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_population_that_is_too_small_is_refused(name):
     with pytest.raises(ValueError, match="population: expected"):
-        algorithm_named(name, SearchSpace(), population=0)
+        resolve_algorithm(name).make(SearchSpace(), population=0)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_its_library_the_error_tells_how_to_install_it(name, monkeypatch):
-    entry = CATALOGUE[name]
-    for module in list(sys.modules):
-        if module.partition(".")[0] == entry.library or module == f"pytest_pafot.searching.{entry.module}":
-            monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, entry.library, None)
-    with pytest.raises(ValueError, match=f"pip install {entry.library}"):
-        algorithm_named(name, SearchSpace())
+    library = resolve_algorithm(name).library
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ValueError, match=f"pip install {library}"):
+        resolve_algorithm(name).make(SearchSpace())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -119,7 +115,7 @@ def test_a_world_in_which_every_run_is_invalid_is_searched_to_the_end(name, make
     def invalid(scenarios):
         return [make_evaluation(each, outcome=Outcome.INVALID, fitness=-np.inf) for each in scenarios]
 
-    events = list(run_campaign(algorithm_named(name, SearchSpace()), invalid, generations=8, seed=1))
+    events = list(run_campaign(resolve_algorithm(name).make(SearchSpace()), invalid, generations=8, seed=1))
     assert (events[-1].reason, events[-1].best) == ("generations", None)
     assert sum(isinstance(event, GenerationFinished) for event in events) == 8
 
@@ -152,7 +148,7 @@ def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluati
 
 
 def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, make_population):
-    from pytest_pafot.searching.map_elites import MapElitesSearch, _elites
+    from pytest_pafot.searching.map_elites import MapElitesSearch
 
     search, rng = MapElitesSearch(population=5), np.random.default_rng(0)
     state, asked = search.ask(search.start(rng), rng)
@@ -164,7 +160,7 @@ def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, m
         make_evaluation(asked[4], fitness=0.3),
     ]
     state, _ = search.tell(state, told, rng)
-    assert Counter(each.fitness for each in _elites(state)) == Counter([0.3, 1.8, 1.1, 1.0])
+    assert Counter(each.fitness for each in search.parents(state)) == Counter([0.3, 1.8, 1.1, 1.0])
 
 
 def test_cma_es_gives_runs_without_a_fitness_the_worst_place(make_evaluation):

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.space import SearchSpace, random_instruction, sample
-from pytest_pafot.searching.valid_scenario import repaired
+from pytest_pafot.searching.space import SearchSpace, random_instruction, repaired, sample
 
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40))
 seeds = st.integers(0, 2**32)

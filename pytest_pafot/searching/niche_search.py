@@ -1,0 +1,50 @@
+"""What searches have in common that keep the worst runs of several kinds, the niches, and vary them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationStateT
+from pytest_pafot.searching.parameters import check_counts, check_rates
+from pytest_pafot.searching.space import sample
+
+
+@dataclass(frozen=True, slots=True)
+class NicheSearch(GenerationalSearch[GenerationStateT]):
+    """A search whose first generations are random, and whose later ones are children of those that it kept.
+
+    Attributes:
+        space: of the scenarios.
+        population: scenarios in a generation.
+        random_generations: before the first children.
+        crossover_rate: probability that two parents swap two NPCs.
+    """
+
+    random_generations: int = field(default=5, kw_only=True)
+    crossover_rate: float = field(default=0.5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_counts(self, population=1, random_generations=1)
+        check_rates(self, "crossover_rate")
+
+    def propose(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
+        """Random scenarios at first and while there is no parent; then children."""
+        parents = self.parents(state)
+        is_random = state.generation < self.random_generations or not parents
+        return state, [
+            sample(self.space, rng) if is_random else self.child(parents, rng) for _ in range(self.population)
+        ]
+
+    @abstractmethod
+    def parents(self, state: GenerationStateT) -> Sequence[Any]:
+        """What children are made of."""
+
+    @abstractmethod
+    def child(self, parents: Sequence[Any], rng: np.random.Generator) -> Scenario:
+        """A scenario that is a variation of one or two parents."""
