@@ -12,9 +12,8 @@ import pytest
 
 from pytest_pafot.campaign.verdict import plain_failure
 from pytest_pafot.findings.finding import Cause, first_decision_cause
-from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.first_decision import first_decision
+from pytest_pafot.world.protocol import first_decision
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import Bench
@@ -92,7 +91,7 @@ class FirstGeneration:
 
 def given_in(bench: Bench, scenario: Scenario) -> str:
     """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
-    if is_vehicle_class(bench.ads) or not isinstance(bench.world, (Highway, World)):
+    if is_vehicle_class(bench.ads):
         return ""
     asked = first_decision(bench.world, scenario)
     if asked is None:

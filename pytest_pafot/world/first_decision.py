@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.kernel.observation import Observation
-from pytest_pafot.world.protocol import FirstDecision
 
 
-def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
-    """How a world asks at first in a scenario; None where it does not come so far."""
+@dataclass(frozen=True, slots=True)
+class FirstDecision:
+    """How a world asks an ADS.
+
+    Attributes:
+        is_si: whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own.
+        text: a sentence that says what it is given and must return.
+    """
+
+    is_si: bool
+    text: str
+
+
+def first_decision(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
+    """How a world, by its ``rollout``, asks at first in a scenario; None where it does not come so far."""
     seen: list[Any] = []
-    trace = world.rollout(scenario, lambda: seen.append)  # returns None, so that the message says what is expected
+    trace = rollout(scenario, lambda: seen.append)  # returns None, so that the message says what is expected
     if not seen or trace.error is None:
         return None
     expected = trace.error.message.removeprefix("expected ").partition(", received")[0]

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world import validation as checks
+from pytest_pafot.world.built_in import BuiltInWorld
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.engines import selection
+from pytest_pafot.world.engines.lock_step import rollouts
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, NpcLimits
-from pytest_pafot.world.referable import References
+from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
-
-if TYPE_CHECKING:
-    from pytest_pafot.world.driving.ads import AdsFactory
-    from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.run_config import Rules, ego_start
+from pytest_pafot.world.validation import check_divides, check_ticks, number, whole
 
 LANE_WIDTH = 4.0
 """highway-env's [m]."""
@@ -26,7 +26,7 @@ ENGINES = ("auto", "kernel", "highway-env")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Highway(References):
+class Highway(BuiltInWorld):
     """A straight motorway of three to six lanes.
 
     Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])``, or
@@ -61,35 +61,31 @@ class Highway(References):
     engine: str = field(default="auto", compare=False)
 
     def __post_init__(self) -> None:
-        checks.whole("lanes", self.lanes, 3, 6)
-        checks.whole("physics_hz", self.physics_hz, 5, 1000)
-        checks.whole("ads_hz", self.ads_hz, 1, 1000)
+        whole("lanes", self.lanes, 3, 6)
+        whole("physics_hz", self.physics_hz, 5, 1000)
+        whole("ads_hz", self.ads_hz, 1, 1000)
         bounds = {
-            "speed_limit": (5.0, checks.TOP_SPEED),
+            "speed_limit": (5.0, TOP_SPEED),
             "duration": (1 / self.physics_hz, 3600.0),
             "clearance": (0.0, 50.0),
             "headway": (0.0, 10.0),
             "hang_limit": (0.01, 86400.0),
         }
         for name, (low, high) in bounds.items():
-            object.__setattr__(self, name, checks.number(name, getattr(self, name), low, high))
+            object.__setattr__(self, name, number(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
-        checks.one_of("engine", self.engine, ENGINES)
-        checks.divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
-        checks.ticks(self.duration, self.physics_hz)
-        checks.top_speed(self.limits, self.road)
+        if self.engine not in ENGINES:
+            raise WorldError(field="engine", expected=f"one of {', '.join(ENGINES)}", received=repr(self.engine))
+        check_divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
+        check_ticks(self.duration, self.physics_hz)
+        self.limits.top_speed(self.speed_limit)
 
     @cached_property
     def road(self) -> StraightRoad:
         """Long enough that nobody reaches its end."""
-        length = 100.0 + 2 * checks.ego_start(self.headway, self.clearance) + checks.TOP_SPEED * self.duration
+        length = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * self.duration
         return StraightRoad.uniform(self.lanes, length, LANE_WIDTH, self.speed_limit)
-
-    @property
-    def longest_run(self) -> float:
-        """How long a run lasts that nothing ends early [s]."""
-        return self.duration
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
         """Simulate a scenario with a fresh ADS.
@@ -107,11 +103,8 @@ class Highway(References):
             WorldError: for decisions in the place of a vehicle class, which returns none.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from pytest_pafot.world.driving.ads import made  # noqa: PLC0415
-        from pytest_pafot.world.engines.choice import simulate  # noqa: PLC0415
-
         self._check(scenario, ads_factory)
-        return simulate(self, self.rules, scenario, made(ads_factory), decisions)
+        return selection.rollout(self, scenario, made(ads_factory), decisions)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of highway-env's own highway-v0.
@@ -120,9 +113,9 @@ class Highway(References):
             scenario: to run, as :attr:`pytest_pafot.Trace.executed` has it; it must fit this world.
             ads_factory: called once, gives the ADS.
         """
-        from pytest_pafot.world.engines.gym_replay import replay_in_gym  # noqa: PLC0415
+        from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
-        return replay_in_gym(self, scenario, ads_factory)
+        return replay_highway(self.rules, scenario, ads_factory)
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
         """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
@@ -138,25 +131,12 @@ class Highway(References):
                 each observation.
             Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
         """
-        from pytest_pafot.world.engines.choice import stepped  # noqa: PLC0415
-        from pytest_pafot.world.engines.lock_step import rollouts  # noqa: PLC0415
-
         for scenario in scenarios:
             self._check(scenario, ads_factory)
-        return rollouts(scenarios, ads_factory, partial(stepped, self), self.rollout, self.hang_limit)
-
-    def check_fits(self, scenario: Scenario) -> None:
-        """Check a scenario against this world.
-
-        Raises:
-            ScenarioError: naming the field that does not fit.
-        """
-        checks.fits(scenario, self.rules)
+        return rollouts(scenarios, ads_factory, partial(selection.begin, self), self.rollout, self.hang_limit)
 
     def _check(self, scenario: Scenario, ads_factory: AdsFactory) -> None:
         """Refuse what cannot run here."""
-        from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env  # noqa: PLC0415
-
         self.check_fits(scenario)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
             raise AdsFactoryError(
@@ -173,7 +153,7 @@ class Highway(References):
     @cached_property
     def network(self) -> Any:
         """The road as highway-env has it."""
-        from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415
+        from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_network  # noqa: PLC0415  (imports highway-env)
 
         lane = self.road.lanes[0]
         return ParallelLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
@@ -181,8 +161,6 @@ class Highway(References):
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        from pytest_pafot.world.run_config import Rules  # noqa: PLC0415
-
         return Rules(
             road=self.road,
             physics_hz=self.physics_hz,

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.validation import number
 
+TOP_SPEED = 40.0
+"""highway-env vehicles do not get faster [m/s]."""
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
 """Where a world does not say: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that
 start there [s], and the longest decision of an ADS in wall-clock time [s]."""
@@ -53,9 +56,20 @@ class NpcLimits:
 
     def __post_init__(self) -> None:
         for name, (low, high) in BOUNDS.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                why = WHY.get(name, "")
-                expected = f"a number from {low:g} to {high:.6g}{why}"
-                raise WorldError(field=f"limits.{name}", expected=expected, received=repr(value))
-            object.__setattr__(self, name, float(value))
+            object.__setattr__(self, name, number(f"limits.{name}", getattr(self, name), low, high, WHY.get(name, "")))
+
+    def top_speed(self, speed_limit: float) -> float:
+        """The highest speed of NPCs on a road with a speed limit [m/s].
+
+        Raises:
+            WorldError: when highway-env's vehicles cannot drive it.
+        """
+        speed = self.overspeed * speed_limit
+        if speed > TOP_SPEED:
+            raise WorldError(
+                field="speed_limit",
+                expected=f"at most {TOP_SPEED / self.overspeed:.1f} m/s, because NPCs may drive {self.overspeed:g} "
+                f"times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s",
+                received=f"{speed_limit:g}",
+            )
+        return speed

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.first_decision import FirstDecision
 from pytest_pafot.world.limits import HANG_LIMIT
 
 REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
@@ -71,19 +71,6 @@ class RoadStart(NamedTuple):
     lane: int
     speed: float
     physics_hz: int
-
-
-@dataclass(frozen=True, slots=True)
-class FirstDecision:
-    """How a world asks an ADS.
-
-    Attributes:
-        is_si: whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own.
-        text: a sentence that says what it is given and must return.
-    """
-
-    is_si: bool
-    text: str
 
 
 def missing(world: object) -> list[str]:

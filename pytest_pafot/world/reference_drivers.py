@@ -18,14 +18,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
 
 from pytest_pafot.attribution.responsibility import EMERGENCY, LEAVING
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Outcome, Trace
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
@@ -334,37 +330,6 @@ REFERENCES: Mapping[str, Callable[[], Driver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
 )
 """Factories of the reference drivers; each can be given to a search as its ADS."""
-
-
-def rollout_reference(world: Any, scenario: Scenario, name: str) -> Trace:
-    """Simulate a scenario with a reference driver in the ego's place, on the world's road and at its physics rate.
-
-    Raises:
-        WorldError: for a name that is not in :data:`REFERENCES`.
-        ScenarioError: when the scenario does not fit the world.
-    """
-    if name not in REFERENCES:
-        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
-    from pytest_pafot.world import validation as checks  # noqa: PLC0415  (only here needed)
-    from pytest_pafot.world.engines.choice import planned, planned_on_network  # noqa: PLC0415
-    from pytest_pafot.world.roads.straight import StraightRoad  # noqa: PLC0415
-
-    rules = world.rules
-    checks.fits(scenario, rules)
-    every_tick = replace(rules, ads_hz=rules.physics_hz)
-    if isinstance(rules.road, StraightRoad):
-        return planned(world, every_tick, scenario, REFERENCES[name]())
-    return planned_on_network(world, every_tick, scenario, REFERENCES[name]())
-
-
-def survives(world: Any, scenario: Scenario, name: str) -> bool:
-    """Whether a reference driver gets through a scenario without a collision, whoever would be responsible for it."""
-    return rollout_reference(world, scenario, name).outcome is not Outcome.COLLISION
-
-
-def preventable_by(world: Any, scenario: Scenario) -> tuple[str, ...]:
-    """Names of the reference drivers that survive a scenario, in the order of :data:`REFERENCES`."""
-    return tuple(name for name in REFERENCES if survives(world, scenario, name))
 
 
 def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> bool:

@@ -1,4 +1,4 @@
-"""What all runs of a world have in common, and where everybody starts."""
+"""What all runs of a world have in common: its road and rates, which scenarios fit it, where everybody starts."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.world import validation as checks
+from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.world.driving.network_director import NetworkDirector
+from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.speeds import BEND_SHARE
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -46,7 +46,7 @@ class Rules:
         """Where along the road the ego starts [m]."""
         if isinstance(self.road, NetworkRoad):
             return self.road.start
-        return checks.ego_start(self.headway, self.clearance)
+        return ego_start(self.headway, self.clearance)
 
     @property
     def straight(self) -> StraightRoad:
@@ -57,17 +57,6 @@ class Rules:
         """
         if not isinstance(self.road, StraightRoad):
             raise TypeError(f"road: expected a straight one, received {type(self.road).__name__}")
-        return self.road
-
-    @property
-    def way(self) -> NetworkRoad:
-        """The road.
-
-        Raises:
-            TypeError: where it is straight.
-        """
-        if not isinstance(self.road, NetworkRoad):
-            raise TypeError(f"road: expected the ego's way through a network, received {type(self.road).__name__}")
         return self.road
 
     def start_distance(self, scenario: Scenario, ego_length: float = NPC_LENGTH) -> float:
@@ -97,9 +86,69 @@ class Rules:
             scenario, self.road, self.limits, start_cells=self.start_cells(scenario, ego_length), **common
         )
 
+    def check_fits(self, scenario: Scenario) -> None:
+        """Check a scenario against the world.
+
+        Raises:
+            ScenarioError: naming the field that does not fit.
+            WorldError: for Lane-Instructions on a road that is not straight.
+        """
+        if not isinstance(scenario, Scenario):
+            raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
+        if not isinstance(self.road, StraightRoad) and not scenario.positions:
+            raise WorldError(
+                field="scenario",
+                expected="Position-Instructions on a road that is not straight",
+                received="Lane-Instructions, which know no lanes that begin and end",
+                fix="give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()",
+            )
+        self._check_lane(scenario.ego_lane)
+        cells = self.start_cells(scenario)
+        if len(scenario.npcs) > len(cells):
+            expected = f"at most {len(cells)} NPCs, one per cell that exists beside lane {scenario.ego_lane}"
+            raise ScenarioError(field="npcs", expected=expected, received=str(len(scenario.npcs)))
+        self._check_speeds(scenario)
+        ticks = scenario.gene_seconds * self.physics_hz
+        if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
+            raise ScenarioError(
+                field="gene_seconds",
+                expected=f"a whole number of ticks of 1/{self.physics_hz} s",
+                received=f"{scenario.gene_seconds:g}",
+                fix=f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}",
+            )
+
+    def _check_lane(self, lane: int) -> None:
+        road = self.road
+        if isinstance(road, StraightRoad):
+            does_exist = lane < road.lane_count
+            expected, fix = f"a lane from 0 to {road.lane_count - 1}", f"the road has {road.lane_count} lanes"
+        else:
+            does_exist = lane in road.start_lanes
+            expected = f"a lane that exists where the ego starts, {' or '.join(map(str, road.start_lanes))}"
+            fix = "lanes are counted from 0 at the left over all of the ego's way"
+        if not does_exist:
+            raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
+
+    def _check_speeds(self, scenario: Scenario) -> None:
+        limit = self.road.speed_limit
+        top = self.limits.top_speed(limit)
+        if scenario.ego_speed > top:
+            expected = f"at most {top:.2f} m/s, the NPCs' top speed, because all start at the ego's speed"
+            raise ScenarioError(field="ego_speed", expected=expected, received=f"{scenario.ego_speed:g}")
+        for npc, chain in enumerate(scenario.npcs):
+            for gene, instruction in enumerate(chain):
+                if instruction.speed > limit + 1e-9:
+                    place, expected = f"npcs[{npc}][{gene}].speed", f"at most the speed limit of {limit:g} m/s"
+                    raise ScenarioError(field=place, expected=expected, received=f"{instruction.speed:g}")
+
     def ticks(self, scenario: Scenario) -> int:
         """Physics steps of a run that nothing ends early."""
         return int(min(self.duration, scenario.genes * scenario.gene_seconds) * self.physics_hz + 1e-9)
+
+
+def ego_start(headway: float, clearance: float) -> float:
+    """Where along the road the ego starts [m]: with room behind it for NPCs at any speed, and as much ahead again."""
+    return max(200.0, 50.0 + headway * TOP_SPEED + clearance)
 
 
 def start_positions(
@@ -116,7 +165,7 @@ def start_positions(
 def start_places(
     rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = NPC_LENGTH
 ) -> list[tuple[float, int]]:
-    """The same along the road [m], with the lane."""
+    """How far along the road [m], and in which lane, the ego and each NPC are at tick 0."""
     far = rules.start_distance(scenario, ego_length)
     beside = [(rules.ego_start + cell.row * far, scenario.ego_lane + cell.column) for cell in cells]
     return [(rules.ego_start, scenario.ego_lane), *beside]

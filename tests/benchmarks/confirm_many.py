@@ -22,7 +22,6 @@ from pytest_pafot import Highway, Run, World
 from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.trace import Outcome, Trace
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 
 
 @dataclass
@@ -41,7 +40,7 @@ class Tally:
     def compare(self, world: Highway | World, first: Trace, ads: Callable[..., Any]) -> None:
         """Drive a colliding run again."""
         started = time.process_time()
-        again = replay_in_gym(world, first.executed, ads)
+        again = world.rollout_in_gym(first.executed, ads)
         self.seconds[1] += time.process_time() - started
         self.collisions += 1
         differs = disagreement(Run(first), Run(again))

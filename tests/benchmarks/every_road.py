@@ -28,7 +28,6 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support import world_cases
 from tests.support.road_cases import ENVIRONMENTS, space_of, violations
 
@@ -87,7 +86,7 @@ class Tally:
         signature = of_failure(Run(trace), FAILURE)
         name = f"{signature.slug} ({signature.responsibility})"
         self.signatures[name] += 1
-        differs = disagreement(Run(trace), Run(replay_in_gym(self.world, trace.executed, self.ego)))
+        differs = disagreement(Run(trace), Run(self.world.rollout_in_gym(trace.executed, self.ego)))
         self.confirmed += not differs
         if differs:
             self.faults.append(f"{trace.executed.canonical()}: not confirmed, {differs}")

@@ -21,7 +21,6 @@ from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving import guard
 from pytest_pafot.world.driving.guard import HangGuard
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 HIGHWAY, GYM = Highway(), World("highway-v0")
@@ -136,7 +135,7 @@ def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick
             if self.steps > 30:
                 raise CustomFault("tyre")
 
-    for trace in (HIGHWAY.rollout(SCENARIO, Breaks), replay_in_gym(HIGHWAY, SCENARIO, Breaks)):
+    for trace in (HIGHWAY.rollout(SCENARIO, Breaks), HIGHWAY.rollout_in_gym(SCENARIO, Breaks)):
         assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "CustomFault", "tyre")
         assert trace.error.tick == trace.ticks == 30
 

@@ -13,13 +13,13 @@ from pytest_pafot.run import Run
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
-from pytest_pafot.world.engines.gym_replay import StockVehicle, replay_in_gym
+from pytest_pafot.world.engines.gym_replay import StockVehicle
 from tests.support.world_cases import EGOS, constant_speed, random_scenario
 
 
 def assert_confirmed(world, scenario, ads):
     first = world.rollout(scenario, ads)
-    again = replay_in_gym(world, first.executed, ads)
+    again = world.rollout_in_gym(first.executed, ads)
     assert disagreement(Run(first), Run(again)) == ""
     assert again.executed == first.executed
     assert again.arrivals == first.arrivals
@@ -129,7 +129,7 @@ def test_an_ads_that_raises_raises_there_too():
 
     world, (scenario,) = Highway(), scenarios(3, 1)
     first = world.rollout(scenario, broken)
-    again = replay_in_gym(world, scenario, broken)
+    again = world.rollout_in_gym(scenario, broken)
     assert (first.outcome, first.error.tick, first.error.message) == (
         again.outcome,
         again.error.tick,
@@ -142,10 +142,10 @@ def test_it_is_the_environments_own_road_and_vehicles_that_drive(monkeypatch):
     from pytest_pafot.world.driving.vehicles import Car
 
     world, (scenario,) = Highway(), scenarios(4, 1)
-    before = replay_in_gym(world, scenario, constant_speed)
+    before = world.rollout_in_gym(scenario, constant_speed)
     monkeypatch.setattr(Car, "__init__", None)
     monkeypatch.setattr(Car, "step", None)
-    assert np.array_equal(replay_in_gym(world, scenario, constant_speed).states, before.states)
+    assert np.array_equal(world.rollout_in_gym(scenario, constant_speed).states, before.states)
     own = {name for name in vars(StockVehicle) if not name.startswith("_")}
     assert own & set(vars(Vehicle)) == set()
 

@@ -22,7 +22,7 @@ from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World, WorldError
 from pytest_pafot.world import from_dict, kernel
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
-from pytest_pafot.world.engines import choice as engines
+from pytest_pafot.world.engines import selection as engines
 from pytest_pafot.world.kernel import bodies
 from tests.support.c_library import c_library
 from tests.support.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
@@ -105,7 +105,7 @@ def test_the_kernel_knows_highway_envs_vehicles():
 def ran(monkeypatch):
     """Names of the engines that ran, in turn."""
     names = []
-    for name, engine in (("run_planner", "kernel"), ("run_model", "kernel"), ("_by_highway_env", "highway-env")):
+    for name, engine in (("run_planner", "kernel"), ("run_model", "kernel"), ("_by_objects", "highway-env")):
         original = getattr(engines, name)
         monkeypatch.setattr(
             engines, name, lambda *args, original=original, engine=engine: names.append(engine) or original(*args)

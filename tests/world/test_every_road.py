@@ -21,7 +21,6 @@ from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import sample
 from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.world import NpcLimits, World, WorldError
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.road_cases import ENVIRONMENTS, off_lanes, space_of, violations
 
 
@@ -100,7 +99,7 @@ def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
 def test_the_plain_environment_agrees(env_id, ego):
     world, rng = World(env_id, duration=12.0), np.random.default_rng(5)
     first = world.rollout(sample(space_of(world), rng), ego)
-    again = replay_in_gym(world, first.executed, ego)
+    again = world.rollout_in_gym(first.executed, ego)
     assert disagreement(Run(first), Run(again)) == ""
     assert first.states == pytest.approx(again.states, abs=1e-9)
 
@@ -127,7 +126,7 @@ def test_a_policy_drives_with_the_environments_own_observations_and_actions(env_
     first = world.rollout(hold(world, 2, speed=5.0), lambda: policy)
     assert first.error is None
     assert len(first.actions) == len(seen) > 0
-    again = replay_in_gym(world, first.executed, lambda: policy)
+    again = world.rollout_in_gym(first.executed, lambda: policy)
     assert disagreement(Run(first), Run(again)) == ""
     half = len(seen) // 2
     for before, after in zip(seen[:half], seen[half:], strict=True):
@@ -371,7 +370,7 @@ def test_an_environment_of_ones_own_works_the_same():
     for ego in (idm, constant, lambda: lambda observation: 1):
         trace = world.rollout(sample(space_of(world), rng), ego)
         assert violations(trace, world) == []
-        again = replay_in_gym(world, trace.executed, ego)
+        again = world.rollout_in_gym(trace.executed, ego)
         assert disagreement(Run(trace), Run(again)) == ""
 
 

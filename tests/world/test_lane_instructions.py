@@ -11,7 +11,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import LaneInstruction, Scenario
 from pytest_pafot.trace import LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.world_cases import EGOS, constant_speed, violations
 
 
@@ -127,7 +126,7 @@ def test_a_find_is_the_same_through_env_step():
     hits = [trace for trace in (world.rollout(random_lanes(rng), constant_speed) for _ in range(12)) if trace.collision]
     assert len(hits) >= 3
     for trace in hits:
-        again = replay_in_gym(world, trace.executed, constant_speed)
+        again = world.rollout_in_gym(trace.executed, constant_speed)
         assert again.collision is not None
         assert (again.collision.npc, again.collision.side, again.collision.tick) == (
             trace.collision.npc, trace.collision.side, trace.collision.tick,

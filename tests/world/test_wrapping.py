@@ -30,7 +30,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
 from tests.support.gym_loop import Replayed, StateLog
 
 SCENARIO = Scenario(
@@ -142,7 +141,7 @@ def test_each_run_has_fresh_wrappers_and_its_confirmation_is_the_same_run():
     traces = [
         world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
         world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
-        replay_in_gym(world, SCENARIO, lambda: Listener(world.make().action_space)),
+        world.rollout_in_gym(SCENARIO, lambda: Listener(world.make().action_space)),
         *world.rollout_batch([SCENARIO], lambda: Listener(world.make().action_space)),
     ]
     assert len({trace.states.tobytes() for trace in traces}) == 1

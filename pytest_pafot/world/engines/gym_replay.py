@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium
-import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import RoadNetwork
@@ -20,15 +19,16 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, follow, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
-from pytest_pafot.world.engines.object_engine import Traffic, decide, stepped
+from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
+from pytest_pafot.world.engines.policy_engine import PolicyWorld, put_ego
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.gym_world import World, vehicle_classes_kept
-from pytest_pafot.world.highway import Highway
+from pytest_pafot.world.gym_environment import vehicle_classes_kept
 from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.wrappers import names
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """What highway-env's intersections call after each step."""
@@ -106,7 +106,7 @@ class StockPolicy:
         plain = self._outer.unwrapped
         vehicles = list(plain.road.vehicles)
         if type(plain).reset is AbstractEnv.reset:
-            plain.reset = lambda **_: _scene(plain)
+            plain.reset = lambda **_: _reset_result(plain)
         plain._reset = lambda: None
         plain.action_space.seed(seed)
         if self._outer is plain:
@@ -148,8 +148,8 @@ class StockPolicy:
         self.vehicle.act()
 
 
-def _scene(env: Any) -> tuple[Any, dict[str, Any]]:
-    """What highway-env's own reset returns of a scene that stands."""
+def _reset_result(env: Any) -> tuple[Any, dict[str, Any]]:
+    """What highway-env's own reset returns when everybody is at the start."""
     seen = env.observation_type.observe()
     return seen, env._info(seen, env.action_space.sample())
 
@@ -157,23 +157,104 @@ def _scene(env: Any) -> tuple[Any, dict[str, Any]]:
 Driver = Planner | SelfDriving | StockPolicy
 
 
-def replay_in_gym(world: Highway | World, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-env's own environment.
+def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-v0 with its lanes and speed limit.
 
     Args:
-        world: whose environment is made; a Highway is highway-v0 with its lanes, length and speed limit.
+        rules: of the Highway.
         scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
         ads_factory: called once, gives the ADS.
     """
-    rules = world.rules
-    outer = _environment(world)
+    lane, lanes = rules.straight.lanes[0], rules.straight.lane_count
+    config = {
+        "lanes_count": lanes,
+        "vehicles_count": 0,
+        "simulation_frequency": rules.physics_hz,
+        "policy_frequency": rules.ads_hz,
+        "action": {"type": "ContinuousAction"},
+    }
+    env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
+    env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
+    put_ego(env, _ego(StockVehicle, rules, scenario, env), None)
+    return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, made(ads_factory), None))
+
+
+def replay_environment(world: PolicyWorld, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    """Simulate a scenario as :meth:`pytest_pafot.World.rollout` does, by ``env.step`` of its environment in wrappers.
+
+    Args:
+        world: whose environment is made.
+        scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
+        ads_factory: called once, gives the ADS.
+
+    Raises:
+        WorldError: for a planner that simulates inside of an environment in wrappers.
+    """
+    rules, outer = world.rules, world.make()
+    env = _reset(outer, scenario)
+    is_policy, view = not is_vehicle_class(ads_factory), None
+    ego = _ego(env.action_type.vehicle_class if is_policy else StockVehicle, rules, scenario, env)
+    put_ego(env, ego, world.route)
+    if is_policy and wants_env(ads_factory):
+        if world.wrappers is not None:
+            raise WorldError(
+                f"wrappers: expected none for a factory with a parameter `env`, received "
+                f"{', '.join(names(outer)) or 'an empty list'}; a planner that simulates inside of the "
+                f"environment knows it as it is, and decides in its own actions"
+            )
+        view = View(world.make().unwrapped, env)
+    ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
+    if is_vehicle_class(ads):
+        return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, ads, world.route))
+    policy = StockPolicy(ads, env if world.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)
+    return _replayed(rules, scenario, env, policy)
+
+
+def _reset(outer: Any, scenario: Scenario) -> Any:
+    """The environment itself after its reset, without what adds traffic later."""
     env = outer.unwrapped
+    with vehicle_classes_kept():
+        env.reset(seed=0)
+    for name in TRAFFIC_HOOKS:
+        if hasattr(env, name):
+            setattr(env, name, _nothing)
     env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
-    driver = _driver(world, outer, scenario, ads_factory)
-    guard = HangGuard(rules.hang_limit)
-    loop = _Loop(rules, scenario, env, driver, guard)
-    with guard:
-        return loop.run()
+    return env
+
+
+def _ego(vehicle_class: Any, rules: Rules, scenario: Scenario, env: Any) -> Any:
+    """A vehicle at the ego's start."""
+    x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
+    return vehicle_class(env.road, [x, y], heading, scenario.ego_speed)
+
+
+def _si_driver(
+    rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None
+) -> Planner | SelfDriving:
+    """Who drives without the environment's observations and actions; those are not computed.
+
+    Observations would cost more than all the rest, and some environments have rewards only for egos of their own.
+    """
+    driver: Planner | SelfDriving
+    if is_vehicle_class(ads):
+        env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
+        start = rules.road.position(rules.ego_start, scenario.ego_lane)
+        driver = SelfDriving(ads, env.road, start, scenario.ego_speed, route)
+        put_ego(env, driver.vehicle, None)
+    else:
+        every = rules.physics_hz // rules.ads_hz
+        driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
+    env.observation_type.observe = env._reward = env._info = _nothing
+    return driver
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    """In the place of what shall not happen in an environment."""
+
+
+def _replayed(rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> Trace:
+    with HangGuard(rules.hang_limit) as guard:
+        return _Loop(rules, scenario, env, driver, guard).run()
 
 
 class _Loop:
@@ -229,7 +310,7 @@ class _Loop:
     def _step(self, dt: float) -> None:
         """After ``Road.step``: record, and test for contact, until the run has ended inside a decision."""
         record = self._traffic.record
-        error = stepped(record.tick, self._guard, lambda: self._road_step(dt))
+        error = step_ego(record.tick, self._guard, lambda: self._road_step(dt))
         if not self._is_over:
             self._left -= 1
             self._ended = self._traffic.note() if error is None else record.trace(error=error)
@@ -239,79 +320,7 @@ class _Loop:
         return self._ended is not None or self._left == 0
 
 
-def _environment(world: Highway | World) -> Any:
-    """The environment in its wrappers, itself after its reset, without traffic, on the world's road."""
-    if isinstance(world, World):
-        outer = world.make()
-    else:
-        config = {
-            "lanes_count": world.lanes,
-            "vehicles_count": 0,
-            "simulation_frequency": world.physics_hz,
-            "policy_frequency": world.ads_hz,
-            "action": {"type": "ContinuousAction"},
-        }
-        outer = gymnasium.make("highway-v0", config=config, disable_env_checker=True)
-    env = outer.unwrapped
-    with vehicle_classes_kept():
-        env.reset(seed=0)
-    for name in TRAFFIC_HOOKS:
-        if hasattr(env, name):
-            setattr(env, name, _no_traffic)
-    if isinstance(world, Highway):
-        lane = world.road.lanes[0]
-        env.road.network = RoadNetwork.straight_road_network(
-            world.lanes, length=lane.length, speed_limit=lane.speed_limit
-        )
-    return outer
-
-
-def _driver(world: Highway | World, outer: Any, scenario: Scenario, ads_factory: AdsFactory) -> Driver:
-    """The ego at its start, in one of highway-env's vehicle classes, and who drives it."""
-    rules, env = world.rules, outer.unwrapped
-    start = x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
-    every = rules.physics_hz // rules.ads_hz
-    route = world.route if isinstance(world, World) else None
-    is_policy = isinstance(world, World) and not is_vehicle_class(ads_factory)
-    vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
-    _put_ego(env, vehicle_class(env.road, [x, y], heading, scenario.ego_speed))
-    follow(env.vehicle, route)
-    view = None
-    if isinstance(world, World) and is_policy and wants_env(ads_factory):
-        if world.wrappers is not None:
-            raise WorldError(
-                f"wrappers: expected none for a factory with a parameter `env`, received "
-                f"{', '.join(world.wrapper_names) or 'an empty list'}; a planner that simulates inside of the "
-                f"environment knows it as it is, and decides in its own actions"
-            )
-        view = View(world._make_env(), env)
-    ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
-    if is_policy and not is_vehicle_class(ads):
-        is_wrapped = isinstance(world, World) and world.wrappers is not None
-        return StockPolicy(ads, outer if is_wrapped else env, every, view)
-    driver: Driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
-    if is_vehicle_class(ads):
-        env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
-        driver = SelfDriving(ads, env.road, start, scenario.ego_speed, route)
-        _put_ego(env, driver.vehicle)
-    env.observation_type.observe = env._reward = env._info = _unseen
-    return driver
-
-
-def _put_ego(env: Any, ego: Vehicle) -> None:
-    ego.check_collisions = False
-    env.road.vehicles = [ego]
-    env.controlled_vehicles = [ego]
-    env.define_spaces()
-
-
-def _unseen(*_: Any) -> None:
-    """In the place of what nobody looks at when no policy drives.
-
-    Observations, which would cost more than all the rest; rewards, which some environments have only for egos of
-    their own.
-    """
-
-
-def _no_traffic(*_: Any, **__: Any) -> None:
-    """In the place of what adds random traffic in the middle of an episode, and takes it away again."""
+def replay_in_gym(world: Any, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    """A run of a world by ``env.step``."""
+    trace: Trace = world.rollout_in_gym(scenario, ads_factory)
+    return trace

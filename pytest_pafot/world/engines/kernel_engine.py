@@ -41,8 +41,8 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], dec
     return _finished(record, loop, error)
 
 
-class SteppedRun:
-    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.Stepped`.
+class KernelRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
 
     Args:
         rules: of the world.

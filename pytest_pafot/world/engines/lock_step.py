@@ -20,7 +20,7 @@ from pytest_pafot.world.errors import AdsFactoryError
 from pytest_pafot.world.kernel.action import shown
 
 
-class Stepped(Protocol):
+class SteppedRun(Protocol):
     """A run that goes from one decision to the next.
 
     Attributes:
@@ -51,7 +51,7 @@ def batching_ads(factory: AdsFactory) -> Any:
 def rollouts(
     scenarios: Sequence[Scenario],
     factory: AdsFactory,
-    start: Callable[[Scenario, HangGuard], Stepped],
+    start: Callable[[Scenario, HangGuard], SteppedRun],
     rollout: Callable[[Scenario, AdsFactory], Trace],
     hang_limit: float,
 ) -> list[Trace]:
@@ -79,7 +79,9 @@ def rollouts(
     return [rollout(scenario, factory) for scenario in scenarios]
 
 
-def _in_lock_step(runs: Sequence[Stepped], batch: Callable[[list[Any]], Any], guard: HangGuard) -> list[Trace] | None:
+def _in_lock_step(
+    runs: Sequence[SteppedRun], batch: Callable[[list[Any]], Any], guard: HangGuard
+) -> list[Trace] | None:
     """The traces of all runs; None where ``batch`` raised or hung."""
     live = [run for run in runs if run.trace is None]
     while live:

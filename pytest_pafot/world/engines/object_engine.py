@@ -54,8 +54,8 @@ def run(
                 return trace
 
 
-class SteppedRun:
-    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.Stepped`.
+class ObjectRun:
+    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
 
     Args:
         rules: of the world.
@@ -117,7 +117,7 @@ def _driven(
     for _ in range(min(driver.every, last - traffic.record.tick)):
         driver.actuate()
         traffic.command()
-        error = stepped(traffic.record.tick, guard, lambda: driver.vehicle.step(dt))
+        error = step_ego(traffic.record.tick, guard, lambda: driver.vehicle.step(dt))
         if error is not None:
             return traffic.record.trace(error=error)
         for npc in traffic.vehicles[1:]:
@@ -145,7 +145,7 @@ def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> Ad
     return None
 
 
-def stepped(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError | None:
+def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError | None:
     """Move an ego by its vehicle class, whose methods may be the user's; what it did instead of that, or None."""
     try:
         step()

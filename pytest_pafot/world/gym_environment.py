@@ -1,0 +1,286 @@
+"""A highway-env environment as a world needs it: checked, without its random traffic, in the wrappers asked for.
+
+Everything that could be wrong with an environment, its configuration or its wrappers is refused here, with the way out.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
+from gymnasium.envs.registration import load_env_creator
+from highway_env.envs.common import action, observation
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.world import wrappers as wrapping
+from pytest_pafot.world.driving.vehicles import straight_road
+from pytest_pafot.world.errors import WorldError
+from pytest_pafot.world.validation import plain, whole
+
+TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
+"""What environments call their random traffic, besides ``vehicles_count``."""
+REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
+"""Options that are not as given while scenarios run; how to draw also depends on the machine."""
+LEAST_HZ: Mapping[str, int] = MappingProxyType({"simulation_frequency": 5, "policy_frequency": 1})
+
+LARGEST: Mapping[str, float] = MappingProxyType(
+    {
+        "lanes_count": 20,
+        "roundabout_lanes": 20,
+        "no_lanes": 10,
+        "length": 2000,
+        "roundabout_radius": 1000,
+        **{f"{part}_merge_length": 5000 for part in ("before", "converge", "parallel", "after")},
+        "vehicles_count": 1000,
+        "cells": 10_000,
+        "horizon": 1000,
+        "stack_size": 100,
+        "observation_shape": 2000,
+        "actions_per_axis": 100,
+    }
+)
+"""Options of highway-env's environments whose size is the size of the work, with the largest that takes seconds."""
+NESTED = ("observation_config", "observation_configs", "action_config")
+"""Options that are observations and actions themselves."""
+MOST_CELLS = 250_000
+"""Of an occupancy grid."""
+
+
+def make(env_id: str, config: dict[str, Any] | None, wrappers: Sequence[Callable[[Any], Any]] | None) -> Any:
+    """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
+
+    Args:
+        env_id: of a registered environment.
+        config: as given by the user; None for that of the registration.
+        wrappers: as given by the user; None where the policy must see the environment as it is.
+
+    Raises:
+        WorldError: when the environment cannot be used.
+    """
+    creator = _creator(env_id)
+    if isinstance(creator, type):
+        _check_base(env_id, creator)
+    _check_sizes(config or {}, creator)
+    try:
+        with vehicle_classes_kept():
+            env = _without_traffic(env_id, creator, given_config(env_id, config))
+    except Exception as error:
+        raise WorldError(
+            field="config",
+            expected=f"a configuration that the environment {env_id} accepts",
+            received=f"{config!r:.200}",
+            fix=f"it raised {type(error).__name__}: {error!s:.200}",
+        ) from error
+    _check_base(env_id, type(env.unwrapped))
+    _check_config(env_id, config or {}, env.unwrapped)
+    if wrappers is None:
+        wrapping.check_bare(env, env_id)
+    return wrapping.put_on(env, wrappers or ())
+
+
+def given_config(env_id: str, config: dict[str, Any] | None) -> dict[str, Any]:
+    """Instead of the environment's defaults; that of the registration where there is no other, as in gymnasium."""
+    registered: dict[str, Any] = gymnasium.registry[env_id].kwargs.get("config") or {}
+    return registered if config is None else config
+
+
+def whole_config(env: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """The options of an environment with the values that it has, or would have with its random traffic.
+
+    Those that are no plain data are left out.
+    """
+    values = {**type(env).default_config(), **given}
+    values |= {name: env.config[name] for name in values if name in env.config and name not in REPLACED}
+    config: dict[str, Any] = {}
+    for name, value in values.items():
+        with suppress(WorldError):
+            config[name] = plain(f"config.{name}", value)
+    return config
+
+
+@contextmanager
+def vehicle_classes_kept() -> Iterator[None]:
+    """Undo what an environment writes to highway-env's vehicle classes.
+
+    intersection-v0 sets the IDM's distances on the class itself, for every other environment of the process; without
+    this, an environment that was merely tried would change how an IDM ego drives from then on.
+    """
+    classes, queue = set(), [Vehicle]
+    while queue:
+        classes.add(queue[-1])
+        queue.extend(queue.pop().__subclasses__())
+    before = {cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes}
+    try:
+        yield
+    finally:
+        for cls, constants in before.items():
+            for name in [name for name in vars(cls) if name.isupper() and name not in constants]:
+                delattr(cls, name)
+            for name, value in constants.items():
+                if vars(cls)[name] is not value:
+                    setattr(cls, name, value)
+
+
+def _creator(env_id: str) -> Any:
+    """The class of a registered environment, or the function that makes it."""
+    if env_id not in gymnasium.registry:
+        known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
+        near = difflib.get_close_matches(env_id, gymnasium.registry, n=1)
+        raise WorldError(
+            field="env_id",
+            expected="a registered environment",
+            received=repr(env_id),
+            fix=f"highway-env's straight roads are {', '.join(known)}; an environment of your own must be registered "
+            f"by an import before it is used{f'; did you mean {near[0]!r}?' if near else ''}",
+        )
+    entry_point = gymnasium.registry[env_id].entry_point
+    return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+
+
+def _check_base(env_id: str, cls: type[Any]) -> None:
+    if not issubclass(cls, AbstractEnv):
+        expected = "an environment that derives from highway-env's AbstractEnv"
+        raise WorldError(field="env_id", expected=expected, received=f"{env_id!r} ({cls.__name__})")
+
+
+def _check_sizes(config: dict[str, Any], creator: Any) -> None:
+    """Refuse what would take the environment minutes to make; what options of the user's own mean is not known."""
+    given = {name: value for name, value in config.items() if name not in REPLACED}
+    for name, least in LEAST_HZ.items():
+        if name in given:
+            whole(f"config.{name}", given[name], least, 1000)
+    if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
+        given = {name: given[name] for name in ("observation", "action") if name in given}
+    _check_size("config", given)
+
+
+def _check_size(place: str, config: Any) -> None:
+    if isinstance(config, (list, tuple)):
+        for index, inner in enumerate(config):
+            _check_size(f"{place}[{index}]", inner)
+    if not isinstance(config, Mapping):
+        return
+    for name, value in config.items():
+        most = LARGEST.get(name, math.inf)
+        numbers = [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, (int, float))]
+        if any(abs(each) > most for each in numbers):
+            expected = f"at most {most:g}, so that an environment is made in seconds"
+            raise WorldError(field=f"{place}.{name}", expected=expected, received=repr(value))
+        _check_size(f"{place}.{name}", value)
+    size: Any = config.get("grid_size", ((-27.5, 27.5), (-27.5, 27.5)))
+    step: Any = config.get("grid_step")
+    try:
+        cells = math.prod(abs(high - low) / abs(width) for (low, high), width in zip(size, step, strict=True))
+    except (TypeError, ValueError, ZeroDivisionError):
+        return  # no grid, or one that the environment refuses
+    if cells > MOST_CELLS:
+        expected = f"a grid of at most {MOST_CELLS} cells"
+        raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"one of {cells:.0f}")
+
+
+def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
+    """Refuse misspelt options, text for numbers, and more than one ego."""
+    default = env.default_config()
+    unknown = sorted(set(given) - set(default))
+    if unknown:
+        fix = _hint(unknown[0], default, "it has")
+        raise WorldError(field="config", expected=f"options of {env_id}", received=", ".join(unknown), fix=fix)
+    for name, value in given.items():
+        if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail once a run needs it
+            expected = f"a number such as {default[name]!r}"
+            raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
+    if env.config.get("controlled_vehicles", 1) != 1:
+        raise WorldError(
+            field="config.controlled_vehicles",
+            expected="1, the ego",
+            received=repr(env.config["controlled_vehicles"]),
+            fix="the other vehicles are the NPCs",
+        )
+    for name, module in (("observation", observation), ("action", action)):
+        kind = getattr(env, f"{name}_type", None)
+        if name in given and type(kind).__module__ == module.__name__:  # what others take is not known
+            _check_names(f"config.{name}", given[name], {*_options(module), *default.get(name, ())})
+
+
+def _check_names(place: str, given: Any, known: Collection[str]) -> None:
+    """Refuse options that highway-env's observations and actions, and those inside of them, would pass over."""
+    if isinstance(given, list):
+        for index, inner in enumerate(given):
+            _check_names(f"{place}[{index}]", inner, known)
+    if not isinstance(given, Mapping):
+        return
+    for name in given:
+        if name not in known:
+            fix = _hint(name, known, "there are")
+            raise WorldError(field=place, expected="options of highway-env's own", received=str(name), fix=fix)
+        if name in NESTED:
+            _check_names(f"{place}.{name}", given[name], known)
+
+
+def _hint(name: str, known: Collection[str], all_are: str) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"{all_are} {', '.join(sorted(known))}"
+
+
+def _options(module: Any) -> set[str]:
+    """What any class of observations or actions of a module takes.
+
+    Each of them takes the options of all others, too, and highway-env's own configurations make use of that.
+    """
+    kinds = [each for each in vars(module).values() if inspect.isclass(each) and each.__module__ == module.__name__]
+    taken = {name for kind in kinds for name in inspect.signature(kind).parameters}
+    return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which none takes
+
+
+def _without_traffic(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
+    """An environment in the wrappers that it is registered with.
+
+    Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
+    """
+    known = creator.default_config() if hasattr(creator, "default_config") else {}
+    config = _as_known(_with_tuples(given), known)
+    config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
+    parameters = inspect.signature(creator).parameters
+    takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
+    keywords: dict[str, Any] = {"config": config} if takes_config else {}
+    with warnings.catch_warnings():  # whoever names merge-v0 has chosen it, and needs not be told in every run
+        warnings.filterwarnings("ignore", message=".*is out of date", category=DeprecationWarning)
+        env: Any = gymnasium.make(env_id, disable_env_checker=True, **keywords)
+    unwrapped: Any = env.unwrapped
+    if not takes_config and hasattr(unwrapped, "configure"):
+        unwrapped.configure(config)
+    if getattr(unwrapped, "road", None) is not None and straight_road(unwrapped.road.network) is None:
+        unwrapped.reset(seed=0)
+    return env
+
+
+def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy with the environment's own value wherever plain data, which has no tuples or arrays, means that value."""
+
+    def is_known(name: str, value: Any) -> bool:
+        with suppress(WorldError):
+            return name in known and repr(plain(name, value)) == repr(plain(name, known[name]))
+        return False
+
+    return {name: known[name] if is_known(name, value) else value for name, value in config.items()}
+
+
+def _with_tuples(config: Any) -> Any:
+    """A copy with a tuple where highway-env insists on one."""
+    if isinstance(config, list):
+        return [_with_tuples(item) for item in config]
+    if not isinstance(config, dict):
+        return config
+    copied = {key: _with_tuples(item) for key, item in config.items()}
+    if isinstance(copied.get("observation_shape"), list):
+        copied["observation_shape"] = tuple(copied["observation_shape"])
+    return copied
