@@ -1,6 +1,9 @@
 """A pool of processes that run tasks, one each at a time, and name the task in which a process dies or falls silent.
 
-REASONS
+Tried in its place: with loky 3.7.0 every task under way fails when one process dies, and nothing says which one it was.
+pebble 5.2.3 says it, but forks the next process in a thread of its own, while another may hold a lock, and can limit
+nothing but the duration of a task, so that a slow one ends like one that never comes back to Python. Here each process
+has a pipe of its own, and the thread that asks serves them all.
 """
 
 from __future__ import annotations
@@ -17,7 +20,6 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from types import TracebackType
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
 from pytest_pafot.world.driving.guard import LastResort, last_resort
@@ -30,6 +32,9 @@ GRACE = 5.0
 
 FAREWELL = 2.0
 """How long a process may take to end by itself [s]; what its libraries started ends with it then."""
+
+STUCK = -1
+"""In the place of a count: a process ends itself since a decision takes no interruption."""
 
 POLL = 0.5
 """How long to wait for answers at most before looking whether those who owe one still live [s]."""
@@ -95,7 +100,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self.recovered: list[Lost[TaskT]] = []
         """Processes that died in tasks that were done when they were tried alone."""
         self.failure = ""
-        """Why no process could be started, from which moment on nothing is expected; or empty."""
+        """Why no process could be started, from which moment on no task has a result; or empty."""
         self._work = work
         self._size = size
         self._context: Any = multiprocessing.get_context(method)
@@ -112,39 +117,30 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.close(at_once=kind is not None)
 
     def expect(self, tasks: Iterable[TaskT]) -> None:
         """Begin with these, in this order; what was expected before and not fetched is of no interest any more."""
-        self._pending = deque(() if self.failure else tasks)
+        self._pending = deque(tasks)
         self._wanted = set(self._pending)
         self._answers, self._suspects = {}, {}
         self._send()
 
-    def insert(self, task: TaskT) -> None:
-        """Run this one next, beside what is expected."""
-        self._wanted.add(task)
-        if self.failure:
-            self._fail(task, self.failure)
-            return
-        self._pending.appendleft(task)
-        self._send()
-
     def expects(self, task: TaskT) -> bool:
-        """Whether :meth:`fetch` can give an answer."""
+        """Whether a task is expected, and was not fetched yet."""
         return task in self._wanted
 
     def fetch(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
-        """The answer to an expected task, once; waits for it.
+        """The answer to a task, once; waits for it. One that was not expected is run next.
 
         A task in which a process died is tried once more while nothing else runs: there may have been too little
         memory for all of them, or somebody killed the process.
         """
         if task not in self._wanted:
-            raise ValueError(f"task: expected one that is expected, and not fetched before, received {task!r}")
+            self._wanted.add(task)
+            self._pending.appendleft(task)
+        self._send()
         while task not in self._answers:
             if task in self._suspects:
                 self._answers[task] = self._alone(task)
@@ -164,7 +160,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
             while not self._answers and not self._suspects:
                 self._receive()
                 self._send()
-                tick(sum(worker.share for worker in self._workers if worker.task is not None))
+                tick(sum(worker.share for worker in self._busy))
             answers = self._answers | self._suspects
             self._answers, self._suspects = {}, {}
             for task, answer in answers.items():
@@ -173,16 +169,20 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def close(self, *, at_once: bool = False) -> None:
         """End all processes; those that are at work are killed, and ``at_once`` all of them."""
-        leaving = [] if at_once else [worker for worker in self._workers if worker.dismiss()]
+        idle = [] if at_once else [worker for worker in self._workers if worker.task is None]
         deadline = self._clock() + FAREWELL
-        for worker in leaving:
+        for worker in [worker for worker in idle if worker.send(None)]:
             worker.process.join(max(0.0, deadline - self._clock()))
         for worker in list(self._workers):
             self._remove(worker)
         self._pending, self._wanted = deque(), set()
 
+    @property
+    def _busy(self) -> list[_Worker[TaskT]]:
+        return [worker for worker in self._workers if worker.task is not None]
+
     def _alone(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
-        while any(worker.task is not None for worker in self._workers):
+        while self._busy:
             self._receive()
         first = self._suspects.pop(task)
         self._give(task)
@@ -194,10 +194,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return second
 
     def _send(self) -> None:
-        while self._pending and sum(worker.task is not None for worker in self._workers) < self._size:
+        while self._pending and (self.failure or len(self._busy) < self._size):
             self._give(self._pending.popleft())
 
     def _give(self, task: TaskT) -> None:
+        if self.failure:
+            self._fail(task, self.failure)
+            return
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
             while idle is None or not idle.take(task, self._clock()):
@@ -211,15 +214,14 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _fail(self, task: TaskT, reason: str) -> None:
         """Without processes, whoever asks must see to the tasks."""
-        self.failure = self.failure or reason
-        self._answers |= dict.fromkeys((task, *self._pending), Raised(error=RuntimeError(reason)))
-        self._pending.clear()
+        self.failure = reason
+        self._answers[task] = Raised(error=RuntimeError(reason))
 
     def _receive(self) -> None:
         """Take what is there, after a while at most."""
-        busy = {worker.connection: worker for worker in self._workers if worker.task is not None}
-        wait(busy, timeout=min(POLL, self._patience / 4))
-        for worker in busy.values():
+        busy = self._busy
+        wait([worker.connection for worker in busy], timeout=min(POLL, self._patience / 4))
+        for worker in busy:
             self._look_at(worker)
 
     def _look_at(self, worker: _Worker[TaskT]) -> None:
@@ -235,24 +237,27 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if is_done and task in self._wanted:
                     self._answers[task] = said
                 return
-        if worker.is_stuck:
+        if worker.beats.value == STUCK:
             how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
-            self._lose(task, worker, "")
+            self._lose(task, worker)
         elif worker.silence(self._clock()) > self._patience:
             self._lose(task, worker, f"did not answer for {self._patience:.1f} s and was killed", is_hang=True)
 
-    def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str, *, is_hang: bool = False) -> None:
+    def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
         lost = Lost(task=task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
         if not worker.has_begun:
-            self._fail(task, f"a process {lost.how} before it had begun")
+            self._fail(task, self.failure or f"a process {lost.how} before it had begun")
         elif task in self._wanted:
             (self._answers if is_hang else self._suspects)[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        worker.kill()
+        """End a process and let nothing of it remain."""
+        worker.process.kill()
+        worker.process.join()
+        worker.connection.close()
         self._workers.remove(worker)
         self._ended(worker.pid)
 
@@ -263,19 +268,19 @@ class _Worker(Generic[TaskT]):
     Attributes:
         task: that it runs now, or None.
         share: that it says is done of it.
+        beats: how often it has told that it is there, when it had begun and in answer to signals; or ``STUCK``.
     """
 
     def __init__(self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
+        self.beats = context.RawValue("q", 0)
         self.connection, end = context.Pipe()
-        self._beats = context.RawValue("Q", 0)
-        self._stuck = context.RawValue("b", 0)
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        line = _Line(connection=end, inherited=inherited, beats=self._beats, stuck=self._stuck, grace=grace)
-        self.process = context.Process(target=_serve, args=(work, line), name="pafot-worker")
+        arguments = (work, end, inherited, self.beats, grace)
+        self.process = context.Process(target=_serve, args=arguments, name="pafot-worker")
         with warnings.catch_warnings():
             # Python warns of any thread; those of numerical libraries are documented, and this module has none.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
@@ -286,20 +291,20 @@ class _Worker(Generic[TaskT]):
     @property
     def has_begun(self) -> bool:
         """Whether it came so far as to wait for tasks."""
-        return bool(self._beats.value)
-
-    @property
-    def is_stuck(self) -> bool:
-        """Whether it ended since a decision would not."""
-        return bool(self._stuck.value)
+        return bool(self.beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
         """Run a task; False where the process has ended."""
+        self.share, self._asked_at = 0.0, None if self.has_begun else now
+        self.task = task if self.send(task) else None
+        return self.task is not None
+
+    def send(self, task: TaskT | None) -> bool:
+        """Give it a task, or None for its end; False where the process has ended."""
         try:
             self.connection.send(task)
         except OSError:
             return False
-        self.task, self.share, self._asked_at = task, 0.0, None if self.has_begun else now
         return True
 
     def hear(self) -> tuple[bool, Any]:
@@ -322,8 +327,8 @@ class _Worker(Generic[TaskT]):
 
     def silence(self, now: float) -> float:
         """Since when it owes an answer to a signal [s]; sends one where it owes none."""
-        if self._beats.value != self._heard:
-            self._heard, self._asked_at = self._beats.value, None
+        if self.beats.value != self._heard:
+            self._heard, self._asked_at = self.beats.value, None
         if self._asked_at is not None:
             return now - self._asked_at
         if hasattr(signal, "SIGUSR2"):
@@ -331,22 +336,6 @@ class _Worker(Generic[TaskT]):
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGUSR2)
         return 0.0
-
-    def dismiss(self) -> bool:
-        """Ask it to end; False where it is at work, or has ended."""
-        if self.task is not None:
-            return False
-        try:
-            self.connection.send(None)
-        except OSError:
-            return False
-        return True
-
-    def kill(self) -> None:
-        """End it and let nothing of it remain."""
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
 
 
 def ending(code: int | None) -> str:
@@ -357,58 +346,40 @@ def ending(code: int | None) -> str:
     return f"ended with exit code {code}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Line:
-    """A process's end of what connects it to the pool.
+def _serve(work: Work[Any, Any], connection: Connection, inherited: list[Connection], beats: Any, grace: float) -> None:
+    """In a process of the pool: run tasks until there are no more, or nobody waits for them."""
 
-    Attributes:
-        connection: for tasks, shares and results.
-        inherited: connections of others, by a fork.
-        beats: counts the signals that it answers.
-        stuck: set before it ends since a decision would not.
-        grace: how long a decision may ignore interruptions [s].
-    """
+    def beat(*signalled: object) -> None:
+        beats.value += 1
 
-    connection: Connection
-    inherited: list[Connection]
-    beats: Any
-    stuck: Any
-    grace: float
-
-    def beat(self) -> None:
-        """Tell that the process is there, and answers signals."""
-        self.beats.value += 1
-
-    def end(self) -> None:
-        """End at once; whatever the pool was to be told is told by that."""
-        self.stuck.value = 1
+    def end() -> None:
+        beats.value = STUCK
         os._exit(1)
 
-    def answer(self, work: Work[Any, Any], task: Any) -> None:
-        """Do a task, and send what came of it."""
-        try:
-            answer = work(task, lambda share: self.connection.send((False, share)))
-        except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
-            answer = Raised(error=_portable(error))
-        try:
-            self.connection.send((True, answer))
-        except OSError:
-            raise
-        except Exception as error:  # noqa: BLE001  (whatever somebody's result does when it is pickled)
-            self.connection.send((True, Raised(error=_worded(error))))
-
-
-def _serve(work: Work[Any, Any], line: _Line) -> None:
-    """In a process of the pool: run tasks until there are no more, or nobody waits for them."""
-    for other in line.inherited:
+    for other in inherited:
         other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
-    signal.signal(signal.SIGINT, _ignore)  # The session ends its processes itself. What they start is interrupted.
+    # The session ends its processes itself. What they start is interrupted: it would inherit SIG_IGN, but no function.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
     if hasattr(signal, "SIGUSR2"):
-        signal.signal(signal.SIGUSR2, lambda number, frame: line.beat())
-    line.beat()
-    with last_resort(LastResort(end=line.end, grace=line.grace)), suppress(EOFError, OSError):
-        while (task := line.connection.recv()) is not None:
-            line.answer(work, task)
+        signal.signal(signal.SIGUSR2, beat)
+    beat()
+    with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
+        while (task := connection.recv()) is not None:
+            _answer(work, task, connection)
+
+
+def _answer(work: Work[Any, Any], task: Any, connection: Connection) -> None:
+    """Do a task, and send what came of it."""
+    try:
+        answer = work(task, lambda share: connection.send((False, share)))
+    except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
+        answer = Raised(error=_portable(error))
+    try:
+        connection.send((True, answer))
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001  (whatever somebody's result does when it is pickled)
+        connection.send((True, Raised(error=_worded(error))))
 
 
 def _portable(error: BaseException) -> Exception:
@@ -424,7 +395,3 @@ def _portable(error: BaseException) -> Exception:
 
 def _worded(error: BaseException) -> Exception:
     return RuntimeError("".join(traceback.format_exception_only(error)).strip())
-
-
-def _ignore(number: int, frame: object) -> None:
-    """Unlike SIG_IGN, a function is not inherited by programs that the ADS starts."""

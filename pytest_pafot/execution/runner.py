@@ -236,8 +236,6 @@ class Isolated:
         """One run; in this process only to raise what it raised in another one beside the ADS."""
         __tracebackhide__ = True
         pool = self._started()
-        if not pool.expects(scenario):
-            pool.insert(scenario)
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")

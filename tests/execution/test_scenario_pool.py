@@ -83,9 +83,16 @@ def test_the_scenario_is_on_disk_while_it_runs_and_not_after_its_process_died(po
     assert expectation(lost).outcome is Outcome.ADS_ERROR
 
 
-def test_a_process_that_is_killed_at_work_leaves_no_record(pool_of):
-    pool = pool_of(lambda number: time.sleep(60))
+def test_a_process_that_is_killed_at_work_leaves_no_record(pool_of, tmp_path):
+    def work(number):
+        (tmp_path / "at work").touch()
+        time.sleep(60)
+
+    pool = pool_of(work)
     pool.expect(SCENARIOS)
+    while not (tmp_path / "at work").exists():
+        time.sleep(0.001)
+    assert len(list((tmp_path / "records").iterdir())) == 1
 
 
 @pytest.mark.filterwarnings("always")
