@@ -63,7 +63,6 @@ def circle():
         start=20.0,
         ego_lane=0,
         ego_speed=10.0,
-        end=(POINTS - 1) * STEP,
     )
 
 

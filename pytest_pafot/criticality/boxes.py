@@ -48,13 +48,7 @@ class Boxes:
 
     @classmethod
     def driving(
-        cls,
-        x: FloatArray,
-        y: FloatArray,
-        heading: FloatArray,
-        speed: FloatArray,
-        length: FloatArray,
-        width: FloatArray,
+        cls, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, width: FloatArray
     ) -> Boxes:
         """Boxes that move along their heading [m, rad, m/s]; a negative speed is driving backwards."""
         cos, sin = np.cos(heading), np.sin(heading)

@@ -56,10 +56,7 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
         return AdsError(kind="Hang", message=message, traceback=_where(error), tick=tick, interrupted=True)
     report = traceback.TracebackException(type(error), error, _users_part(error))
     return AdsError(
-        kind=type(error).__name__,
-        message=one_line(str(report)),
-        traceback="".join(report.format()),
-        tick=tick,
+        kind=type(error).__name__, message=one_line(str(report)), traceback="".join(report.format()), tick=tick
     )
 
 

@@ -75,7 +75,6 @@ class NetworkRoad:
         start: where along the road the ego starts [m].
         ego_lane: in which it starts.
         ego_speed: at which it starts [m/s].
-        end: of the road [m].
     """
 
     lanes: tuple[Lane, ...]
@@ -88,11 +87,15 @@ class NetworkRoad:
     start: float
     ego_lane: int
     ego_speed: float
-    end: float
 
     def __deepcopy__(self, _: dict[int, object]) -> NetworkRoad:
         """Itself, as nothing in it changes: highway-env copies vehicles with all that hangs on them to predict them."""
         return self
+
+    @cached_property
+    def end(self) -> float:
+        """Of the road [m]."""
+        return (len(self.line.x) - 1) * STEP
 
     @property
     def lane_count(self) -> int:
@@ -106,7 +109,7 @@ class NetworkRoad:
 
     def exists(self, lane: int, along: float) -> bool:
         """Whether there is such a lane at a place of the road."""
-        if not (0 <= lane < len(self.columns) and 0 <= along <= self._length):
+        if not (0 <= lane < len(self.columns) and 0 <= along <= self.end):
             return False
         return self.columns[lane].exists[self.point(along)]
 
@@ -159,7 +162,7 @@ class NetworkRoad:
     def stretch(self, along: float, across: float) -> float:
         """Metres driven there per metre of the road: more outside of a bend, less inside."""
         index, _ = self._between(along)
-        bend = (self._headings[index + 1] - self._headings[index]) / STEP
+        bend = (self._points[index + 1][2] - self._points[index][2]) / STEP
         return max(1 - bend * across, 0.2)
 
     def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
@@ -169,13 +172,15 @@ class NetworkRoad:
             x0, y0, direction = self.reference(along)
             cos, sin = math.cos(direction), math.sin(direction)
             ahead, across = (x - x0) * cos + (y - y0) * sin, (y - y0) * cos - (x - x0) * sin
-            along = min(max(along + ahead / self.stretch(along, across), -self._length), 2 * self._length)
+            along = min(max(along + ahead / self.stretch(along, across), -self.end), 2 * self.end)
             if abs(ahead) < 1e-9:
                 break
         x0, y0, direction = self.reference(along)
         across = (y - y0) * math.cos(direction) - (x - x0) * math.sin(direction)
-        lane, offset = self._nearest(along, across)
-        return Spot(along, across, wrapped(heading - direction), lane, offset)
+        index = self.point(along)
+        lanes = [lane for lane, column in enumerate(self.columns) if column.exists[index]]
+        lane = min(lanes, key=lambda each: abs(across - self.columns[each].across[index]))
+        return Spot(along, across, wrapped(heading - direction), lane, across - self.lane_at(lane, along)[0])
 
     def in_lanes(self, spot: Spot) -> float:
         """Where across the road a vehicle is, in the measure of lanes [m]."""
@@ -188,53 +193,34 @@ class NetworkRoad:
 
     def part(self, spot: Spot) -> int:
         """Index in ``lanes`` of the lane of the way that a vehicle's centre is on, -1 beside them."""
-        if not 0 <= spot.along <= self._length:
+        if not 0 <= spot.along <= self.end:
             return -1
         part = self.columns[spot.lane].part[self.point(spot.along)]
         return part if part >= 0 and abs(spot.offset) <= self.lanes[part].width / 2 + 1e-6 else -1
 
-    def _nearest(self, along: float, across: float) -> tuple[int, float]:
-        index = self.point(along)
-        lanes = [lane for lane, column in enumerate(self.columns) if column.exists[index]]
-        lane = min(lanes, key=lambda each: abs(across - self.columns[each].across[index]))
-        return lane, across - self.lane_at(lane, along)[0]
-
     def reference(self, along: float) -> tuple[float, float, float]:
         """World x, y and heading of the line; straight on beyond its ends."""
         index, share = self._between(along)
-        x, y, heading = self._xs, self._ys, self._headings
-        return (
-            x[index] + share * (x[index + 1] - x[index]),
-            y[index] + share * (y[index + 1] - y[index]),
-            heading[index] + min(max(share, 0.0), 1.0) * (heading[index + 1] - heading[index]),
-        )
+        (x0, y0, heading0), (x1, y1, heading1) = self._points[index], self._points[index + 1]
+        turned = min(max(share, 0.0), 1.0) * (heading1 - heading0)
+        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), heading0 + turned
 
     def _between(self, along: float) -> tuple[int, float]:
         """The point before a place and the share of the way to the next; beyond the ends, as if it went straight on."""
-        index = min(max(int(along / STEP), 0), len(self._xs) - 2)
+        index = min(max(int(along / STEP), 0), len(self._points) - 2)
         return index, along / STEP - index
 
     def _inside(self, along: float) -> tuple[int, float]:
-        """The same, where nothing is beyond the ends."""
+        """The point before a place and the share of the way to the next, 0 to 1: as at the ends beyond them."""
         index, share = self._between(along)
         return index, min(max(share, 0.0), 1.0)
 
     def point(self, along: float) -> int:
         """The point of the line that is nearest to a place."""
-        return min(max(round(along / STEP), 0), len(self._xs) - 1)
+        return min(max(round(along / STEP), 0), len(self._points) - 1)
 
     @cached_property
-    def _length(self) -> float:
-        return (len(self.line.x) - 1) * STEP
-
-    @cached_property
-    def _xs(self) -> list[float]:
-        return [float(value) for value in self.line.x]
-
-    @cached_property
-    def _ys(self) -> list[float]:
-        return [float(value) for value in self.line.y]
-
-    @cached_property
-    def _headings(self) -> list[float]:
-        return [float(value) for value in self.line.heading]
+    def _points(self) -> list[tuple[float, float, float]]:
+        """World x [m], y [m] and heading [rad] of each point of the line, as floats, which are faster one by one."""
+        line = self.line
+        return list(zip(line.x.tolist(), line.y.tolist(), line.heading.tolist(), strict=True))

@@ -7,7 +7,7 @@ the lane that the ego starts in, what its route (else ``next_lane``) leads to, a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -73,23 +73,20 @@ def way(
         the pieces in driving order, and the number of the first.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
-    before = list(_before(network, first, behind - at))[::-1]
-    after = _after(network, first, planned, ahead - (first.end - at))
-    return (*before, first, *after), len(before)
-
-
-def _after(network: Any, first: Piece, planned: Sequence[Any] | None, wanted: float) -> Iterator[Piece]:
-    route = [step for step in planned or () if tuple(step[:2]) != first.index[:2]]
-    piece = first
-    while wanted > 0:
-        following = _successor(network, piece, route)
-        if following is None:
-            return
-        yield following
-        wanted -= following.end - following.begin
-        piece = following
+    before: list[Piece] = []
+    piece, wanted = first, behind - at
+    while wanted > 0 and (leading := _predecessor(network, piece)) is not None:
+        before.insert(0, leading)
+        piece, wanted = leading, wanted - leading.end
+    after: list[Piece] = []
+    route = [step for step in planned or () if tuple(step[:2]) != start[:2]]
+    piece, wanted = first, ahead - (first.end - at)
+    while wanted > 0 and (following := _successor(network, piece, route)) is not None:
+        after.append(following)
+        piece, wanted = following, wanted - (following.end - following.begin)
         if route and tuple(route[0][:2]) == following.index[:2]:
             route.pop(0)
+    return (*before, first, *after), len(before)
 
 
 def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
@@ -111,19 +108,8 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     return min(found, key=lambda each: each[:2])[2] if found else None
 
 
-def _before(network: Any, first: Piece, wanted: float) -> Iterator[Piece]:
-    """The pieces that lead to one, the last first. highway-env's networks know no predecessors."""
-    piece = first
-    while wanted > 0:
-        leading = _predecessor(network, piece)
-        if leading is None:
-            return
-        yield leading
-        wanted -= leading.end
-        piece = leading
-
-
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
+    """The nearest piece that leads to one; highway-env's networks know no predecessors."""
     point = np.asarray(piece.lane.position(0, 0))
     found: list[tuple[float, int, Piece]] = []
     for index, lane in network.lanes_dict().items():

@@ -42,12 +42,8 @@ def allowed_speeds(
     for index in range(len(squares) - 2, -1, -1):
         reach = squares[index + 1] + 2 * slowing * (lengths[index + 1] - lengths[index])
         squares[index] = min(squares[index], reach)
-    return anticipated(np.sqrt(squares), lengths)
-
-
-def anticipated(speed: FloatArray, lengths: FloatArray) -> FloatArray:
-    """The least speed of all points that are reached while the speed control lags behind."""
-    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")
+    speed = np.sqrt(squares)
+    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # while the speed control lags behind
     return np.array([speed[index : last + 1].min() for index, last in enumerate(reached)])
 
 

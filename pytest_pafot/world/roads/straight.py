@@ -34,13 +34,14 @@ class StraightRoad:
     _cells: tuple[frozenset[Cell], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        first = self.lanes[0]
+        first, count = self.lanes[0], len(self.lanes)
+        cells = tuple(frozenset(cell for cell in Cell if 0 <= lane + cell.column < count) for lane in range(count))
         for name, value in (
             ("lane_width", first.width),
             ("speed_limit", max(lane.speed_limit for lane in self.lanes)),
             ("_origin", (first.x, first.y)),
-            ("grid", Lanes(len(self.lanes), first.width, first.length)),
-            ("_cells", tuple(_cells(lane, len(self.lanes)) for lane in range(len(self.lanes)))),
+            ("grid", Lanes(count, first.width, first.length)),
+            ("_cells", cells),
         ):
             object.__setattr__(self, name, value)
 
@@ -81,10 +82,6 @@ class StraightRoad:
     def cells(self, ego_lane: int) -> frozenset[Cell]:
         """The cells whose lane exists when the ego drives in a lane."""
         return self._cells[ego_lane]
-
-
-def _cells(ego_lane: int, lanes: int) -> frozenset[Cell]:
-    return frozenset(cell for cell in Cell if 0 <= ego_lane + cell.column < lanes)
 
 
 def parallel_along_x(lanes: Sequence[Lane]) -> bool:

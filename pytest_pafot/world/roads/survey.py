@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -45,18 +44,12 @@ ROOM_BEHIND = 150.0
 Flags = npt.NDArray[np.bool_]
 
 
-@dataclass(slots=True)
 class _Strip:
     """One lane number along the way; arrays have an entry per point of the line."""
 
-    exists: Flags
-    across: FloatArray
-    limit: FloatArray
-    width: FloatArray
-
-    @classmethod
-    def empty(cls, points: int) -> _Strip:
-        return cls(np.zeros(points, dtype=bool), np.zeros(points), np.zeros(points), np.zeros(points))
+    def __init__(self, points: int) -> None:
+        self.exists = np.zeros(points, dtype=bool)
+        self.across, self.limit, self.width = np.zeros((3, points))
 
 
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
@@ -94,7 +87,6 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         start=start,
         ego_lane=ego_lane,
         ego_speed=speed,
-        end=(len(line.x) - 1) * STEP,
     )
     if road.end - road.start < 2 * NPC_LENGTH:
         raise WorldError(
@@ -154,7 +146,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
     for point in range(points):
         piece = pieces[line.piece[point]]
         for number, (across, lane, longitudinal) in _beside(network, piece, line, point).items():
-            strip = strips.setdefault(number, _Strip.empty(points))
+            strip = strips.setdefault(number, _Strip(points))
             strip.exists[point] = True
             strip.across[point] = across
             strip.limit[point] = max(lane.speed_limit or 0.0, ego_speed)
@@ -254,7 +246,7 @@ def _course(
     x = line.x[part] - np.sin(heading) * across[part]
     y = line.y[part] + np.cos(heading) * across[part]
     turned = np.arctan2(np.gradient(y), np.gradient(x)) - heading
-    direction = heading + wrapped(turned)
+    direction = heading + (turned + np.pi) % (2 * np.pi) - np.pi  # not wrapped(turned): other rounding, other runs
     lengths = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     return x, y, direction, lengths
 
@@ -274,8 +266,9 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
     numbers = sorted(strips)
     for number in numbers:
         strip = strips[number]
+        known = np.flatnonzero(strip.exists)
         column = {
-            "across": _filled(strip.across, strip.exists),
+            "across": np.interp(np.arange(len(line.x)), known, strip.across[known]),  # the nearest, where there is none
             "direction": line.heading.copy(),
             "lean": np.zeros(len(line.x)),
             "speed": np.zeros(len(line.x)),
@@ -290,11 +283,7 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
             column["speed"][part] = allowed_speeds(
-                curvature,
-                strip.limit[part],
-                None if is_last else float(lengths[-1]) - STOP_BEFORE_END,
-                lengths,
-                limits,
+                curvature, strip.limit[part], None if is_last else float(lengths[-1]) - STOP_BEFORE_END, lengths, limits
             )
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
@@ -303,16 +292,10 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
             Column(
                 exists=strip.exists.tolist(),
                 part=part_of.tolist(),
-                **{name: [float(value) for value in values] for name, values in column.items()},
+                **{name: values.tolist() for name, values in column.items()},
             )
         )
     return tuple(columns), [*firsts, *others]
-
-
-def _filled(values: FloatArray, exists: Flags) -> FloatArray:
-    """Where there is no value, the nearest one."""
-    known = np.flatnonzero(exists)
-    return np.interp(np.arange(len(values)), known, values[known])
 
 
 def _lane(
