@@ -9,6 +9,7 @@ from tests.test_layers import HOMES, MODULES, PACKAGE, ROOMS, room_of
 
 ROOT = PACKAGE.parent
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 EXPLANATION = (ROOT / "docs" / "explanation.md").read_text(encoding="utf-8")
 
 ROOM_ROW = re.compile(r"^\| `(\w+)` \| (.+?) \|(.*)\|$", re.MULTILINE)
@@ -26,8 +27,8 @@ def rooms_on_the_page():
 
 
 def mentions():
-    """Files and names on the page, and in the explanation."""
-    return sorted({(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION)})
+    """Files and names on the page, in the explanation, and in what contributors read."""
+    return sorted({(path, name) for path, name in MENTION.findall(PAGE + EXPLANATION + CONTRIBUTING)})
 
 
 def place(path):

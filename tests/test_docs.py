@@ -45,7 +45,7 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {

@@ -1,0 +1,71 @@
+"""Checks of the project, each in a virtual environment of its own; ``nox -l`` lists them.
+
+What the README and ``.ci/run`` run as well is read from the README, the configuration and ``tests/quick.txt``.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import nox
+
+PROJECT = nox.project.load_toml("pyproject.toml")
+PYTHONS = nox.project.python_versions(PROJECT)
+"""Every Python that the project says it supports, the oldest first."""
+README = Path("README.md").read_text(encoding="utf-8")
+QUICK = "@tests/quick.txt"
+
+nox.options.sessions = ["lint", "types", f"quick-{PYTHONS[-1]}"]
+nox.options.reuse_venv = "yes"
+
+
+def readme_commands() -> list[list[str]]:
+    """What the README says installs the project with its tests, and what runs these."""
+    found = re.search(r"<!-- the tests -->\n```sh\n(.*)\n```", README)
+    if found is None:
+        raise SystemExit("README.md: expected a block of commands after <!-- the tests -->")
+    return [shlex.split(command) for command in found[1].split(" && ")]
+
+
+def requirement(name: str) -> str:
+    """What the extra ``test`` says of a package, with its version."""
+    return next(each for each in PROJECT["project"]["optional-dependencies"]["test"] if re.match(rf"{name}\b", each))
+
+
+@nox.session(python=PYTHONS)
+def tests(session: nox.Session) -> None:
+    """The whole suite, as the README runs it."""
+    install, run = readme_commands()
+    session.run(*install)
+    session.run(*run, *session.posargs)
+
+
+@nox.session(python=PYTHONS)
+def quick(session: nox.Session) -> None:
+    """What differs between Pythons: the plugin, both engines, interruptions, the corpus, strategies."""
+    session.install(".", "pytest-xdist")
+    session.run("python", "-m", "pytest", "-n", "2", QUICK, *session.posargs)
+
+
+@nox.session(python=PYTHONS[0])
+def lint(session: nox.Session) -> None:
+    """Style and format."""
+    session.install(requirement("ruff"))
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+
+
+@nox.session(python=PYTHONS[0])
+def types(session: nox.Session) -> None:
+    """Strict types."""
+    session.install(".[test]")
+    session.run("mypy")
+
+
+@nox.session(python=PYTHONS[0])
+def docs(session: nox.Session) -> None:
+    """Every sample, table, link and option in the documents."""
+    session.install(".[test]")
+    session.run("python", "-m", "pytest", "-n", "2", "tests/test_docs.py", *session.posargs)

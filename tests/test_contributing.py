@@ -1,0 +1,95 @@
+"""What contributors are told to run exists, and is the same wherever it is told."""
+
+import ast
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import pytest_pafot
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+CI = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+NOX = (ROOT / "noxfile.py").read_text(encoding="utf-8")
+HOOKS = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def commands():
+    """Every command of every block, as words, without variables of the environment."""
+    blocks = "".join(re.findall(r"^```sh\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL))
+    for line in re.split(r"\n| && ", blocks.strip()):
+        words = shlex.split(line)
+        while "=" in words[0]:
+            del words[0]
+        yield words
+
+
+def said():
+    """Commands of the blocks, and those inside of sentences."""
+    return [*commands(), *(shlex.split(text) for text in re.findall(r"`((?:python -m|nox) [^`]*)`", TEXT))]
+
+
+def nox_sessions():
+    functions = [node for node in ast.parse(NOX).body if isinstance(node, ast.FunctionDef) and node.decorator_list]
+    return {node.name: ast.unparse(node) for node in functions}
+
+
+@pytest.fixture(scope="module")
+def options_of_pytest():
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", done.stdout))
+
+
+@pytest.mark.parametrize(
+    "words", [words for words in commands() if words[:3] == ["python", "-m", "pytest"]], ids=shlex.join
+)
+def test_pytest_knows_every_option_and_finds_every_file_of_a_command(words, options_of_pytest):
+    arguments = words[3:]
+    assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options_of_pytest
+    assert all((ROOT / word.removeprefix("@")).is_file() for word in arguments if word.endswith((".py", ".txt")))
+
+
+def test_every_program_and_session_that_is_named_exists():
+    for words in said():
+        if words[:2] == ["python", "-m"] and words[2].startswith("tests."):
+            assert (ROOT / words[2].replace(".", "/")).with_suffix(".py").is_file()
+        if words[0] == "python" and words[1].endswith(".py"):
+            assert (ROOT / words[1]).is_file()
+        if words[:2] == ["nox", "-s"]:
+            assert words[2] in nox_sessions()
+
+
+def test_the_quick_part_names_files_that_exist():
+    names = (ROOT / "tests" / "quick.txt").read_text(encoding="utf-8").splitlines()
+    assert names
+    assert [name for name in names if not (ROOT / name).is_file()] == []
+    assert "@tests/quick.txt" in CI
+    assert "@tests/quick.txt" in NOX
+
+
+@pytest.mark.parametrize("command", ["ruff check", "ruff format", "mypy"])
+def test_the_same_linters_run_by_hand_before_a_commit_in_nox_and_in_ci(command):
+    words = command.split()
+    assert any(each[: len(words)] == words for each in commands())
+    assert any(hook["entry"].startswith(command) for repository in HOOKS["repos"] for hook in repository["hooks"])
+    assert repr(words)[1:-1] in nox_sessions()["types" if command == "mypy" else "lint"]
+    assert re.search(rf"&& {command}\b", CI)
+
+
+def test_the_citation_is_of_this_version_and_of_the_paper_that_the_explanation_names():
+    assert CITATION["version"] == PROJECT["version"] == pytest_pafot.__version__
+    assert (CITATION["title"], CITATION["license"]) == (PROJECT["name"], PROJECT["license"])
+    (paper,) = CITATION["references"]
+    address = f"https://doi.org/{paper['doi']}"
+    assert PROJECT["urls"]["Paper"] == address
+    assert address in (ROOT / "docs" / "explanation.md").read_text(encoding="utf-8")
