@@ -10,13 +10,12 @@ from collections.abc import Mapping
 
 import pytest
 
-from pytest_pafot.plugin import fixtures, xdist
+from pytest_pafot.plugin import fixtures, messages, xdist
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.messages import Unseen
 from pytest_pafot.plugin.options import add_options
 from pytest_pafot.plugin.report_pages import Pages
-from pytest_pafot.plugin.session import SHARED, begin
+from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, begin
 from pytest_pafot.plugin.terminal_reporter import Reporter
 
 
@@ -35,7 +34,8 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", line)
     is_worker = xdist.is_worker(config)
     config.stash[SHARED] = xdist.shared_by_controller(config) if is_worker else begin()
-    features = {"fixtures": fixtures, "collection": Collection(config), "messages": Unseen()}
+    features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
+    config.stash[SUMMARY_LINES] = SummaryLines()
     if is_worker:
         features |= {"worker": xdist.Worker(config)}
     else:

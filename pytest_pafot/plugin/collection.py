@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
-from pytest_pafot.corpus.layout import (
-    CORPUS,
-    SUFFIX,
-    corpus_root,
-    folder_of_module,
-    folder_of_test,
-    is_corpus,
-    module_of_file,
-    safe_name,
-)
+from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
@@ -31,41 +22,21 @@ SEARCH = "search"
 """The argument of an item, until a simulated run takes its place."""
 
 
-class Explicit(NamedTuple):
-    """Corpus files that were given on the command line.
+def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
+    """Let corpus files be given on the command line: their test files are collected, and filtered later.
 
-    Attributes:
-        files: resolved paths.
-        modules: test files that are collected for their sake alone.
+    Returns:
+        the files, and the test files that are collected for their sake alone.
     """
-
-    files: frozenset[Path] = frozenset()
-    modules: frozenset[Path] = frozenset()
-
-
-class PossibleFiles(NamedTuple):
-    """Saved scenarios of one id that may belong to an item of a test function; the item's folder tells which does.
-
-    Attributes:
-        id: of all of them.
-        files: by the folder that belongs to one parametrisation.
-    """
-
-    id: str
-    files: Mapping[Path, Saved]
-
-
-def accept_files(config: pytest.Config) -> Explicit:
-    """Let corpus files be given on the command line: their test files are collected, and filtered later."""
-    given = [arg for arg in config.args if arg.endswith(SUFFIX)]
+    given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
     if not given:
-        return Explicit()
+        return set(), set()
     others = [_given_path(config, arg).resolve() for arg in config.args if arg not in given]
     files = [(config.invocation_params.dir / arg).resolve() for arg in given]
     modules = dict.fromkeys(_module_of(file, config) for file in files)
     added = [module for module in modules if not any(other in (module, *module.parents) for other in others)]
     config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]
-    return Explicit(frozenset(files), frozenset(added))
+    return set(files), set(added)
 
 
 class Collection:
@@ -74,8 +45,9 @@ class Collection:
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._rootpath = config.rootpath
-        self._explicit = accept_files(config)
+        self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
+        self._saved: dict[Path, Saved] = {}
         config.stash[UNRUN] = Unrun({}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
@@ -85,9 +57,9 @@ class Collection:
 
     def _is_corpus(self, folder: Path) -> bool:
         """What pytest runs in is none, nor, but by the usual name, what it was asked for."""
-        if folder.name == CORPUS:
+        if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
-        return self._corpus is not None and is_corpus(folder, self._corpus) and folder not in self._asked_for
+        return self._corpus is not None and layout.is_corpus(folder, self._corpus) and folder not in self._asked_for
 
     @cached_property
     def _corpus(self) -> Path | None:
@@ -111,25 +83,25 @@ class Collection:
         if arg not in metafunc.fixturenames or _is_parametrised(metafunc, arg):
             return  # The one item that this leaves says what is wrong when it is set up.
         saved = [
-            pytest.param(SEARCH, id=saved_part(possible.id), marks=[getattr(pytest.mark, SAVED_MARK)(possible)])
-            for possible in self._possible_files(metafunc.definition, arguments)
+            pytest.param(SEARCH, id=saved_part(each.id), marks=[getattr(pytest.mark, SAVED_MARK)(each)])
+            for each in self._saved_by_id(metafunc.definition, arguments)
         ]
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=SEARCH_PART), *saved])
 
-    def _possible_files(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> list[PossibleFiles]:
-        """Those of every parametrisation of a function, in the order of folders and ids."""
+    def _saved_by_id(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> Iterable[Saved]:
+        """One for each id among the files of every parametrisation of a function, in the order of folders and ids."""
         corpus = corpus_name(self._config, arguments)
         if corpus is None:
             return []
-        module_folder = folder_of_module(definition.path, corpus, self._rootpath)
-        name = safe_name(qualified_name(definition))
+        module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
+        name = layout.safe_name(qualified_name(definition))
         folders = sorted(module_folder.iterdir()) if module_folder.is_dir() else []
-        found: dict[str, dict[Path, Saved]] = {}
+        found: dict[str, Saved] = {}
         for folder in folders:
             if folder.name.partition("@")[0] == name or "~" in folder.name:  # a digest says nothing of the function
                 for saved in saved_in(folder):
-                    found.setdefault(saved.id, {})[folder] = saved
-        return [PossibleFiles(id=id_, files=files) for id_, files in found.items()]
+                    self._saved[saved.path] = found[saved.id] = saved
+        return found.values()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
@@ -152,7 +124,7 @@ class Collection:
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
-        saved = mark.args[0].files.get(folder)
+        saved = None if folder is None else self._saved.get(folder / mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         if saved is None or (frozen is not None and item.nodeid not in frozen):
             return False
@@ -167,7 +139,7 @@ class Collection:
         corpus = corpus_name(self._config, arguments)
         if corpus is None:
             return None
-        folder = folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
+        folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
         self._collected.folders.add(folder)
         self._collected.roots[folder.parents[1]] = item.path.parent
         return folder
@@ -176,7 +148,7 @@ class Collection:
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Find what no item runs before any selection, drop known searches after all."""
         self._find_unrun(items)
-        self._deselect(items, self._is_beside_explicit)
+        self._deselect(items, self._is_beside_given)
         yield
         self._drop_known_searches(items)
 
@@ -185,7 +157,7 @@ class Collection:
         roots = dict(self._collected.roots)
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
-            roots |= {corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
+            roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
         if not self._collected.roots and not any(root.is_dir() for root in roots):
             return
         collected = replace(self._collected, roots=roots, files={item.path for item in items})
@@ -193,12 +165,10 @@ class Collection:
         unrun.orphans.update(find_orphans(collected))
         unrun.strays.update(find_strays(collected, unrun.orphans))
 
-    def _is_beside_explicit(self, item: pytest.Item) -> bool:
-        """Whether only its module was asked for, for the sake of a corpus file that the item does not replay."""
-        if item.path not in self._explicit.modules:
-            return False
+    def _is_beside_given(self, item: pytest.Item) -> bool:
+        """Whether its module is collected only for the sake of a corpus file that the item does not replay."""
         saved = saved_of(item)
-        return saved is None or saved.path not in self._explicit.files
+        return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
 
     def _drop_known_searches(self, items: list[pytest.Item]) -> None:
         """Under ``--lf``, a search that failed by finds which are items by now need not run again."""
@@ -253,7 +223,7 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
         raise pytest.UsageError(f"{file}: expected a saved scenario, found no such file")
     corpus = corpus_name(config, {})
-    module = None if corpus is None else module_of_file(file, corpus, config.rootpath)
+    module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
         raise pytest.UsageError(

@@ -6,7 +6,6 @@ import difflib
 import inspect
 import sys
 from collections.abc import Generator, Sequence
-from itertools import chain
 
 import pytest
 
@@ -135,5 +134,5 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
         "        return lambda: MyPlanner()    # a fresh ADS for each scenario\n\n"
         'or name another fixture with @pafot.search(ads="..."), or give a factory with @pafot.search(ads=MyPlanner).'
     )
-    lines = [[line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines()]
-    return "\n".join(chain.from_iterable(lines))
+    lines = ([line] if line.startswith(" ") else wrapped_to(line, width) for line in text.splitlines())
+    return "\n".join(part for parts in lines for part in parts)

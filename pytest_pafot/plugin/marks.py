@@ -41,11 +41,7 @@ def search(*target: Any, **arguments: Any) -> Any:
     """
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorated(target[0], (), {})
-
-    def decorate(function: Any) -> Any:
-        return _decorated(function, target, arguments)
-
-    return decorate
+    return lambda function: _decorated(function, target, arguments)
 
 
 def _may_be_decorated(target: object) -> bool:

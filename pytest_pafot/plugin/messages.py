@@ -6,9 +6,8 @@ other, at once; everybody else takes it for a passed phase that shows nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -22,6 +21,18 @@ NEW = "new"
 """Label of a finding that was not known before."""
 
 
+class Message(NamedTuple):
+    """What an item tells.
+
+    Attributes:
+        kind: of the data, such as ``progress``.
+        data: plain.
+    """
+
+    kind: str
+    data: dict[str, Any]
+
+
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
     """Tell the controller; the data must be plain."""
     report = pytest.TestReport(
@@ -31,39 +42,17 @@ def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
         outcome="passed",
         longrepr=None,
         when=PHASE,  # type: ignore[arg-type]
-        pafot={"kind": kind, **data},
+        pafot=(kind, dict(data)),
     )
     item.ihook.pytest_runtest_logreport(report=report)
 
 
-def received(report: Any) -> dict[str, Any] | None:
+def received(report: Any) -> Message | None:
     """The message in a report, or None for an ordinary report."""
-    if getattr(report, "when", None) != PHASE:
-        return None
-    message: dict[str, Any] = report.pafot
-    return message
+    return Message(*report.pafot) if getattr(report, "when", None) == PHASE else None
 
 
-@contextmanager
-def faults_told(tell: Callable[[str], None], work: str) -> Iterator[None]:
-    """Tell of a fault in work at the end of a session, where pytest would lose the texts of all failures by it.
-
-    An interrupt ends the work and not the session, which ends by itself.
-
-    Args:
-        tell: takes one line for the summary.
-        work: that is done inside, in a few words.
-    """
-    try:
-        yield
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (whatever it is, the summary says so)
-        tell(f"{work}: {type(error).__name__}: {error}")
-
-
-class Unseen:
-    """Keeps messages out of the results, in the controller and in workers."""
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
-        """Messages are no category of results."""
-        return ("", "", "") if getattr(report, "when", None) == PHASE else None
+@pytest.hookimpl(tryfirst=True)
+def pytest_report_teststatus(report: Any) -> tuple[str, str, str] | None:
+    """Keep messages out of the results, in the controller and in workers: they are no category of them."""
+    return ("", "", "") if getattr(report, "when", None) == PHASE else None

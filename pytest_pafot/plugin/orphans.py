@@ -77,12 +77,14 @@ def find_strays(collected: Collected, orphans: Iterable[Path]) -> dict[str, str]
 
     No folder is searched for them but those on the way.
     """
-    on_the_way: set[Path] = set()
-    for root, directory in collected.roots.items():
-        above = (_up(root, collected.rootpath), _up(directory, collected.rootpath), modules_in(root))
-        on_the_way.update(*above)
+    top = collected.rootpath
+    on_the_way = {
+        folder
+        for root, directory in collected.roots.items()
+        for folder in (*_up(root, top), *_up(directory, top), *modules_in(root))
+    }
     files = (file for folder in sorted(on_the_way.difference(collected.folders, orphans)) for file in files_in(folder))
-    return {relative(file, collected.rootpath): _home(file, collected) for file in files}
+    return {relative(file, top): _home(file, collected) for file in files}
 
 
 def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:

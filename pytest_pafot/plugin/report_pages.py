@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -20,6 +20,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.session import SUMMARY_LINES, SummaryLines
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
@@ -28,11 +29,6 @@ if TYPE_CHECKING:
 
 ORDER = ("ego", "both", "npc", "none")
 """Of findings by responsibility: what the policy answers for comes first."""
-
-Line = tuple[str, bool]
-"""A line for the summary of the session, and whether it is a problem."""
-
-LINES = pytest.StashKey[list[Line]]()
 
 
 def showing_of(item: pytest.Item, settings: Settings) -> Showing | None:
@@ -62,50 +58,18 @@ class _Page:
     replayed: Counter[str] = field(default_factory=Counter)
     seeds: dict[int, None] = field(default_factory=dict)
 
-    def take(self, message: Mapping[str, Any], finding: FindingView | None) -> None:
+    def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
         """Add what an item tells."""
         if finding is not None:
             self.findings[finding.node_id] = finding
-        if "replayed" in message:
-            self.replayed[message["replayed"]] += 1
-        if "campaign" in message:
-            from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
-            from pytest_pafot.report.page_data import CampaignView  # noqa: PLC0415
-
-            campaign = decode(CampaignView, message["campaign"])
+        if campaign is not None:
             self.campaigns[campaign.node_id] = campaign
-            self.seeds[message["base_seed"]] = None
+            self.seeds[data["base_seed"]] = None
+        if "replayed" in data:
+            self.replayed[data["replayed"]] += 1
 
-    def report(
-        self,
-        config: pytest.Config,
-        completed: Callable[[FindingView], FindingView],
-        errors: tuple[tuple[str, str], ...],
-        *,
-        is_interrupted: bool,
-    ) -> Report:
-        """The content, in an order that does not depend on who was first.
-
-        Args:
-            config: of the session.
-            completed: adds what is known of a finding by now.
-            errors: node ids of what failed by no finding, and what pytest shows of it.
-            is_interrupted: whether the session was.
-        """
-        from pytest_pafot.report.page_data import Report  # noqa: PLC0415
-
-        findings = _by_test(map(completed, self.findings.values()))
-        return Report(
-            title=f"{config.rootpath.name}: {_counts(findings, errors)}",
-            facts=tuple(self._facts(is_interrupted=is_interrupted)),
-            command=shlex.join(["pytest", *map(str, config.invocation_params.args)]),
-            findings=findings,
-            campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
-            errors=errors,
-            is_interrupted=is_interrupted,
-        )
-
-    def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
+    def facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
+        """What the page says of the session as a whole."""
         from pytest_pafot.versions import installed_versions  # noqa: PLC0415
 
         if is_interrupted:
@@ -131,14 +95,14 @@ class Pages:
         self._targets: dict[str, Path] = {}
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
-        config.stash[LINES] = []
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: Any) -> None:
         """Take what items show; add it to the row of an ordinary report."""
         message = messages.received(report)
-        if message is not None and message["kind"] == messages.PAGE:
-            self._take(report.nodeid, message)
+        if message is not None:
+            if message.kind == messages.PAGE:
+                self._take(report.nodeid, message.data)
             return
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
@@ -147,43 +111,55 @@ class Pages:
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:
         """Write the pages, also when the session was interrupted."""
-        lines = self._config.stash[LINES]
-        is_interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
+        lines = self._config.stash[SUMMARY_LINES]
         for path, page in self._pages.items():
-            with messages.faults_told(self._tell_problem, f"--pafot-report={page.target}: not written"):
-                errors = self._errors(path)
-                report = page.report(self._config, self._completed, errors, is_interrupted=is_interrupted)
-                lines += _written(page.target, path, report, has_pictures=not is_interrupted)
+            with lines.faults(f"--pafot-report={page.target}: not written"):
+                report = self._report(path, page, is_interrupted=exitstatus == pytest.ExitCode.INTERRUPTED)
+                _write(page.target, path, report, lines)
         asked = self._config.getoption(BY_NAME["report"].key)
         if asked and not self._pages and not self._config.getoption("collectonly", False):
-            lines.append((f"--pafot-report={asked}: nothing was written, since no search and no replay ran", True))
+            lines.problems.append(f"--pafot-report={asked}: nothing was written, since no search and no replay ran")
 
-    def _tell_problem(self, text: str) -> None:
-        self._config.stash[LINES].append((text, True))
+    def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
+        from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
+        from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
 
-    def _errors(self, path: Path) -> tuple[tuple[str, str], ...]:
-        """What failed in items of a page, or in items that never came to name one, and is shown by no finding."""
-        return tuple(
-            (node_id, told)
-            for (node_id, when), told in sorted(self._failures.items())
-            if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
-        )
-
-    def _take(self, node_id: str, message: Mapping[str, Any]) -> None:
-        finding = _finding(message)
-        if finding is not None and _has_rows(self._config):
-            self._rows[finding.node_id] = finding
+        finding = decode(FindingView, data["view"]) if "view" in data else None
+        campaign = decode(CampaignView, data["campaign"]) if "campaign" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails for it, too
-        if "campaign" in message and message["campaign"]["reason"] == "error":
+            if _has_rows(self._config):
+                self._rows[finding.node_id] = finding
+        if campaign is not None and campaign.reason == "error":
             self._shown.discard(node_id)
-        self._runs.update(message.get("runs", {}))
-        self._labels.update(message.get("labels", {}))
-        target = message["target"]
+        self._runs.update(data.get("runs", {}))
+        self._labels.update(data.get("labels", {}))
+        target = data["target"]
         if target is not None:
             path = Path(os.path.normpath(self._config.invocation_params.dir / target))
             self._targets[node_id] = path
-            self._pages.setdefault(path, _Page(target=target)).take(message, finding)
+            self._pages.setdefault(path, _Page(target=target)).take(data, finding, campaign)
+
+    def _report(self, path: Path, page: _Page, *, is_interrupted: bool) -> Report:
+        """The content of a page, in an order that does not depend on who was first."""
+        from pytest_pafot.report.page_data import Report  # noqa: PLC0415
+
+        findings = _by_test(map(self._completed, page.findings.values()))
+        errors = tuple(
+            (node_id, told)
+            for (node_id, when), told in sorted(self._failures.items())
+            # Of items of this page, or that never came to name one, and shown by no finding.
+            if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
+        )
+        return Report(
+            title=f"{self._config.rootpath.name}: {_counts(findings, errors)}",
+            facts=tuple(page.facts(is_interrupted=is_interrupted)),
+            command=shlex.join(["pytest", *map(str, self._config.invocation_params.args)]),
+            findings=findings,
+            campaigns=tuple(page.campaigns[node_id] for node_id in sorted(page.campaigns)),
+            errors=errors,
+            is_interrupted=is_interrupted,
+        )
 
     def _add_row(self, report: Any, finding: FindingView) -> None:
         from pytest_html import extras  # noqa: PLC0415
@@ -194,11 +170,9 @@ class Pages:
 
     def _completed(self, finding: FindingView) -> FindingView:
         """With what is known only at the end of its search."""
-        return replace(
-            finding,
-            runs=self._runs.get(finding.node_id, finding.runs),
-            label=self._labels.get(finding.node_id, finding.label),
-        )
+        node_id = finding.node_id
+        runs, label = self._runs.get(node_id, finding.runs), self._labels.get(node_id, finding.label)
+        return replace(finding, runs=runs, label=label)
 
 
 def _has_rows(config: pytest.Config) -> bool:
@@ -206,59 +180,48 @@ def _has_rows(config: pytest.Config) -> bool:
     return bool(config.getoption("htmlpath", None))
 
 
-def _finding(message: Mapping[str, Any]) -> FindingView | None:
-    if "view" not in message:
-        return None
-    from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
-    from pytest_pafot.report.page_data import FindingView  # noqa: PLC0415
-
-    return decode(FindingView, message["view"])
-
-
 def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:
     """Those of a test together; the test whose first finding comes first is the first."""
-    ordered = sorted(findings, key=_place)
+    ordered = sorted(findings, key=_rank)
     tests = list(dict.fromkeys(finding.test for finding in ordered))
     return tuple(sorted(ordered, key=lambda finding: tests.index(finding.test)))
 
 
-def _place(finding: FindingView) -> tuple[bool, int, int, str]:
+def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
     """New before known, by responsibility, the most frequent first."""
     who = ORDER.index(finding.responsibility) if finding.responsibility in ORDER else len(ORDER)
     return not finding.label.startswith(messages.NEW), who, -finding.runs, finding.node_id
 
 
-def _written(target: str, path: Path, report: Report, *, has_pictures: bool) -> list[Line]:
-    """Write a report to a file or a folder; what to tell of it. Pictures take seconds each, a page does not."""
+def _write(target: str, path: Path, report: Report, lines: SummaryLines) -> None:
+    """Write a report to a file or a folder, and tell of it.
+
+    After an interrupt there are no pictures: they take seconds each, a page does not.
+    """
     from pytest_pafot.files import write_whole  # noqa: PLC0415
     from pytest_pafot.report.animation import AnimationError  # noqa: PLC0415
+    from pytest_pafot.report.folder import PAGE, report_files  # noqa: PLC0415
+    from pytest_pafot.report.page import render_page  # noqa: PLC0415
 
-    lines: list[Line] = []
-    shown, pictures = target, 0
+    is_file = is_page_file(target)
+    files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
+    missing = ", after an interrupt" if report.is_interrupted and not is_file else ""
+    pictures = 0
     try:
-        for name, content in islice(_contents(target, path, report), None if has_pictures else 1):
-            write_whole(name, content)
-            pictures += name.suffix == ".png"
-            shown = target if name == path else os.path.join(target, "index.html")  # noqa: PTH118
+        for name, content in islice(files, 1 if report.is_interrupted else None):
+            write_whole(path / name, content)
+            pictures += name.endswith(".png")
     except OSError as error:
-        reason = error.strerror or str(error)
-        return [(f"--pafot-report={target}: not written: {reason}: {error.filename or path}; name another place", True)]
+        reason = f"{error.strerror or error}: {error.filename or path}"
+        lines.problems.append(f"--pafot-report={target}: not written: {reason}; name another place")
+        return
     except AnimationError as error:
-        lines.append((f"--pafot-report={target}: the page is there, pictures are not: {error}", True))
-    if not has_pictures and not is_page_file(target):
-        lines.append((f"--pafot-report={target}: the page is there, pictures are not, after an interrupt", True))
+        missing = f": {error}"
+    shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
     more = f", {_plural(pictures, 'moving picture')}" if pictures else ""
-    return [(f"report: {shown} ({_counts(report.findings, report.errors)}{more})", False), *lines]
-
-
-def _contents(target: str, path: Path, report: Report) -> Iterable[tuple[Path, bytes]]:
-    if is_page_file(target):
-        from pytest_pafot.report.page import render_page  # noqa: PLC0415
-
-        return [(path, render_page(report).encode())]
-    from pytest_pafot.report.folder import report_files  # noqa: PLC0415
-
-    return ((path / name, content) for name, content in report_files(report))
+    lines.reports.append(f"report: {shown} ({_counts(report.findings, report.errors)}{more})")
+    if missing:
+        lines.problems.append(f"--pafot-report={target}: the page is there, pictures are not{missing}")
 
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import pytest
@@ -38,7 +40,32 @@ class Shared:
     begun: set[str] = field(default_factory=set)
 
 
+@dataclass(frozen=True, slots=True)
+class SummaryLines:
+    """Lines for the summary of the session, on the controller.
+
+    Attributes:
+        problems: anything that went wrong beside the tests.
+        reports: where reports are.
+    """
+
+    problems: list[str] = field(default_factory=list)
+    reports: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def faults(self, work: str) -> Iterator[None]:
+        """Tell of a fault in work at the end of a session, where pytest would lose the texts of all failures by it.
+
+        An interrupt ends the work, which is given in a few words, and not the session, which ends by itself.
+        """
+        try:
+            yield
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (whatever it is, the summary says so)
+            self.problems.append(f"{work}: {type(error).__name__}: {error}")
+
+
 SHARED = pytest.StashKey[Shared]()
+SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
 def begin() -> Shared:

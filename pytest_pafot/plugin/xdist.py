@@ -26,10 +26,8 @@ def is_worker(config: pytest.Config) -> bool:
 
 def shared_by_controller(config: pytest.Config) -> Shared:
     """What the controller of a worker has decided."""
-    values = dict(config.workerinput[KEY])  # type: ignore[attr-defined]
-    frozen = values["frozen"]
-    values["began"] = time.monotonic() - max(0.0, time.time() - values["began"])
-    return Shared(**values | {"frozen": None if frozen is None else frozenset(frozen)})
+    values = config.workerinput[KEY]  # type: ignore[attr-defined]
+    return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
 
 
 class Controller:
@@ -47,7 +45,7 @@ class Controller:
             "progress_seconds": shared.progress_seconds,
             "width": shared.width,
             "began": time.time() - (time.monotonic() - shared.began),  # a clock that another process has too
-            "frozen": None if shared.frozen is None else sorted(shared.frozen),
+            "frozen": shared.frozen,
         }
 
     @pytest.hookimpl(optionalhook=True)

@@ -3,7 +3,6 @@
 import html
 import json
 import re
-import stat
 import sys
 
 import pytest
@@ -12,7 +11,6 @@ import pytest_pafot.plugin.page_messages
 import pytest_pafot.report.folder
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.plugin import report_pages as paging
 from pytest_pafot.world.reference_drivers import REFERENCES
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
@@ -337,26 +335,6 @@ def test_rows_of_pytest_html_show_finds_and_failing_replays(failing, page):
 
 def test_rows_of_pytest_html_come_from_workers_too(failing):
     assert len(rows_of(failing, "-n", "1", subprocess=True)) == 1
-
-
-def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "report.html"
-    paging.write(path, b"old")
-
-    def fail(self, target):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(type(path), "replace", fail)
-    with pytest.raises(OSError, match="No space"):
-        paging.write(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_page_has_the_rights_of_any_new_file(tmp_path):
-    (tmp_path / "plain").write_bytes(b"")
-    paging.write(tmp_path / "report.html", b"page")
-    assert stat.S_IMODE((tmp_path / "report.html").stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
 
 
 def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page):
