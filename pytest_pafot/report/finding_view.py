@@ -1,15 +1,16 @@
-"""The view of a finding, built from the record of its run."""
+"""What the page shows of a finding, taken from its file and from the record of a run of it."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.report.page_data import (
     EventView,
     FindingView,
@@ -19,7 +20,7 @@ from pytest_pafot.report.page_data import (
     ShrinkView,
     VehicleView,
 )
-from pytest_pafot.report.road_view import grid_views, lane_views
+from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
@@ -54,30 +55,50 @@ def finding_view(
         preventable_tried: reference drivers that were tried, beside those in the finding that survived.
         shrink: see :func:`shrink_view`.
     """
-    first, _, rest = ("", "", "") if trace is None else Run(trace).explain().partition("\n")
-    survivors = tuple(finding.expect.preventable_by)
-    ticks = [] if trace is None else frame_ticks(trace)
-    road = _road(trace, finding)
-    return FindingView(
+    expect = finding.expect
+    clearance = finding.world.get("clearance", CLEARANCE)
+    clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
+    first, _, rest = ("" if trace is None else Run(trace).explain()).partition("\n")
+    view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
-        headline=headline or first or finding.expect.message or finding.expect.failure,
-        explanation=explanation or rest or finding.expect.message,
-        assertion=_assertion(finding),
-        responsibility=finding.expect.responsibility,
+        headline=headline or first or expect.message or expect.failure,
+        explanation=explanation or rest or expect.message,
+        assertion=_assertion(expect),
+        responsibility=expect.responsibility,
         generation=finding.found.generation,
-        road=road,
-        vehicles=() if trace is None else _vehicles(trace, ticks),
-        times=() if trace is None else tuple(round(float(tick) / trace.physics_hz, 3) for tick in ticks),
+        road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
+        vehicles=(),
+        times=(),
         instructions=_instructions(trace, finding),
-        event=_event(trace, finding),
+        event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=yaml,
         command=f"pytest {shlex.quote(node_id)}",
-        preventable_by=survivors,
-        preventable_tried=(*survivors, *(name for name in preventable_tried if name not in survivors)),
+        preventable_by=expect.preventable_by,
+        preventable_tried=tuple(dict.fromkeys((*expect.preventable_by, *preventable_tried))),
         shrink=shrink,
-        grid=() if trace is None or trace.track is None else grid_views(trace, ticks, road.clearance),
+    )
+    return view if trace is None else _with_run(view, trace, clearance)
+
+
+def _with_run(view: FindingView, trace: Trace, clearance: float) -> FindingView:
+    """The view with all that only a run shows: the road, who was where when, and the moment that it is about."""
+    run, ticks = Run(trace), frame_ticks(trace)
+    event = EventView(
+        kind=str(run.outcome),
+        time=round(min(run.event_time, run.duration), 3),
+        npc=run.event_npc,
+        side="" if run.collision is None else run.collision.side,
+        cell=None if run.event_cell is None else int(run.event_cell),
+    )
+    return replace(
+        view,
+        road=road_view(trace, clearance),
+        vehicles=_vehicles(trace, ticks),
+        times=tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
+        event=event,
+        grid=() if trace.track is None else grid_poses(trace, ticks, clearance),
     )
 
 
@@ -111,51 +132,28 @@ def frame_ticks(trace: Trace) -> list[int]:
     return sorted(ticks)
 
 
-def _road(trace: Trace | None, finding: Finding) -> RoadView:
-    clearance = finding.world.get("clearance", CLEARANCE)
-    clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    if trace is None:
-        return RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance)
-    if trace.track is not None:
-        return RoadView(
-            lanes=(),
-            lane_width=float(trace.lanes[0].width),
-            speed_limit=round(float(trace.speed_limit), 2),
-            clearance=clearance,
-            shapes=lane_views(trace),
-        )
-    across = [_projected(trace, np.array([lane.x]), np.array([lane.y]))[1][0] for lane in trace.lanes]
-    return RoadView(
-        lanes=tuple(round(float(value), 2) for value in across),
-        lane_width=float(trace.lanes[0].width),
-        speed_limit=round(float(trace.speed_limit), 2),
-        clearance=clearance,
-    )
-
-
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters = Encounters(trace)
     along, across, heading = _in_the_picture(trace)
     views = []
     for vehicle in range(trace.states.shape[1]):
-        npc = vehicle - 1
-        is_ego = vehicle == 0
-        views.append(
-            VehicleView(
-                name="ego" if is_ego else f"NPC {npc}",
-                length=float(trace.sizes[vehicle, 0]),
-                width=float(trace.sizes[vehicle, 1]),
-                along=_numbers(along[ticks, vehicle], 2),
-                across=_numbers(across[ticks, vehicle], 2),
-                heading=_numbers(heading[ticks, vehicle], 3),
-                speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
-                acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
-                jerk=_numbers(_jerk(trace, ticks, vehicle), 1),
-                gap=() if is_ego else _numbers(encounters.gap[npc, ticks], 2),
-                ttc=() if is_ego else _numbers(encounters.ttc[npc, ticks], 2),
-                cells=() if is_ego else tuple(int(encounters.cell(npc, tick) or 0) for tick in ticks),
-            )
+        view = VehicleView(
+            name=f"NPC {vehicle - 1}" if vehicle else "ego",
+            length=float(trace.sizes[vehicle, 0]),
+            width=float(trace.sizes[vehicle, 1]),
+            along=_numbers(along[ticks, vehicle], 2),
+            across=_numbers(across[ticks, vehicle], 2),
+            heading=_numbers(heading[ticks, vehicle], 3),
+            speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
+            acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
+            jerk=_numbers(_jerk(trace, ticks, vehicle), 1),
         )
+        if vehicle:
+            npc = vehicle - 1
+            cells = tuple(int(encounters.cell(npc, tick) or 0) for tick in ticks)
+            gap, ttc = _numbers(encounters.gap[npc, ticks], 2), _numbers(encounters.ttc[npc, ticks], 2)
+            view = replace(view, gap=gap, ttc=ttc, cells=cells)
+        views.append(view)
     return tuple(views)
 
 
@@ -171,69 +169,45 @@ def _in_the_picture(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray]:
     x, y, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
     if trace.track is not None:
         return x, y, np.unwrap(heading, axis=0)
-    return *_projected(trace, x, y), heading - trace.lanes[0].heading
-
-
-def _projected(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """World coordinates to (along, across) in the frame of the first lane [m]."""
-    lane = trace.lanes[0]
-    dx, dy = x - lane.x, y - lane.y
-    cos, sin = np.cos(lane.heading), np.sin(lane.heading)
-    return dx * cos + dy * sin, dy * cos - dx * sin
+    return *along_and_across(trace, x, y), heading - trace.lanes[0].heading
 
 
 def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:
+    """Without a run, as asked for; none of them begun."""
     asked = finding.scenario if trace is None else trace.scenario
-    driven = asked.npcs if trace is None else trace.chains
-    return tuple(
-        _instruction(trace, npc, gene, request, driven[npc][gene], asked.gene_seconds)
-        for npc, chain in enumerate(asked.npcs)
-        for gene, request in enumerate(chain)
-    )
-
-
-def _instruction(
-    trace: Trace | None, npc: int, gene: int, requested: Gene, driven: Gene, seconds: float
-) -> InstructionView:
-    arrivals = trace.arrivals[npc] if trace is not None and npc < len(trace.arrivals) else ()
-    arrival = arrivals[gene] if gene < len(arrivals) else None
-    return InstructionView(
-        npc=npc,
-        gene=gene,
-        start=round(gene * seconds, 3),
-        end=round((gene + 1) * seconds, 3),
-        requested=_cell_of(requested),
-        cell=_cell_of(driven),
-        speed=driven.speed,
-        started=gene < len(arrivals),
-        arrived=None if arrival is None or trace is None else round(arrival / trace.physics_hz, 3),
-        lane=driven.lane if isinstance(driven, LaneInstruction) else "",
-    )
+    driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
+    views = []
+    for npc, chain in enumerate(asked.npcs):
+        begun = arrivals[npc] if npc < len(arrivals) else ()
+        for gene, requested in enumerate(chain):
+            instruction = driven[npc][gene]
+            tick = begun[gene] if gene < len(begun) else None
+            views.append(
+                InstructionView(
+                    npc=npc,
+                    gene=gene,
+                    start=round(gene * asked.gene_seconds, 3),
+                    end=round((gene + 1) * asked.gene_seconds, 3),
+                    requested=_cell_of(requested),
+                    cell=_cell_of(instruction),
+                    speed=instruction.speed,
+                    started=gene < len(begun),
+                    arrived=None if tick is None else round(tick / hz, 3),
+                    lane=instruction.lane if isinstance(instruction, LaneInstruction) else "",
+                )
+            )
+    return tuple(views)
 
 
 def _cell_of(instruction: Gene) -> int:
     return int(instruction.cell) if isinstance(instruction, PositionInstruction) else 0
 
 
-def _assertion(finding: Finding) -> str:
+def _assertion(expect: Expect) -> str:
     """What failed, as the test has it."""
-    expect = finding.expect
     if expect.assertion:
         return f"assert {expect.assertion.removeprefix('assert ')}"
     return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
-
-
-def _event(trace: Trace | None, finding: Finding) -> EventView:
-    if trace is None:
-        return EventView(kind=str(finding.expect.outcome), time=finding.expect.time)
-    run = Run(trace)
-    return EventView(
-        kind=str(run.outcome),
-        time=round(min(run.event_time, run.duration), 3),
-        npc=run.event_npc,
-        side="" if run.collision is None else run.collision.side,
-        cell=None if run.event_cell is None else int(run.event_cell),
-    )
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:

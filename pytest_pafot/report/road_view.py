@@ -1,4 +1,4 @@
-"""Lanes and cells of roads that are not straight, in world coordinates, for the picture."""
+"""The road of a run for its picture: lanes, and in world coordinates where it is not straight the cells of the ego."""
 
 from __future__ import annotations
 
@@ -9,41 +9,72 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.report.page_data import LaneView, Pose
+from pytest_pafot.report.page_data import LaneView, Pose, RoadView
 from pytest_pafot.trace import ALONG, LANE, FloatArray, Lane, Trace, X, Y
-from pytest_pafot.world.roads.route import wrapped
-from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
 DENSE = 0.5
 """Distance of the points by which cells are found [m]."""
 BEYOND = 150.0
 """How far beyond where the vehicles came the lanes of the ego's way are drawn [m]."""
+SAME_DIRECTION = 0.5
+"""Largest angle between the lanes of one direction [rad]."""
 
 
-def lane_views(trace: Trace) -> tuple[LaneView, ...]:
-    """All lanes of a run, as lines with a width."""
+def road_view(trace: Trace, clearance: float) -> RoadView:
+    """The road of a run: how its lanes lie across it, or if it bends each lane as a line in the world.
+
+    Args:
+        trace: of the run.
+        clearance: gap between the ego and the cells ahead and behind [m].
+    """
+    ends = np.array([(lane.x, lane.y) for lane in trace.lanes])
+    across = along_and_across(trace, ends[:, 0], ends[:, 1])[1]
+    is_bent = trace.track is not None
+    return RoadView(
+        lanes=() if is_bent else tuple(round(float(value), 2) for value in across),
+        lane_width=float(trace.lanes[0].width),
+        speed_limit=round(float(trace.speed_limit), 2),
+        clearance=clearance,
+        shapes=_lane_lines(trace) if is_bent else (),
+    )
+
+
+def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """World coordinates in the frame of the first lane: along it, and across it to the right [m]."""
+    lane = trace.lanes[0]
+    dx, dy = x - lane.x, y - lane.y
+    cos, sin = np.cos(lane.heading), np.sin(lane.heading)
+    return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+def _lane_lines(trace: Trace) -> tuple[LaneView, ...]:
     reach = float(trace.track_of(0)[:, ALONG].max()) + BEYOND
     views = []
     for lane in trace.lanes:
-        points = _points(lane)
-        length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+        points, length = _measured(lane)
         shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
-        views.append(
-            LaneView(points=tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown), width=float(lane.width))
-        )
+        line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
+        views.append(LaneView(points=line, width=float(lane.width)))
     return tuple(views)
 
 
-def grid_views(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Pose | None, ...], ...]:
+def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
+    """Points of a lane's centre line, and the length of the line up to each [m]."""
+    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
+    points = np.array(lane.points or [(lane.x, lane.y), end])
+    return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+
+
+def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Pose | None, ...], ...]:
     """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
-    lanes = _Dense.of(trace.lanes)
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
-    rows = (float(trace.sizes[0, 0]) + other) / 2 + clearance
-    return tuple(lanes.cells(trace.ego[tick], rows, trace.lanes) for tick in ticks)
+    row = (float(trace.sizes[0, 0]) + other) / 2 + clearance
+    lanes = _DenseLanes.of(trace.lanes)
+    return tuple(lanes.cells_around(trace.ego[tick], row, trace.lanes) for tick in ticks)
 
 
 @dataclass(frozen=True, slots=True)
-class _Dense:
+class _DenseLanes:
     """All lanes as many points, each with its direction and the number of its lane."""
 
     x: FloatArray
@@ -52,51 +83,39 @@ class _Dense:
     lane: npt.NDArray[np.intp]
 
     @classmethod
-    def of(cls, lanes: Sequence[Lane]) -> _Dense:
-        parts = [_dense(lane) for lane in lanes]
-        x, y, heading = (np.concatenate([part[column] for part in parts]) for column in range(3))
-        return cls(x, y, heading, np.repeat(np.arange(len(lanes)), [len(part[0]) for part in parts]))
+    def of(cls, lanes: Sequence[Lane]) -> _DenseLanes:
+        parts = []
+        for number, lane in enumerate(lanes):
+            points, length = _measured(lane)
+            dense = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
+            x, y = (np.interp(dense, length, points[:, column]) for column in (0, 1))
+            parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
+        x, y, heading, number_of = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(x, y, heading, number_of)
 
-    def cells(self, ego: FloatArray, rows: float, lanes: Sequence[Lane]) -> tuple[Pose | None, ...]:
-        """The places of the cells around an ego."""
+    def cells_around(self, ego: FloatArray, row: float, lanes: Sequence[Lane]) -> tuple[Pose | None, ...]:
+        """The poses of the cells; a row ahead or behind is so many metres along the ego's lane."""
         number = int(ego[LANE])
         if number < 0:
             return (None,) * len(Cell)
         own = np.flatnonzero(self.lane == number)
         near = own[0] + int(np.hypot(self.x[own] - ego[X], self.y[own] - ego[Y]).argmin())
-        return tuple(self._cell(cell, near, own, rows, lanes[number].width) for cell in Cell)
+        bases = [near + round(cell.row * row / DENSE) for cell in Cell]
+        return tuple(
+            self._beside(base, cell.column, lanes[number].width) if own[0] <= base <= own[-1] else None
+            for cell, base in zip(Cell, bases, strict=True)
+        )
 
-    def _cell(self, cell: Cell, near: int, own: npt.NDArray[np.intp], rows: float, width: float) -> Pose | None:
-        base = near + round(cell.row * rows / DENSE)
-        if not own[0] <= base <= own[-1]:
-            return None
-        x, y, heading = float(self.x[base]), float(self.y[base]), float(self.heading[base])
-        if cell.column == 0:
-            return _pose(x, y, heading)
-        x, y = x - cell.column * width * np.sin(heading), y + cell.column * width * np.cos(heading)
-        turned = np.abs(wrapped(self.heading - heading))
-        distance = np.hypot(self.x - x, self.y - y)
-        distance[(turned > SAME_DIRECTION) | (self.lane == self.lane[base])] = np.inf
-        best = int(distance.argmin())
-        if distance[best] > width / 2:
-            return None
-        return _pose(float(self.x[best]), float(self.y[best]), float(self.heading[best]))
-
-
-def _pose(x: float, y: float, heading: float) -> Pose:
-    return round(x, 2), round(y, 2), round(heading, 3)
-
-
-def _points(lane: Lane) -> FloatArray:
-    if lane.points:
-        return np.array(lane.points)
-    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    return np.array([(lane.x, lane.y), end])
-
-
-def _dense(lane: Lane) -> tuple[FloatArray, FloatArray, FloatArray]:
-    points = _points(lane)
-    length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    places = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
-    x, y = (np.interp(places, length, points[:, column]) for column in (0, 1))
-    return x, y, np.arctan2(np.gradient(y), np.gradient(x))
+    def _beside(self, base: int, column: int, width: float) -> Pose | None:
+        """The point of a neighbouring lane that is nearest to a lane's width beside a point of the ego's lane."""
+        best = base
+        if column:
+            heading = self.heading[base]
+            x, y = self.x[base] - column * width * np.sin(heading), self.y[base] + column * width * np.cos(heading)
+            turned = np.abs((self.heading - heading + np.pi) % (2 * np.pi) - np.pi)
+            distance = np.hypot(self.x - x, self.y - y)
+            distance[(turned > SAME_DIRECTION) | (self.lane == self.lane[base])] = np.inf
+            best = int(distance.argmin())
+            if distance[best] > width / 2:
+                return None
+        return round(float(self.x[best]), 2), round(float(self.y[best]), 2), round(float(self.heading[best]), 3)

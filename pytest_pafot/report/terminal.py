@@ -1,13 +1,14 @@
-"""Text for the terminal: progress, finds, and the summary of searches and replays.
+"""What the terminal says: progress, each find, why a search fails, and at the end the summary of the session.
 
 Pure functions from values to lines of plain ASCII, as wide as the terminal at most but for node ids, paths and the
-user's own words. The values travel between processes as plain data.
+user's own words.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
@@ -21,7 +22,14 @@ MAX_FINDS = 20
 MAX_NAMED = 3
 """Finds that one line names."""
 
-MAX_QUIET_REPLAYS = 10
+MAX_REPLAYS = 10
+"""Replays that are listed one by one, of those that do not fail as before."""
+
+ORPHANED = "rename the folder to the test's new name, or remove it with --pafot-prune"
+LEFT_ALONE = (
+    "left alone: --pafot-prune removes files whose line `test:` names a test of this rootdir and of that folder, and "
+    "follows no link; delete the others by hand"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,22 +47,14 @@ class ReplaySummary:
     detail: str = ""
 
 
-_ORPHANED = "rename the folder to the test's new name, or remove it with --pafot-prune"
-_LEFT_ALONE = (
-    "left alone: --pafot-prune removes files whose line `test:` names a test of this rootdir and of that folder, and "
-    "follows no link; delete the others by hand"
-)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionSummary:
     """Everything that the summary of a session shows.
 
     Attributes:
-        searches: in the order in which they ended.
-        replays: likewise.
+        searches, replays: in the order in which they ended.
         orphans: folders of saved scenarios whose test is gone, with their number of files.
-        removed: the same of those that were removed.
+        removed: folders from which such files were removed, with how many.
         pruned: whether they were to be removed.
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
         problems: anything that went wrong beside the tests.
@@ -128,27 +128,31 @@ def find_section(
 def failure_line(search: SearchSummary) -> str:
     """Why a searching item fails, in one line."""
     ids = [*(find.id for find in search.finds), *search.unsaved]
-    more = f" and {len(ids) - MAX_NAMED} more" if len(ids) > MAX_NAMED else ""
-    return f"{plural(len(ids), 'new finding')}: {', '.join(ids[:MAX_NAMED])}{more}"
+    return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
 def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
-    firm = [_counted(find.id, find.repeats) for find in search.finds if not find.is_flaky]
+    named = [(find, f"{find.id} ({plural(1 + find.repeats, 'run')})") for find in search.finds]
+    firm = [name for find, name in named if not find.is_flaky]
     lines = [f"{plural(count, 'new finding')} in {plural(search.runs, 'run')}, reported below"]
     lines += [f"  {_listed(firm)}"] if firm else []
     lines += [
-        f"  {_counted(find.id, find.repeats)} is flaky, so never called fixed: {ascii_text(find.difference)}"
-        for find in search.finds
+        f"  {name} is flaky, so never called fixed: {ascii_text(find.difference)}"
+        for find, name in named
         if find.is_flaky
     ]
-    return "\n".join([*lines, *_unsaved_lines(search.unsaved)])
+    return "\n".join([*lines, *_unsaved_lines(search)])
 
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """A search in the summary: three lines when it is well, more where there is something to say."""
-    texts = [_figures(search), *_kept_lines(search), _origin(search)]
+    origin = (
+        f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
+        f"{search.generations} of {plural(search.asked, 'generation')}, ended: {search.reason}"
+    )
+    texts = [_figures(search), *_find_lines(search), origin]
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
@@ -156,23 +160,54 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     return [ascii_text(search.node_id), *(line for text in texts for line in _wrapped(text, width))]
 
 
-def replay_lines(replays: Iterable[ReplaySummary], width: int = WIDTH) -> list[str]:
+def _figures(search: SearchSummary) -> str:
+    parts = [f"{plural(search.runs, 'run')} in {search.seconds:.1f} s"]
+    counts = (
+        (search.shrink_runs, "more to shrink"),
+        (search.known_runs, "not run again"),
+        (search.failing, "failing"),
+        (search.npc, "npc at fault"),
+        (search.invalid, "invalid"),
+        (search.rejected, "rejected"),
+        (search.skipped, "skipped"),
+        (search.no_interaction, "without interaction"),
+    )
+    parts += [f"{count} {what}" for count, what in counts if count or what == "failing"]
+    parts += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
+    return ", ".join(parts)
+
+
+def _find_lines(search: SearchSummary) -> list[str]:
+    """How many finds there are, and where they lie; their own reports say which."""
+    if not search.finds and not search.unsaved:
+        return []
+    folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
+    problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
+    flaky = sum(find.is_flaky for find in search.finds)
+    count = plural(len(search.finds) + len(search.unsaved), "new finding")
+    place = f", saved in {' and '.join(folders)}" if folders else ""
+    lines = [f"{count}{f' ({flaky} flaky)' if flaky else ''}{place}"]
+    return [*lines, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search)]
+
+
+def _unsaved_lines(search: SearchSummary) -> list[str]:
+    names = [f"{id_} ({plural(count, 'run')})" for id_, count in search.unsaved.items()]
+    count = plural(len(names), "further finding")
+    return [f"  {count} not saved (--pafot-max-saved): {_listed(names)}"] if names else []
+
+
+def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[str]:
     """All replays: a count by label, then those that a reader should look at."""
-    replays = list(replays)
     if not replays:
         return []
-    counts: dict[str, int] = {}
-    for replay in replays:
-        counts[replay.label] = counts.get(replay.label, 0) + 1
-    figures = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
+    counts = sorted(Counter(replay.label for replay in replays).items())
+    figures = ", ".join(f"{count} {label}" for label, count in counts)
     lines = [f"replayed {plural(len(replays), 'saved scenario')}: {figures}"]
     shown = [replay for replay in replays if replay.label != "still failing"]
-    for replay in shown[:MAX_QUIET_REPLAYS]:
+    for replay in shown[:MAX_REPLAYS]:
         lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))
         lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
-    if len(shown) > MAX_QUIET_REPLAYS:
-        lines.append(f"  ... and {len(shown) - MAX_QUIET_REPLAYS} more")
-    return lines
+    return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -187,7 +222,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         for folder, count in folders:
             lines.append(ascii_text(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}"))
     if session.orphans:
-        lines += _wrapped(_LEFT_ALONE if session.pruned else _ORPHANED, width)
+        lines += _wrapped(LEFT_ALONE if session.pruned else ORPHANED, width)
     for file, place in session.strays:
         lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
     if any(find.path for search in session.searches for find in search.finds):
@@ -200,60 +235,9 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return [part for line in lines for part in line.splitlines()]
 
 
-def _figures(search: SearchSummary) -> str:
-    parts = [f"{plural(search.runs, 'run')} in {search.seconds:.1f} s"]
-    if search.shrink_runs:
-        parts.append(f"{search.shrink_runs} more to shrink")
-    if search.known_runs:
-        parts.append(f"{search.known_runs} not run again")
-    parts.append(f"{search.failing} failing")
-    unjudged = (
-        (search.npc, "npc at fault"),
-        (search.invalid, "invalid"),
-        (search.rejected, "rejected"),
-        (search.skipped, "skipped"),
-        (search.no_interaction, "without interaction"),
-    )
-    parts += [f"{count} {what}" for count, what in unjudged if count]
-    if search.reached is not None:
-        parts.append(f"{search.reached:.0%} of genes reached")
-    return ", ".join(parts)
-
-
-def _origin(search: SearchSummary) -> str:
-    return (
-        f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
-        f"{search.generations} of {plural(search.asked, 'generation')}, ended: {search.reason}"
-    )
-
-
-def _kept_lines(search: SearchSummary) -> list[str]:
-    """How many finds there are, and where they lie; their own reports say which."""
-    if not search.finds and not search.unsaved:
-        return []
-    folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
-    problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
-    flaky = sum(find.is_flaky for find in search.finds)
-    count = plural(len(search.finds) + len(search.unsaved), "new finding")
-    place = f", saved in {' and '.join(folders)}" if folders else ""
-    lines = [f"{count}{f' ({flaky} flaky)' if flaky else ''}{place}"]
-    return [*lines, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search.unsaved)]
-
-
-def _unsaved_lines(unsaved: Mapping[str, int]) -> list[str]:
-    if not unsaved:
-        return []
-    names = _listed([f"{id_} ({plural(count, 'run')})" for id_, count in unsaved.items()])
-    return [f"  {plural(len(unsaved), 'further finding')} not saved (--pafot-max-saved): {names}"]
-
-
-def _counted(id_: str, repeats: int) -> str:
-    return f"{id_} ({plural(1 + repeats, 'run')})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MAX_FINDS} more" if len(names) > MAX_FINDS else ""
-    return f"{', '.join(names[:MAX_FINDS])}{more}"
+def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return f"{', '.join(names[:limit])}{more}"
 
 
 def _wrapped(text: str, width: int) -> list[str]:
