@@ -40,8 +40,6 @@ Candidates = Iterator[Scenario | None]
 
 Pass = Callable[[Scenario], Candidates]
 
-Key = tuple[int, ...]
-
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
 
@@ -85,7 +83,7 @@ class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is no error
     """No runs are left."""
 
 
-def sort_key(scenario: Scenario) -> Key:
+def sort_key(scenario: Scenario) -> tuple[int, ...]:
     """The order of "simpler": of two scenarios the one with the smaller key, compared from the left.
 
     1. NPCs, since each of them is a participant to understand.
@@ -105,7 +103,7 @@ def sort_key(scenario: Scenario) -> Key:
         sum(map(_moves, scenario.npcs)),
         scenario.genes,
         sum(map(len, scenario.npcs)),
-        sum(map(_roughness, speeds)),
+        sum((speed % FIVE > 0) + (speed % ONE > 0) for speed in speeds),
         sum(speeds),
         scenario.seed,
     )
@@ -142,12 +140,14 @@ def shrink(
         starts: lets a scenario begin later, in the ego's state of that moment.
         is_over: asked before each run; whether time is up.
     """
-    gate = _Gate(scenario, attempt, rollouts=rollouts, top_speed=top_speed, is_over=is_over)
+    top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
+    tried: dict[Scenario, Scenario | None] = {scenario: scenario}
+    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts, top=top, is_over=is_over, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False
     try:
         later: Pass = partial(_later, starts=starts)
-        while sum(_exhausted(gate, candidates) for candidates in (*PASSES, later)):  # Each of them, in every round.
+        while sum(map(gate.exhausts, (*PASSES, later))):  # Each of them, in every round.
             pass
         is_minimal = True
         intervals.extend(_intervals(gate))
@@ -156,22 +156,20 @@ def shrink(
     return Shrunk(scenario=gate.best, rollouts=gate.spent, is_minimal=is_minimal, intervals=tuple(intervals))
 
 
+@dataclass(slots=True, kw_only=True)
 class _Gate:
     """The one gate before each run: a candidate must be valid, simpler than the best, and not tried before.
 
     Scenarios are equal when their canonical texts are: speeds in tenths, cells in 1 to 8.
     """
 
-    def __init__(
-        self, scenario: Scenario, attempt: Attempt, *, rollouts: int, top_speed: float, is_over: Callable[[], bool]
-    ) -> None:
-        self.best = scenario
-        self.spent = 0
-        self.top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
-        self._attempt = attempt
-        self._rollouts = rollouts
-        self._is_over = is_over
-        self._tried: dict[Scenario, Scenario | None] = {scenario: scenario}
+    best: Scenario
+    attempt: Attempt
+    rollouts: int
+    top: int
+    is_over: Callable[[], bool]
+    tried: dict[Scenario, Scenario | None]
+    spent: int = 0
 
     def simplifies(self, candidate: Scenario | None) -> bool:
         """Whether a candidate fails likewise and is simpler; it is the best from then on."""
@@ -183,6 +181,13 @@ class _Gate:
         self.best = driven
         return True
 
+    def exhausts(self, candidates: Pass) -> bool:
+        """Apply a pass until it finds nothing more; whether it found anything."""
+        found = False
+        while any(self.simplifies(candidate) for candidate in candidates(self.best)):
+            found = True
+        return found
+
     def driven(self, candidate: Scenario) -> Scenario | None:
         """The candidate as driven where it fails likewise.
 
@@ -191,22 +196,14 @@ class _Gate:
         """
         if any(_tenths(gene) > self.top for chain in candidate.npcs for gene in chain):
             return None
-        if candidate not in self._tried:
-            if self.spent >= self._rollouts or self._is_over():
+        if candidate not in self.tried:
+            if self.spent >= self.rollouts or self.is_over():
                 raise OutOfBudget
             self.spent += 1
-            driven = self._tried[candidate] = self._attempt(candidate)
+            driven = self.tried[candidate] = self.attempt(candidate)
             if driven is not None:
-                self._tried[driven] = driven  # A scenario as driven is a fixed point of the repair.
-        return self._tried[candidate]
-
-
-def _exhausted(gate: _Gate, candidates: Pass) -> bool:
-    """Apply a pass until it finds nothing more; whether it found anything."""
-    found = False
-    while any(gate.simplifies(candidate) for candidate in candidates(gate.best)):
-        found = True
-    return found
+                self.tried[driven] = driven  # A scenario as driven is a fixed point of the repair.
+        return self.tried[candidate]
 
 
 def _fewer_npcs(scenario: Scenario) -> Candidates:
@@ -214,15 +211,16 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
     npcs = scenario.npcs
     for npc in npcs if len(npcs) > 1 else ():
         yield replace(scenario, npcs=(npc,))
-    for start, end in _slices(len(npcs), most=len(npcs) - 1):
+    for start, end in _slices(len(npcs), len(npcs) - 1):
         yield replace(scenario, npcs=npcs[:start] + npcs[end:])
 
 
 def _shorter(scenario: Scenario) -> Candidates:
     """Without the tail, then without any other stretch of time, long ones first."""
-    for genes in _growing(scenario.genes - 1):
+    most = scenario.genes - 1
+    for genes in sorted({1 << power for power in range(most.bit_length())} | {most} - {0}):  # 1, 2, 4 ... most
         yield scenario.truncated(genes)
-    for start, end in _slices(scenario.genes, most=scenario.genes - 1):
+    for start, end in _slices(scenario.genes, most):
         yield _valid(scenario, tuple(chain[:start] + chain[end:] for chain in scenario.npcs))
 
 
@@ -234,9 +232,9 @@ def _later(scenario: Scenario, starts: Starts) -> Candidates:
 
 
 def _shorter_chains(scenario: Scenario) -> Candidates:
-    """The same for one NPC, which keeps its lane and speed after its last gene."""
+    """Without a stretch of one NPC's chain, long ones first; after its last gene it keeps its lane and speed."""
     for npc, chain in enumerate(scenario.npcs):
-        for start, end in _slices(len(chain), most=len(chain) - 1):
+        for start, end in _slices(len(chain), len(chain) - 1):
             yield _with_chain(scenario, npc, chain[:start] + chain[end:])
 
 
@@ -264,7 +262,7 @@ def _staying(scenario: Scenario) -> Candidates:
 
 def _rounder(scenario: Scenario) -> Candidates:
     """The multiples of 5 m/s, then of 1 m/s, next to a speed."""
-    for npc, start, end in _places(scenario):
+    for npc, start, end in _all_blocks(scenario):
         speed = _tenths(scenario.npcs[npc][start])
         for unit in (FIVE, ONE):
             below = speed // unit * unit
@@ -274,7 +272,7 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 def _slower(scenario: Scenario) -> Candidates:
     """To a standstill, or down by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
-    for npc, start, end in _places(scenario):
+    for npc, start, end in _all_blocks(scenario):
         speed = _tenths(scenario.npcs[npc][start])
         for lower in (speed, FIVE, ONE, TENTH):
             yield _with_speed(scenario, npc, start, end, speed - lower)
@@ -301,7 +299,7 @@ PASSES: tuple[Pass, ...] = (
 def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
     """For every instruction, how far its speed can go down and up while the scenario fails."""
     scenario = gate.best
-    for npc, start, end in _places(scenario):
+    for npc, start, end in _all_blocks(scenario):
         speed = _tenths(scenario.npcs[npc][start])
 
         def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> bool:
@@ -329,23 +327,12 @@ def _furthest(holds: Callable[[int], bool], direction: int, most: int) -> int:
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
     """[start, end) of all runs that are ``most`` long, then half as long, and so on down to 1."""
-    for size in _halved(most):
-        yield from ((start, start + size) for start in range(length - size + 1))
+    while most > 0:
+        yield from ((start, start + most) for start in range(length - most + 1))
+        most //= 2
 
 
-def _halved(number: int) -> Iterator[int]:
-    """A number and its halves, down to 1."""
-    while number > 0:
-        yield number
-        number //= 2
-
-
-def _growing(most: int) -> list[int]:
-    """1, 2, 4 ... and in the end ``most``."""
-    return sorted({1 << power for power in range(most.bit_length())} | {most}) if most > 0 else []
-
-
-def _places(scenario: Scenario) -> Iterator[tuple[int, int, int]]:
+def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int]]:
     """NPC, and [start, end) of each of its blocks."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _blocks(chain):
@@ -401,7 +388,3 @@ def _tenths(instruction: Gene) -> int:
 
 def _mps(tenths: int) -> float:
     return tenths / SPEED_STEPS_PER_MPS
-
-
-def _roughness(tenths: int) -> int:
-    return 0 if tenths % FIVE == 0 else 1 if tenths % ONE == 0 else 2
