@@ -33,7 +33,6 @@ MAX_SPEED = 1000.0
 
 MAX_SEED = 2**63 - 1
 
-
 REPAIR = "Scenario.repaired(...) makes such chains valid"
 """The way out of chains that break the ring."""
 
@@ -161,7 +160,10 @@ class Scenario:
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
         object.__setattr__(self, "ego_speed", _number("ego_speed", self.ego_speed))
         object.__setattr__(self, "gene_seconds", _number("gene_seconds", self.gene_seconds))
-        _check_start(self)
+        if self.ego_speed < 0:
+            raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(self.ego_speed))
+        if self.gene_seconds <= 0:
+            raise ScenarioError(field="gene_seconds", expected="seconds, more than 0", received=repr(self.gene_seconds))
         _check_adjacency(self.positions)
         _check_distinct(self.positions)
 
@@ -181,23 +183,16 @@ class Scenario:
         """
         chains = _checked_chains(npcs)
         seed = _checked_whole("seed", seed, MAX_SEED)
-        positions = positions_of(chains)
-        cells = repair_chains([[gene.cell for gene in chain] for chain in positions], seed)
-        if [[gene.cell for gene in chain] for chain in positions] != [list(row) for row in cells]:
-            chains = tuple(
-                tuple(replace(gene, cell=cell) for gene, cell in zip(chain, row, strict=True))
-                for chain, row in zip(positions, cells, strict=True)
-            )
-        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+        wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
+        cells = repair_chains(wanted, seed)
+        npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, cells)
+        return cls(npcs=npcs, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
 
     @classmethod
     def trusted(
         cls, *, npcs: tuple[Chromosome, ...], seed: int, ego_lane: int, ego_speed: float, gene_seconds: float
     ) -> Scenario:
-        """The same as the constructor for values that are valid by construction, without its checks.
-
-        For a search, which makes a scenario for every child out of genes and starts that were checked before.
-        """
+        """A scenario without the constructor's checks, for a search, whose children have genes that were checked."""
         scenario = object.__new__(cls)
         object.__setattr__(scenario, "npcs", npcs)
         object.__setattr__(scenario, "seed", seed)
@@ -263,12 +258,9 @@ def _checked_speed(value: object) -> float:
         raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
     steps = round(speed * SPEED_STEPS_PER_MPS)
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
-        raise ScenarioError(
-            field="speed",
-            expected="m/s, at least 0 and in steps of 0.1",
-            received=repr(value),
-            fix=f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}",
-        )
+        expected = "m/s, at least 0 and in steps of 0.1"
+        fix = f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}"
+        raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 
 
@@ -304,12 +296,9 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
-        raise ScenarioError(
-            field="npcs",
-            expected="one chain of Position-Instructions per NPC",
-            received=repr(npcs),
-            fix="write [[PositionInstruction(cell, speed), ...], ...]",
-        ) from None
+        expected = "one chain of Position-Instructions per NPC"
+        fix = "write [[PositionInstruction(cell, speed), ...], ...]"
+        raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     _check_genes(chains)
     return chains
 
@@ -347,26 +336,15 @@ def _check_genes(npcs: Sequence[Sequence[Gene]]) -> None:
             raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
 
 
-def _check_start(scenario: Scenario) -> None:
-    if scenario.ego_speed < 0:
-        raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(scenario.ego_speed))
-    if scenario.gene_seconds <= 0:
-        expected = "seconds, more than 0"
-        raise ScenarioError(field="gene_seconds", expected=expected, received=repr(scenario.gene_seconds))
-
-
 def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
     for npc, chain in enumerate(npcs):
         for gene in range(1, len(chain)):
             before, cell = chain[gene - 1].cell, chain[gene].cell
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
-                raise ScenarioError(
-                    field=f"npcs[{npc}][{gene}]",
-                    expected=f"cell {int(before)} again or its ring neighbour {int(low)} or {int(high)}",
-                    received=f"cell {int(cell)}",
-                    fix=REPAIR,
-                )
+                place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
+                expected = f"cell {int(before)} again or its ring neighbour {int(low)} or {int(high)}"
+                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
 
 
 def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
@@ -377,9 +355,6 @@ def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
                 continue
             other = holders.setdefault(chain[gene].cell, npc)
             if other != npc:
-                raise ScenarioError(
-                    field=f"npcs[{npc}][{gene}]",
-                    expected=f"a cell that no other NPC holds in gene {gene}",
-                    received=f"cell {int(chain[gene].cell)} of npcs[{other}]",
-                    fix=REPAIR,
-                )
+                place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
+                received = f"cell {int(chain[gene].cell)} of npcs[{other}]"
+                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

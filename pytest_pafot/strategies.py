@@ -80,7 +80,7 @@ def chromosomes(
         ValueError: for bounds that leave nothing to draw.
     """
     chains = _chains(_cells(cells), _cells(cells), _speeds(min_speed, max_speed))
-    return _lengths(min_genes, max_genes).flatmap(lambda genes: chains(1, genes)).map(lambda npcs: npcs[0])
+    return _bounds("genes", min_genes, max_genes).flatmap(lambda genes: chains(1, genes)).map(lambda npcs: npcs[0])
 
 
 def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
@@ -113,11 +113,15 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         ValueError: for bounds that leave nothing to draw.
     """
     allowed, speeds = _cells(cells), _speeds(min_speed, max_speed)
-    lengths, counts = _lengths(min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
+    lengths, counts = _bounds("genes", min_genes, max_genes), _bounds("npcs", min_npcs, max_npcs, 8)
     if lanes < 1 or (ego_lane is not None and not 0 <= ego_lane < lanes):
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
     starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
-    usable = [lane for lane in _lanes(lanes, ego_lane) if len(starts[lane]) >= max_npcs]
+    # Examples shrink to the first lane, which is to be the one next to the leftmost.
+    candidates = (
+        sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane)) if ego_lane is None else [ego_lane]
+    )
+    usable = [lane for lane in candidates if len(starts[lane]) >= max_npcs]
     if not usable:
         raise ValueError(
             f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs} with "
@@ -178,19 +182,10 @@ def _cells(cells: Iterable[int]) -> list[Cell]:
     return chosen
 
 
-def _lengths(low: int, high: int) -> SearchStrategy[int]:
-    return _bounds("genes", low, high, None)
-
-
-def _bounds(name: str, low: int, high: int, most: int | None) -> SearchStrategy[int]:
+def _bounds(name: str, low: int, high: int, most: int | None = None) -> SearchStrategy[int]:
     if not 1 <= low <= high or (most is not None and high > most):
         raise ValueError(
             f"min_{name}, max_{name}: expected 1 <= min_{name} <= max_{name}{'' if most is None else f' <= {most}'}, "
             f"received {low!r} and {high!r}"
         )
     return st.integers(low, high)
-
-
-def _lanes(lanes: int, ego_lane: int | None) -> list[int]:
-    """Candidate lanes of the ego, the one next to the leftmost first because examples shrink to it."""
-    return sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane)) if ego_lane is None else [ego_lane]

@@ -7,9 +7,9 @@ import math
 import os
 import re
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import FrameType, TracebackType
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from types import TracebackType
 from typing import Any
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
@@ -39,9 +39,6 @@ _TEMPORARY = re.compile(
 )
 _RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]pytest-\d+)")
 _TOOK = re.compile(r"took [\d.]+ s")
-Cause = tuple[str, str]
-"""Of an exception: its class, and where it was raised."""
-
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
@@ -88,17 +85,7 @@ class Expect:
     @property
     def signature(self) -> Signature:
         """The identity of the failure."""
-        return Signature(
-            failure=self.failure,
-            assertion=self.assertion,
-            outcome=self.outcome,
-            responsibility=self.responsibility,
-            fault=self.fault,
-            side=self.side,
-            cell=self.cell,
-            npc_manoeuvre=self.npc_manoeuvre,
-            ego_manoeuvre=self.ego_manoeuvre,
-        )
+        return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
 
     @classmethod
     def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = (), root: str = "") -> Expect:
@@ -213,14 +200,8 @@ class Finding:
     ) -> Finding:
         """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
         expect = Expect.of(run, failure, root=root)
-        return cls(
-            id=f"{expect.signature.slug}-{run.scenario.id}",
-            test=test,
-            scenario=run.scenario,
-            world=world,
-            expect=expect,
-            found=found,
-        )
+        id_ = f"{expect.signature.slug}-{run.scenario.id}"
+        return cls(id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found)
 
 
 def of_failure(run: Run, failure: Failure) -> Signature:
@@ -241,11 +222,13 @@ def ads_failure(run: Run) -> Failure | None:
     if run.ads_error is not None:
         return Failure(kind=run.ads_error.kind, message=run.ads_error.message, traceback=run.ads_error.traceback)
     if run.too_slow:
-        limit = f"{run.decision_limit:g} s"
-        return Failure(
-            kind=SLOW_DECISION, message=f"a decision took {run.max_decision_time:.3f} s, allowed are {limit}"
-        )
+        message = f"a decision took {run.max_decision_time:.3f} s, allowed are {run.decision_limit:g} s"
+        return Failure(kind=SLOW_DECISION, message=message)
     return None
+
+
+Cause = tuple[str, str]
+"""Of an exception: its class, and where it was raised."""
 
 
 def first_decision_cause(error: AdsError | None) -> Cause | None:
@@ -265,15 +248,12 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
         exception: as caught, with its traceback.
         test_file: path of the user's module, as in its code objects.
     """
-    statements = [_statement(tb) for tb in _frames(exception.__traceback__)]
+    statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""
     asserted = deepest if isinstance(exception, AssertionError) and deepest.startswith("assert") else ""
-    return Failure(
-        kind=type(exception).__name__,
-        message=message_of(exception),
-        assertion=asserted or (own[-1] if own else ""),
-    )
+    assertion = asserted or (own[-1] if own else "")
+    return Failure(kind=type(exception).__name__, message=message_of(exception), assertion=assertion)
 
 
 def message_of(exception: BaseException) -> str:
@@ -297,15 +277,14 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
             if not isinstance(key, str) or len(key) > MAX_KEY:
                 raise ValueError(f"{name}: expected keys of text, at most {MAX_KEY} characters, received {key!r:.80}")
             check_plain(f"{name}.{key}", inner, depth + 1)
-        return
-    if isinstance(value, list):
+    elif isinstance(value, list):
         for index, inner in enumerate(value):
             check_plain(f"{name}[{index}]", inner, depth + 1)
-        return
-    raise ValueError(
-        f"{name}: expected plain data (null, true/false, numbers, text, lists, mappings), "
-        f"received {type(value).__name__} {value!r:.60}; convert it"
-    )
+    else:
+        raise ValueError(
+            f"{name}: expected plain data (null, true/false, numbers, text, lists, mappings), "
+            f"received {type(value).__name__} {value!r:.60}; convert it"
+        )
 
 
 def portable(text: str, root: str = "") -> str:
@@ -332,20 +311,14 @@ def _tail(text: str) -> str:
     return text if len(text) <= MAX_TRACEBACK else "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
 
 
-def _frames(tb: TracebackType | None) -> list[TracebackType]:
-    frames = []
+def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
+    """Source text at each entry of a traceback, over all its lines, and its file; empty text where there is none."""
     while tb is not None:
-        frames.append(tb)
+        frame, code = tb.tb_frame, tb.tb_frame.f_code
+        positions = list(code.co_positions())
+        start, end, *_ = positions[tb.tb_lasti // 2] if 0 <= tb.tb_lasti // 2 < len(positions) else (None, None)
+        first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
+        numbers = range(first, min(last, first + 50) + 1)
+        lines = [linecache.getline(code.co_filename, number, frame.f_globals) for number in numbers]
+        yield "".join(lines).strip(), code.co_filename
         tb = tb.tb_next
-    return frames
-
-
-def _statement(tb: TracebackType) -> tuple[str, str]:
-    """Source text at a traceback entry, over all its lines, and its file; the text is empty where there is none."""
-    frame: FrameType = tb.tb_frame
-    file = frame.f_code.co_filename
-    positions = list(frame.f_code.co_positions())
-    start, end, *_ = positions[tb.tb_lasti // 2] if 0 <= tb.tb_lasti // 2 < len(positions) else (None, None)
-    first, last = start or tb.tb_lineno or 0, end or start or tb.tb_lineno or 0
-    lines = [linecache.getline(file, number, frame.f_globals) for number in range(first, min(last, first + 50) + 1)]
-    return "".join(lines).strip(), file

@@ -11,7 +11,7 @@ import numpy as np
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.run import Run
-from pytest_pafot.trace import Collision, Outcome, Y
+from pytest_pafot.trace import Outcome, Y
 
 Label = Literal["fixed", "still failing", "drifted"]
 
@@ -86,7 +86,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
         return "still failing" if is_same and failure.kind == finding.expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
-    return "fixed" if is_same or not _has_ended_otherwise(run) else "drifted"
+    # One that was cut short did not drive the rest of the scenario.
+    is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
+    return "fixed" if is_same or is_whole else "drifted"
 
 
 def ending(run: Run) -> str:
@@ -106,7 +108,9 @@ def disagreement(first: Run, again: Run) -> str:
     if first.outcome != again.outcome:
         return f"{ending(first)}, then {ending(again)}"
     if first.collision is not None and again.collision is not None:
-        return _other_collision(first.collision, again.collision)
+        one, other = first.collision, again.collision
+        is_same = (one.npc, one.side, one.cell) == (other.npc, other.side, other.cell)
+        return "" if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9 else f"{one!r}, then {other!r}"
     if abs(first.duration - again.duration) > SAME_TIME + 1e-9:
         return f"{first.outcome} after {first.duration:.1f} s, then after {again.duration:.1f} s"
     ticks = min(len(first.trace.states), len(again.trace.states))
@@ -117,19 +121,9 @@ def disagreement(first: Run, again: Run) -> str:
     return f"positions differ by more than {SAME_PLACE:g} m from {tick / first.trace.physics_hz:.1f} s on"
 
 
-def _other_collision(first: Collision, again: Collision) -> str:
-    is_same = (first.npc, first.side, first.cell) == (again.npc, again.side, again.cell)
-    return "" if is_same and abs(first.time - again.time) <= SAME_TIME + 1e-9 else f"{first!r}, then {again!r}"
-
-
 def _same_event(finding: Finding, run: Run) -> bool:
     expect = finding.expect
     side = None if run.collision is None else run.collision.side
     now = (run.outcome, run.event_npc, run.event_cell, side)
     same_kind = now == (expect.outcome, expect.npc, expect.cell, expect.side)
     return same_kind and abs(run.event_time - expect.time) <= SAME_TIME + 1e-9
-
-
-def _has_ended_otherwise(run: Run) -> bool:
-    """Whether a passing run was cut short, so that the rest of the scenario was not driven."""
-    return run.collision is not None or run.ads_error is not None or run.outcome == "invalid"
