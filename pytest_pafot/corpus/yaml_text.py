@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from pytest_pafot.corpus.schema import VERSION
+from pytest_pafot.corpus.schema import FOUND, VERSION
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.scenario import PositionInstruction, Scenario
 
@@ -26,24 +26,16 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 
 def text_of(finding: Finding) -> str:
     """The file's whole text, with LF line ends."""
-    found = finding.found
+    test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",
-        f"test: {_block_scalar(finding.test)}",
-        *_flow_lines("world", finding.world),
+        f"test: {test}",
+        *_filled("world: ", finding.world),
         *_scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
-        *_flow_lines(
-            "found",
-            {
-                "seed": found.seed,
-                "generation": found.generation,
-                "algorithm": found.algorithm,
-                "versions": found.versions,
-            },
-        ),
+        *_filled("found: ", {key: getattr(finding.found, key) for key in FOUND.required}),
         *([] if finding.original is None else _scenario_lines("original", finding.original)),
-        *([] if finding.shrunk is None else _flow_lines("shrunk", asdict(finding.shrunk))),
+        *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         '# xfail: "reason"' if finding.xfail is None else f"xfail: {_quoted(finding.xfail)}",
     ]
@@ -69,20 +61,16 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """One flow mapping; a block of lines where a text has several lines itself."""
-    entries = _present(expect)
+    first = ("failure", "assertion", "message", "outcome", "time", "npc", "cell", "side", "responsibility")
+    order = dict.fromkeys([*first, *(each.name for each in fields(expect) if each.name != "traceback"), "traceback"])
+    values = {name: getattr(expect, name) for name in order}
+    entries = {name: value for name, value in values.items() if value not in (None, "", ()) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
-        yield from _flow_lines("expect", entries)
+        yield from _filled("expect: ", entries)
         return
     yield "expect:"
     for key, value in entries.items():
         yield from _block_entry(key, value)
-
-
-def _present(expect: Expect) -> dict[str, Any]:
-    order = ["failure", "assertion", "message", "outcome", "time", "npc", "cell", "side", "responsibility"]
-    order += [field.name for field in fields(expect) if field.name not in order and field.name != "traceback"]
-    entries = {name: getattr(expect, name) for name in [*order, "traceback"]}
-    return {name: value for name, value in entries.items() if value not in (None, "", ()) or name == "failure"}
 
 
 def _block_entry(key: str, value: object) -> Iterator[str]:
@@ -101,13 +89,10 @@ def _fits_literal(text: str) -> bool:
     return "\n" in text and is_plain and all(line and line[0] not in " \t" for line in (lines[0], lines[-1]))
 
 
-def _flow_lines(key: str, value: Mapping[str, Any]) -> list[str]:
-    """``key: {...}``, filled up to the width; what does not fit into a line goes on under its own first entry."""
-    return _hanging(f"{key}: ", value, "", 0)
+def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
+    """Lines of a head, a mapping or list in flow style, and a tail, filled up to the width.
 
-
-def _hanging(head: str, value: Any, tail: str, column: int) -> list[str]:
-    """Lines of a head, a mapping or list, and a tail.
+    What does not fit into a line goes on under its own first entry.
 
     Args:
         head: what stands before the value, such as its key.
@@ -126,7 +111,7 @@ def _hanging(head: str, value: Any, tail: str, column: int) -> list[str]:
         end = closing + tail if index == len(entries) - 1 else ","
         whole = start + _flow(each) + end
         is_whole = inner + len(whole) <= WIDTH or not isinstance(each, (Mapping, list, tuple))
-        first, *others = [whole] if is_whole else _hanging(start, each, end, inner)
+        first, *others = [whole] if is_whole else _filled(start, each, end, inner)
         at = len(lines[-1]) + (column if len(lines) == 1 else 0)
         if index == 0:
             lines[-1] += first
@@ -158,15 +143,10 @@ def _scalar(value: object) -> str:
     if isinstance(value, float):
         return _number(value)
     text = str(value.value if isinstance(value, Enum) else value)
-    return text if _is_plain(text, "") else _quoted(text)
+    return text if _is_plain(text) else _quoted(text)
 
 
-def _block_scalar(text: str) -> str:
-    """A text on a line of its own, where brackets and ``::`` need no quotes."""
-    return text if _is_plain(text, ":[],") else _quoted(text)
-
-
-def _is_plain(text: str, also: str) -> bool:
+def _is_plain(text: str, also: str = "") -> bool:
     """Whether a text needs no quotes: YAML 1.1 and 1.2 read it as that very text, inside brackets too.
 
     Args:
