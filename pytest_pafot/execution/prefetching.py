@@ -6,7 +6,14 @@ from collections.abc import Sequence
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.scenario_pool import ExecutionError, ScenarioPool, pool_for, recovery_note, trace_from
+from pytest_pafot.execution.scenario_pool import (
+    ExecutionError,
+    LostRun,
+    ScenarioPool,
+    pool_for,
+    recovery_note,
+    trace_from,
+)
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 
@@ -18,131 +25,201 @@ WARM_RUNS = 2
 """Runs that must have been measured before. The first run of a search is not: it loads what the others use."""
 
 
-class LockStep:
+class Prefetching:
+    """Makes no run ahead: the base of those who do."""
+
+    def __init__(self) -> None:
+        self.announced: list[Scenario] = []
+        """What will be asked for, as far as no run of it was begun."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What was used, or why not, where that is worth telling; complete once the processes have ended."""
+        return []
+
+    def announce(self, scenarios: Sequence[Scenario]) -> None:
+        """Know what will be asked for; of what was made before, nothing is kept."""
+        self.announced = list(scenarios)
+
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """The trace of an announced run, once; None where the run is to be made in this process and by itself.
+
+        Raises:
+            ProcessLostError: where the process that made it did not come back.
+            ExecutionError: where it must be made in another process, and none can be started.
+            Exception: what the world, the factory or the ADS's ``batch`` raises.
+        """
+
+    def ran_here(self, seconds: float) -> None:
+        """Learn how long the last run took that was to be made in this process."""
+
+    def close(self, *, at_once: bool) -> None:
+        """Forget what was announced, and end processes, without waiting for any where that is to be done at once."""
+        self.announced = []
+
+
+class LockStep(Prefetching):
     """Makes announced runs at once, in one batch, when the first of them is asked for.
 
     Args:
         job: what is run, in a world with ``rollout_batch``.
         record: of this process.
+        workers: processes that could have been used.
     """
 
-    def __init__(self, job: Job, record: CrashRecord) -> None:
+    def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
+        super().__init__()
         self._job = job
         self._record = record
-        self._announced: list[Scenario] = []
+        self._workers = workers
         self._made: dict[Scenario, Trace] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """Why processes were not used, where they were asked for."""
+        why = "since the ADS decides for many runs at once, by its `batch`"
+        return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Know what will be asked for; of what was made before, nothing is kept."""
-        self._announced, self._made = list(scenarios), {}
+        self.announced, self._made = list(scenarios), {}
 
-    def take(self, scenario: Scenario) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made by itself.
-
-        Raises:
-            Exception: what the world, the factory or the ADS's ``batch`` raises.
-        """
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """The trace of an announced run, once; None where the run is to be made by itself."""
         __tracebackhide__ = True
-        if scenario in self._announced and len(self._announced) > 1:
-            together, self._announced = self._announced, []
+        if afresh:
+            return None
+        if scenario in self.announced and len(self.announced) > 1:
+            together, self.announced = self.announced, []
             self._record.write(*together)
             traces = self._job.world.rollout_batch(together, self._job.ads)
             self._made = dict(zip(together, traces, strict=True))
-        elif scenario in self._announced:
-            self._announced.remove(scenario)
+        elif scenario in self.announced:
+            self.announced.remove(scenario)
         return self._made.pop(scenario, None)
 
+    def close(self, *, at_once: bool) -> None:
+        """Forget what was announced and made."""
+        self.announce(())
 
-class Processes:
+
+class Processes(Prefetching):
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
 
     Args:
         job: what is run.
         workers: processes at most; with 1, none is ever started.
-        dear: mean duration of a run from which on processes are worth their cost [s].
     """
 
-    def __init__(self, job: Job, *, workers: int, dear: float = DEAR) -> None:
-        self.size = workers
-        self.announced: list[Scenario] = []
-        """What this process will be asked for."""
+    def __init__(self, job: Job, *, workers: int) -> None:
+        super().__init__()
         self._job = job
-        self._dear = dear
+        self._workers = workers
         self._pool: ScenarioPool | None = None
-        self._is_over = False
-        self._is_announced = False
+        self._failure = ""
+        self._is_measured = False
         self._runs = 0
         self._warm_seconds = 0.0
-        self._failure = ""
 
     @property
     def notes(self) -> list[str]:
-        """What was used, or why not, where that was asked for; complete once the processes have ended."""
-        pool = self._pool
+        """What was used, or why not, where that was asked for."""
+        pool, option = self._pool, f"--pafot-workers={self._workers}"
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
-        if pool is None:
-            return self._idle()
-        used = f"--pafot-workers={self.size}: in use after {self._runs} runs of this process"
-        if pool.failure:
+        if pool is not None and pool.failure:
             used = f"--pafot-workers: one process ran the scenarios, since no other could: {pool.failure}"
-        return [used, *map(recovery_note, pool.recovered)]
+            return [used, *map(recovery_note, pool.recovered)]
+        if pool is not None:
+            return [f"{option}: in use after {self._runs} runs of this process", *map(recovery_note, pool.recovered)]
+        if self._workers == 1 or self._runs <= WARM_RUNS:
+            return []
+        mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
+        return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"]
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Know what will be asked for, and begin with it where processes are in use."""
-        if self._is_over:
-            return
         if self._pool is None:
             self.announced = list(scenarios)
         else:
             self._pool.expect(scenarios)
 
-    def take(self, scenario: Scenario) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made in this process.
-
-        Raises:
-            ProcessLostError: where the process that made it did not come back.
-        """
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """The trace of an announced run, once; None where the run is to be made in this process."""
         __tracebackhide__ = True
-        if self._pool is not None and self._pool.expects(scenario):
-            return trace_from(self._pool.fetch(scenario))
-        self._is_announced = scenario in self.announced
-        if self._is_announced:
+        self._is_measured = not afresh and scenario in self.announced
+        if self._is_measured:
             self.announced.remove(scenario)
-        return None
+        if afresh or self._pool is None or not self._pool.expects(scenario):
+            return None
+        return trace_from(self._pool.fetch(scenario))
 
     def ran_here(self, seconds: float) -> None:
-        """Learn what the run took that was to be made in this process; what was not announced is not measured."""
-        if not self._is_announced:
+        """Learn how long the last run took; what was not announced is not measured."""
+        if not self._is_measured:
             return
-        self._is_announced = False
         self._runs += 1
-        if self._runs > 1:
-            self._warm_seconds += seconds
-        if self.size > 1 and self._runs > WARM_RUNS and self._warm_seconds >= self._dear * (self._runs - 1):
-            self._begin()
+        self._warm_seconds += seconds if self._runs > 1 else 0.0
+        is_dear = self._runs > WARM_RUNS and self._warm_seconds >= DEAR * (self._runs - 1)
+        if is_dear and self._workers > 1 and not self._failure:
+            try:
+                self._pool = pool_for(self._job, self._workers)
+            except ExecutionError as error:
+                self._failure = str(error)
+            else:
+                self.announce(self.announced)
 
     def close(self, *, at_once: bool) -> None:
-        """End the processes; what comes later is made in this one."""
-        self.announced, self._is_over = [], True
+        """Forget what was announced, and end the processes."""
+        self.announced = []
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 
-    def _begin(self) -> None:
-        """Have the rest of what was announced made elsewhere, and what will be."""
-        try:
-            self._pool = pool_for(self._job, self.size)
-        except ExecutionError as error:
-            self.size, self._failure = 1, str(error)
-        else:
-            self._pool.expect(self.announced)
-            self.announced = []
 
-    def _idle(self) -> list[str]:
-        """Why one process ran all scenarios, where that can be said and is not what was asked for."""
-        if self.size == 1 or self._runs <= WARM_RUNS:
-            return []
-        mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * self._dear
-        return [
-            f"--pafot-workers={self.size}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"
-        ]
+class Isolated(Prefetching):
+    """Makes all runs in other processes, announced or not: the ADS is never called in this one.
+
+    Args:
+        job: what is run.
+        workers: processes at most.
+    """
+
+    def __init__(self, job: Job, *, workers: int) -> None:
+        super().__init__()
+        self._job = job
+        self._workers = workers
+        self._pool: ScenarioPool | None = None
+        self._recovered: list[LostRun] = []
+
+    @property
+    def notes(self) -> list[str]:
+        """Which processes died in runs that were made after all."""
+        return [recovery_note(each) for each in (*self._recovered, *(self._pool.recovered if self._pool else ()))]
+
+    def announce(self, scenarios: Sequence[Scenario]) -> None:
+        """Begin with these, in this order."""
+        self._started().expect(scenarios)
+
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
+        """The trace of a run; None where only this process can show what was raised beside the ADS."""
+        __tracebackhide__ = True
+        pool = self._started()
+        answer = pool.fetch(scenario)
+        if pool.failure:
+            raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
+        return trace_from(answer)
+
+    def close(self, *, at_once: bool) -> None:
+        """Forget what was announced, and end the processes; what is asked for later has others."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.close(at_once=at_once)
+            self._recovered += pool.recovered
+
+    def _started(self) -> ScenarioPool:
+        if self._pool is None:
+            try:
+                self._pool = pool_for(self._job, self._workers)
+            except ExecutionError as error:
+                raise ExecutionError(f"--pafot-isolate: {error}") from None
+        return self._pool

@@ -8,64 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.known_decisions import KnownDecisions
-from pytest_pafot.execution.prefetching import LockStep, Processes
-from pytest_pafot.execution.scenario_pool import (
-    ExecutionError,
-    LostRun,
-    ScenarioPool,
-    pool_for,
-    recovery_note,
-    trace_from,
-)
+from pytest_pafot.execution.prefetching import Isolated, LockStep, Prefetching, Processes
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
-
-
-class Runner(Protocol):
-    """Gives the runs of one search.
-
-    As a context manager it ends the processes that it has started, at once where an exception passes, and forgets what
-    was announced. It can be used after that and entered again: what is asked for then is made as if it had not been
-    announced.
-
-    Attributes:
-        is_alone: whether the last trace was made by itself, and not in lock step with others.
-    """
-
-    is_alone: bool
-
-    @property
-    def notes(self) -> list[str]:
-        """How the runs were made, where that is worth telling; complete once the processes have ended."""
-
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Say what will be asked for next, in this order; what was announced before is forgotten."""
-
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """One run. It leaves the crash record written, for a verdict that may end the process too.
-
-        Args:
-            scenario: to run, announced or not.
-            afresh: whether the ADS is asked for every decision, and for this run alone.
-
-        Raises:
-            ProcessLostError: where another process made it, and did not come back.
-            ExecutionError: where it must be made in another process, and none can be started.
-            Exception: what the world or the factory raises.
-        """
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None: ...
 
 
 def runner_for(
@@ -86,34 +37,43 @@ def runner_for(
         workers: processes at most beside this one; with 1, all runs are made in this one unless ``isolate`` is set.
         isolate: whether the ADS shall never run in this process.
         can_lock_step: whether an ADS with a method ``batch`` may decide for many runs at once.
-        can_resume: whether decisions of an ADS that is declared ``pure`` may be taken from earlier runs.
+        can_resume: whether decisions of an ADS with ``pure = True`` may be taken from earlier runs that began alike.
         clock: seconds, monotonic.
     """
     if isolate:
-        return Isolated(job, record, workers=workers)
+        return Runner(job, record, prefetching=Isolated(job, workers=workers), clock=clock)
     # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
     # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
     # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
-    return InProcess(
+    return Runner(
         job,
         record,
-        processes=Processes(job, workers=workers),
-        lock_step=LockStep(job, record) if can_lock_step else None,
-        known=KnownDecisions() if can_resume else None,
+        prefetching=Processes(job, workers=workers),
+        lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
+        can_resume=can_resume,
         clock=clock,
     )
 
 
-class InProcess:
-    """Makes runs in this process, unless they were made ahead of being asked for.
+class Runner:
+    """Gives the runs of one search: those that were made ahead, and makes all others in this process.
+
+    At the end of a ``with`` statement the processes that it has started end, at once where an exception passes. What
+    was announced is forgotten then; a runner can be used after that, and in another ``with`` statement.
+
+    A pure ADS is asked once for what it decides in runs that begin alike. Physics is stepped as always, so that a trace
+    is the same to the last bit. The declaration is a promise of the user's: what counts is asked for afresh.
 
     Args:
         job: what is run.
         record: of this process.
-        processes: make announced runs ahead, once runs turn out to be dear.
-        lock_step: makes announced runs ahead in the place of processes, once the ADS shows that it can.
-        known: decisions of earlier runs, once the ADS shows that it is pure.
+        prefetching: makes announced runs ahead.
+        lock_step: does so in its place, once the ADS shows that it can.
+        can_resume: whether decisions may be taken from earlier runs, once the ADS shows that it is pure.
         clock: seconds, monotonic.
+
+    Attributes:
+        is_alone: whether the last trace was made by itself, and not in lock step with others.
     """
 
     def __init__(
@@ -121,56 +81,60 @@ class InProcess:
         job: Job,
         record: CrashRecord,
         *,
-        processes: Processes,
-        lock_step: LockStep | None,
-        known: KnownDecisions | None,
+        prefetching: Prefetching,
+        lock_step: LockStep | None = None,
+        can_resume: bool = False,
         clock: Callable[[], float],
     ) -> None:
         self.is_alone = True
         self._job = job
         self._record = record
-        self._processes = processes
+        self._prefetching = prefetching
         self._lock_step = lock_step
-        self._known = known
+        self._can_resume = can_resume
         self._clock = clock
-        self._ahead: Processes | LockStep = processes
-        is_of_interest = (lock_step is not None or known is not None) and not is_vehicle_class(job.ads)
+        self._decisions: DecisionCache | None = None
+        is_of_interest = (lock_step is not None or can_resume) and not is_vehicle_class(job.ads)
         self._factory = self._showing(job.ads) if is_of_interest else job.ads
 
     @property
     def notes(self) -> list[str]:
-        """How the runs were made; complete once the processes have ended."""
-        if self._ahead is self._processes or self._processes.size == 1:
-            return self._processes.notes
-        why = "since the ADS decides for many runs at once, by its `batch`"
-        return [f"--pafot-workers={self._processes.size}: not in use, {why}"]
+        """How the runs were made, where that is worth telling; complete once the processes have ended."""
+        return self._prefetching.notes
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._ahead.announce(())
-        self._processes.close(at_once=kind is not None)
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        self._prefetching.close(at_once=kind is not None)
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Say what will be asked for next, in this order."""
-        self._ahead.announce(scenarios)
+        """Say what will be asked for next, in this order; what was announced before is forgotten."""
+        self._prefetching.announce(scenarios)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """One run, made ahead where that was possible, else here and now."""
+        """One run. It leaves the crash record written, for a verdict that may end the process too.
+
+        Args:
+            scenario: to run, announced or not.
+            afresh: whether the ADS is asked for every decision, and for this run alone.
+
+        Raises:
+            ProcessLostError: where another process made it, and did not come back.
+            ExecutionError: where it must be made in another process, and none can be started.
+            Exception: what the world or the factory raises.
+        """
         __tracebackhide__ = True
-        trace = None if afresh else self._ahead.take(scenario)
-        self.is_alone = trace is None or self._ahead is not self._lock_step
+        trace = self._prefetching.take(scenario, afresh=afresh)
+        self.is_alone = trace is None or self._prefetching is not self._lock_step
         self._record.write(scenario)
         if trace is None:
-            decisions = () if afresh or self._known is None else self._known.decisions(scenario)
+            decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self._clock()
             trace = self._job.rollout(scenario, self._factory, decisions)
-            self._processes.ran_here(self._clock() - started)
-        if self._known is not None and self.is_alone:  # what is decided for many at once is not relied on
-            self._known.remember(trace)
+            self._prefetching.ran_here(self._clock() - started)
+        if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
+            self._decisions.remember(trace)
         return trace
 
     def _showing(self, factory: Callable[..., Any]) -> Callable[..., Any]:
@@ -179,74 +143,13 @@ class InProcess:
         def make(*arguments: Any, **named: Any) -> Any:
             __tracebackhide__ = True
             ads = factory(*arguments, **named)
-            self._look_at(ads)
+            self._factory = factory
+            if self._can_resume and getattr(ads, "pure", False) is True:
+                self._decisions = DecisionCache()
+            if self._lock_step is not None and callable(getattr(ads, "batch", None)):
+                self._lock_step.announce(self._prefetching.announced)
+                self._prefetching = self._lock_step
             return ads
 
         make.__wrapped__ = factory  # type: ignore[attr-defined]  # signatures are looked up there
         return make
-
-    def _look_at(self, ads: Any) -> None:
-        self._factory = self._job.ads
-        if self._known is not None:
-            self._known.saw(ads)
-        if self._lock_step is not None and callable(getattr(ads, "batch", None)):
-            self._lock_step.announce(self._processes.announced)
-            self._processes.announce(())
-            self._ahead = self._lock_step
-
-
-class Isolated:
-    """Has all runs made in other processes: the ADS is never called in this one.
-
-    Args:
-        job: what is run.
-        record: of this process.
-        workers: processes at most.
-    """
-
-    def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
-        self.is_alone = True
-        self._job = job
-        self._record = record
-        self._workers = workers
-        self._pool: ScenarioPool | None = None
-        self._recovered: list[LostRun] = []
-
-    @property
-    def notes(self) -> list[str]:
-        """Which processes died in runs that were made after all."""
-        return [recovery_note(each) for each in (*self._recovered, *(self._pool.recovered if self._pool else ()))]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.close(at_once=kind is not None)
-            self._recovered += pool.recovered
-
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Begin with these, in this order."""
-        self._started().expect(scenarios)
-
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
-        """One run; in this process only to raise what it raised in another one beside the ADS."""
-        __tracebackhide__ = True
-        pool = self._started()
-        answer = pool.fetch(scenario)
-        if pool.failure:
-            raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
-        trace = trace_from(answer)
-        self._record.write(scenario)
-        return self._job.rollout(scenario) if trace is None else trace
-
-    def _started(self) -> ScenarioPool:
-        if self._pool is None:
-            try:
-                self._pool = pool_for(self._job, self._workers)
-            except ExecutionError as error:
-                raise ExecutionError(f"--pafot-isolate: {error}") from None
-        return self._pool

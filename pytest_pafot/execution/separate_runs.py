@@ -1,4 +1,4 @@
-"""Runs in another process, each with its verdict, since a process may die of both.
+"""Single runs in another process, since this one may die of them, or of the verdict.
 
 Forked processes have the fixtures of the test function. Where processes cannot be forked, a session of its own tries
 a saved scenario first, which needs nothing that can be pickled.
@@ -19,11 +19,11 @@ from pytest_pafot.execution.captured_output import listening
 from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, leftovers
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import Lost, ending
-from pytest_pafot.execution.runner import Isolated
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, ProcessLostError, pool_for, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.engines.gym_replay import replay_in_gym
+from pytest_pafot.world import protocol
 
 REPLAYED = (0, 1)
 """Exit codes of a session that came to the verdict on a saved scenario: all tests passed, or some failed."""
@@ -51,46 +51,42 @@ class Session:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """A world whose every run is judged where it was made."""
+class _OtherRuns:
+    """In the place of a world: its scenarios run in another way."""
 
-    world: Any
-    judge: Callable[[Trace], object]
-
-    @property
-    def hang_limit(self) -> float:
-        """Of a decision [s]."""
-        return float(getattr(self.world, "hang_limit", 30.0))
-
-    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        """The run; what its judge prints is said where the verdict counts."""
-        trace: Trace = self.world.rollout(scenario, ads)
-        with listening():
-            self.judge(trace)
-        return trace
+    hang_limit: float
+    rollout: Callable[[Scenario, Callable[..., Any]], Trace]
 
 
 def answers_apart(
     job: Job, scenarios: Sequence[Scenario], judge: Callable[[Trace], object], *, isolate: bool
 ) -> dict[Scenario, Answer] | None:
-    """What running and judging each by itself in another process shows.
+    """What running and judging each scenario by itself in another process shows.
 
     A death counts, also where the process that tries it again lives: it is not the first of this scenario.
 
     Args:
         job: what is run.
         scenarios: one after the other.
-        judge: of a trace; only forked processes have it.
+        judge: of a trace; only forked processes have it. What it prints is said where the verdict counts.
         isolate: whether another process without the judge will do where none can be forked.
 
     Returns:
         None where there can be no such process.
     """
+
+    def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        trace: Trace = job.world.rollout(scenario, ads)
+        with listening():
+            judge(trace)
+        return trace
+
+    judging = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), judged))
     is_forked = scenario_pool.METHOD == "fork"
     if not is_forked and not isolate:
         return None
     try:
-        pool = pool_for(replace(job, world=_Judged(job.world, judge)) if is_forked else job, 1)
+        pool = pool_for(judging if is_forked else job, 1)
     except ExecutionError:
         return None
     with pool:
@@ -133,7 +129,7 @@ def run_apart(
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
-    """One run in highway-env's own environment of the job's world, in another process.
+    """One run by ``env.step`` of the environment of a world that has one, in another process.
 
     Raises:
         ProcessLostError: where that process did not come back.
@@ -141,24 +137,9 @@ def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Tr
         Exception: what it raised there.
     """
     __tracebackhide__ = True
-    with Isolated(replace(job, world=_InGym(job.world)), record, workers=1) as runner:
+    in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))
+    with runner_for(in_gym, record, isolate=True) as runner:
         return runner.run(scenario)
-
-
-@dataclass(frozen=True, slots=True)
-class _InGym:
-    """The plain environment of a world, in the place of that world."""
-
-    world: Any
-
-    @property
-    def hang_limit(self) -> float:
-        """Of a decision [s]."""
-        return float(self.world.hang_limit)
-
-    def rollout(self, scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        """The run by ``env.step``."""
-        return replay_in_gym(self.world, scenario, ads)
 
 
 def _try_in_session(job: Job, scenario: Scenario, session: Session) -> None:
