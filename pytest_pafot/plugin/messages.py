@@ -17,9 +17,6 @@ PHASE = "pafot"
 PAGE = "page"
 """Kind of the messages for a report page."""
 
-NEW = "new"
-"""Label of a finding that was not known before."""
-
 
 class Message(NamedTuple):
     """What an item tells.

@@ -17,10 +17,11 @@ from pytest_pafot.campaign.recorder import what_happened
 from pytest_pafot.campaign.simplification import speed_sentences
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.messages import NEW, PAGE
+from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view, shrink_view
 from pytest_pafot.report.page_codec import encode
+from pytest_pafot.report.page_data import NEW
 from pytest_pafot.searching.events import Event
 
 if TYPE_CHECKING:

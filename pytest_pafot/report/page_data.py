@@ -13,6 +13,9 @@ Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
 """Along [m], across [m], heading [rad]."""
 
+NEW = "new"
+"""How the label of a finding begins that was not known before."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneView:

@@ -8,8 +8,8 @@ import pytest
 
 import pytest_pafot.plugin.crash_folder
 import pytest_pafot.plugin.orphans
-import pytest_pafot.plugin.report_pages
 import pytest_pafot.plugin.terminal_reporter
+import pytest_pafot.report.draft
 import pytest_pafot.report.terminal
 
 FAILS = """
@@ -31,8 +31,8 @@ def is_whole(result):
         (pytest_pafot.plugin.crash_folder, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
         (pytest_pafot.plugin.orphans, "prune", "problem: --pafot-prune: ValueError: a fault"),
         (
-            pytest_pafot.plugin.report_pages,
-            "_write",
+            pytest_pafot.report.draft,
+            "write_report",
             "problem: --pafot-report=x.html: not written: ValueError: a fault",
         ),
         (pytest_pafot.report.terminal, "session_lines", "summary of pytest-pafot: ValueError: a fault"),
@@ -125,7 +125,7 @@ def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr(pytest_pafot.plugin.report_pages, "_write", interrupted)
+    monkeypatch.setattr(pytest_pafot.report.draft, "write_report", interrupted)
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])

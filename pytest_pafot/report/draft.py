@@ -1,0 +1,143 @@
+"""A report in the making: what a session has told so far, the order in which it is shown, and how it is written."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from pytest_pafot.campaign.options import is_page_file
+from pytest_pafot.files import write_whole
+from pytest_pafot.report.animation import AnimationError
+from pytest_pafot.report.folder import PAGE, report_files
+from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page_data import NEW, CampaignView, FindingView, Report
+from pytest_pafot.text import plural
+from pytest_pafot.versions import installed_versions
+
+ORDER = ("ego", "both", "npc", "none")
+"""Of findings by responsibility: what the policy answers for comes first."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Draft:
+    """What is known so far of what a report will show.
+
+    Attributes:
+        target: where it is to be written, as the option gives it.
+        findings: by node id.
+        campaigns: by node id.
+        replayed: number of replays by label.
+        seeds: base seeds of the searches.
+    """
+
+    target: str
+    findings: dict[str, FindingView] = field(default_factory=dict)
+    campaigns: dict[str, CampaignView] = field(default_factory=dict)
+    replayed: Counter[str] = field(default_factory=Counter)
+    seeds: dict[int, None] = field(default_factory=dict)
+
+    def take(self, data: Mapping[str, Any], finding: FindingView | None, campaign: CampaignView | None) -> None:
+        """Add what an item tells."""
+        if finding is not None:
+            self.findings[finding.node_id] = finding
+        if campaign is not None:
+            self.campaigns[campaign.node_id] = campaign
+            self.seeds[data["base_seed"]] = None
+        if "replayed" in data:
+            self.replayed[data["replayed"]] += 1
+
+    def report(
+        self,
+        *,
+        project: str,
+        command: str,
+        findings: Iterable[FindingView],
+        errors: tuple[tuple[str, str], ...],
+        is_interrupted: bool,
+    ) -> Report:
+        """The report, in an order that does not depend on who was first.
+
+        Args:
+            project: that was tested.
+            command: by which the session began.
+            findings: those of the draft, with what is known at the end.
+            errors: node ids of what failed by no finding, and what pytest shows of it.
+            is_interrupted: whether the session was.
+        """
+        ordered = _by_test(findings)
+        return Report(
+            title=f"{project}: {_counts(ordered, errors)}",
+            facts=tuple(self._facts(is_interrupted=is_interrupted)),
+            command=command,
+            findings=ordered,
+            campaigns=tuple(self.campaigns[node_id] for node_id in sorted(self.campaigns)),
+            errors=errors,
+            is_interrupted=is_interrupted,
+        )
+
+    def _facts(self, *, is_interrupted: bool) -> Iterator[tuple[str, str]]:
+        if is_interrupted:
+            yield "session", "interrupted; what ran until then is here"
+        if self.seeds:
+            yield "base seed" if len(self.seeds) == 1 else "base seeds", ", ".join(map(str, self.seeds))
+        if self.replayed:
+            labels = ", ".join(f"{count} {label}" for label, count in sorted(self.replayed.items()))
+            yield "replayed", f"{plural(self.replayed.total(), 'saved scenario')}: {labels}"
+        yield from installed_versions().items()
+        yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
+    """Write a report to a file or a folder.
+
+    After an interrupt there are no pictures: they take seconds each, a page does not.
+
+    Args:
+        target: as the option gives it, for what is told.
+        path: the same, absolute.
+        report: to write.
+
+    Returns:
+        a line on what was written and one on what was not, each of which may be empty.
+    """
+    is_file = is_page_file(target)
+    files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
+    missing = ", after an interrupt" if report.is_interrupted and not is_file else ""
+    pictures = 0
+    try:
+        for name, content in islice(files, 1 if report.is_interrupted else None):
+            write_whole(path / name, content)
+            pictures += name.endswith(".png")
+    except OSError as error:
+        reason = f"{error.strerror or error}: {error.filename or path}"
+        return "", f"--pafot-report={target}: not written: {reason}; name another place"
+    except AnimationError as error:
+        missing = f": {error}"
+    shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
+    more = f", {plural(pictures, 'moving picture')}" if pictures else ""
+    problem = f"--pafot-report={target}: the page is there, pictures are not{missing}" if missing else ""
+    return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
+
+
+def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:
+    """Those of a test together; the test whose first finding comes first is the first."""
+    ordered = sorted(findings, key=_rank)
+    tests = list(dict.fromkeys(finding.test for finding in ordered))
+    return tuple(sorted(ordered, key=lambda finding: tests.index(finding.test)))
+
+
+def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
+    """New before known, by responsibility, the most frequent first."""
+    who = ORDER.index(finding.responsibility) if finding.responsibility in ORDER else len(ORDER)
+    return not finding.label.startswith(NEW), who, -finding.runs, finding.node_id
+
+
+def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:
+    """Errors first; without any, findings alone."""
+    return ", ".join([*([plural(len(errors), "error")] if errors else []), plural(len(findings), "finding")])
