@@ -6,14 +6,14 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, position_rule
-from pytest_pafot.comparison.plan import Plan, ads_factory, world_of
+from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, world_of
 from pytest_pafot.comparison.rows import Row
-from pytest_pafot.comparison.setup_fault import check_set_up
-from pytest_pafot.findings.finding import ads_failure, of_failure
-from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
@@ -21,6 +21,8 @@ from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Outcome, Trace
+from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.protocol import WorldLike, first_decision
 
 UNBOUNDED = 10**9
 """Generations of a run whose budget is a time."""
@@ -33,54 +35,14 @@ Tick = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
-    """What the rows need to know of a run beyond its evaluation."""
+class RunFacts:
+    """What rows, and the check of the set-up, need to know of a run beyond its evaluation."""
 
     responsibility: str
     position_responsibility: str
     signature: str | None
     fault: Fault | None
     error: AdsError | None
-
-
-@dataclass(slots=True)
-class Simulator:
-    """Simulates and judges scenarios, and counts the simulated time.
-
-    Attributes:
-        rollout: a scenario's trace.
-        fitness: of a trace.
-        blame: ``any`` or ``ego``.
-        asks_for_near_misses: whether the algorithm reads what the ego nearly had to answer for.
-        seconds: simulated so far [s].
-    """
-
-    rollout: Callable[[Scenario], Trace]
-    fitness: Fitness
-    blame: str
-    asks_for_near_misses: bool = False
-    seconds: float = 0.0
-
-    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
-        """The evaluations that a campaign asks for."""
-        return [self._one(scenario) for scenario in scenarios]
-
-    def _one(self, scenario: Scenario) -> Evaluation:
-        trace = self.rollout(scenario)
-        self.seconds += trace.duration
-        facts = facts_of(trace)
-        is_fault = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
-        is_blamed = self.blame == "any" or facts.responsibility in ("ego", "both")
-        failing = is_fault or (trace.outcome is Outcome.COLLISION and is_blamed)
-        evaluation = Evaluation.of(
-            trace,
-            fitness=self.fitness(trace),
-            failing=failing,
-            kind=facts.signature if failing else None,
-            fault=facts.fault if failing else None,
-            near_misses=near_misses(trace) if self.asks_for_near_misses else (),
-        )
-        return replace(evaluation, note=facts)
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:
@@ -90,39 +52,58 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
         PlanError: where the ADS fails alike at its first decision in the whole first generation.
     """
     world, factory, chosen = world_of(plan), ads_factory(plan.ads), plan.algorithm(algorithm)
-    seed = plan.run_seed(algorithm, run)
-    simulator = Simulator(
-        rollout=lambda scenario: world.rollout(scenario, factory),
-        fitness=_fitness(plan, chosen),
-        blame=plan.blame,
-        asks_for_near_misses=plan.blame == "ego" and chosen.reads_near_misses,
-    )
+    seed, fitness = plan.run_seed(algorithm, run), _fitness(plan, chosen)
+    asks_for_near_misses = plan.blame == "ego" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
+    seconds = 0.0
+
+    def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        nonlocal seconds
+        traces = [world.rollout(scenario, factory) for scenario in scenarios]
+        seconds += sum(trace.duration for trace in traces)
+        return [evaluated(trace, fitness, plan.blame, is_near_missed=asks_for_near_misses) for trace in traces]
+
     events = run_campaign(
         chosen.make(SearchSpace(**plan.space), **plan.parameters),
-        simulator.evaluate,
+        evaluate,
         generations=generations,
         seed=seed,
-        stop=lambda: simulator.seconds >= budget,
+        stop=lambda: seconds >= budget,
     )
     first: list[Evaluation] = []
     for event in events:
         if isinstance(event, GenerationFinished) and first:
-            check_set_up(world, factory, first[0].scenario, [each.note.error for each in first])
+            check_set_up(world, factory, first)
             first.clear()
         if isinstance(event, Evaluated):
             if event.generation == 0 and event.local_generation == 0:
                 first.append(event.evaluation)
-            tick(max(event.generation / generations, simulator.seconds / budget))
-            yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=simulator.seconds)
+            tick(max(event.generation / generations, seconds / budget))
+            yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=seconds)
     tick(1.0)
+
+
+def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: bool) -> Evaluation:
+    """A run judged by who is responsible for it, with its :class:`RunFacts` as its note."""
+    facts = facts_of(trace)
+    is_blamed = blame == "any" or facts.responsibility in ("ego", "both")
+    failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)
+    evaluation = Evaluation.of(
+        trace,
+        fitness=fitness(trace),
+        failing=failing,
+        kind=facts.signature if failing else None,
+        fault=facts.fault if failing else None,
+        near_misses=near_misses(trace) if is_near_missed else (),
+    )
+    return replace(evaluation, note=facts)
 
 
 def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: float) -> Row:
     """The row of an event whose evaluation has facts."""
     evaluation, hit = event.evaluation, event.evaluation.collision
-    facts: Facts = evaluation.note
+    facts: RunFacts = evaluation.note
     return Row(
         algorithm=algorithm,
         run=run,
@@ -151,22 +132,23 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
     )
 
 
-def facts_of(trace: Trace) -> Facts:
-    """Who is responsible for a run's collision, and which failure the run shows."""
-    run = Run(trace)
+def facts_of(trace: Trace) -> RunFacts:
+    """Who is responsible for a run's collision, and which failure the run shows.
+
+    The text of a signature can be read, and is equal exactly for equal signatures.
+    """
+    run, text = Run(trace), None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
-    return Facts(
+    if failure is not None:
+        signature = of_failure(run, failure)
+        text = f"{signature.slug}-{hashlib.sha256(repr(signature).encode()).hexdigest()[:6]}"
+    return RunFacts(
         responsibility=run.attribution.responsibility,
         position_responsibility=position_rule(trace),
-        signature=None if failure is None else signature_text(of_failure(run, failure)),
+        signature=text,
         fault=run.attribution.fault,
         error=trace.error,
     )
-
-
-def signature_text(signature: Signature) -> str:
-    """A text that is equal exactly for equal signatures, and can be read."""
-    return f"{signature.slug}-{hashlib.sha256(repr(signature).encode()).hexdigest()[:6]}"
 
 
 def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
@@ -174,3 +156,37 @@ def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
     name = plan.fitness or algorithm.fitness
     is_steered = plan.blame == "ego" and name != "av-fuzzer"
     return resolve(name, responsible=is_ego_responsible if is_steered else None)
+
+
+def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:
+    """Check that an ADS drives at all: a fault of the set-up says nothing of any algorithm.
+
+    Args:
+        world: in which it drives.
+        factory: of the ADS.
+        first: the runs of the first generation, with their :class:`RunFacts`.
+
+    Raises:
+        PlanError: where one cause made it fail at its first decision in all of them.
+    """
+    error: AdsError | None = first[0].note.error
+    causes = {first_decision_cause(each.note.error) for each in first}
+    if error is None or len(causes) > 1 or None in causes:
+        return
+    place = error.traceback.rfind("  File ")
+    where = f"\n{error.traceback[place:].rstrip()}" if place >= 0 else ""
+    asked, given = None if is_vehicle_class(factory) else first_decision(world, first[0].scenario), ""
+    if asked is not None:
+        others = (
+            "A policy of a highway-env environment needs that environment, such as --env highway-v0."
+            if asked.is_si
+            else "The environment has its own configuration here, and no other config=; a planner in SI units needs "
+            "the road that is there without --env."
+        )
+        given = f"{asked.text} {others}"
+    raise PlanError(
+        f"--ads: expected a policy that drives, received {error.kind}: {error.message}{where}\n\n"
+        f"So it was in all {len(first)} runs of the first generation, before anything had happened in them: an error "
+        "of the set-up, which says nothing of the algorithms. Correct the ADS, its factory, or the world that it "
+        f"drives in (--env and the options after it), and run the command again.\n\n{given}".rstrip()
+    )

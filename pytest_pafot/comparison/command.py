@@ -12,8 +12,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.comparison.plan import Plan, PlanError, checked, world_of
+from pytest_pafot.comparison.plan import Plan, PlanError, checked
 from pytest_pafot.comparison.resumable_runs import WorkerDied, run_all
+from pytest_pafot.files import write_whole
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
 from pytest_pafot.searching.space import space_on
@@ -103,7 +104,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("\ncompare: interrupted; what is finished is kept, the same command goes on with the rest\n")
         return 130
-    write_report(plan, folder, results, command)
+    from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415  (they import what may be missing)
+
+    measured = run_measures.Results.of(plan, results)
+    titles = figures.draw_all(measured, folder / "figures")
+    write_whole(folder / "report.md", markdown.report(measured, command, markdown.wall_seconds(folder), titles))
     sys.stdout.write(f"{folder / 'report.md'}\n")
     return 0
 
@@ -139,38 +144,6 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         world=world.to_dict(),
         space=asdict(space),
     )
-
-
-def write_report(plan: Plan, folder: Path, results: Path, command: Sequence[str]) -> None:
-    """Figures, and the report that shows them."""
-    from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
-    from pytest_pafot.comparison.paper import PAPER_GENERATIONS  # noqa: PLC0415
-    from pytest_pafot.files import write_whole  # noqa: PLC0415
-
-    frame = run_measures.read(results)
-    seconds = run_measures.horizon(frame)
-    whole = run_measures.measured(frame)
-    longest = float(world_of(plan).longest_run)
-    data = figures.Data(
-        frame=frame,
-        runs=whole,
-        algorithms=plan.names,
-        longest=longest,
-        has_papers_size=plan.generations == PAPER_GENERATIONS,
-    )
-    titles = figures.draw_all(data, folder / "figures")
-    material = markdown.Material(
-        plan=plan,
-        command=command,
-        frame=frame,
-        whole=whole,
-        equal=run_measures.measured(frame, seconds),
-        horizon=seconds,
-        longest=longest,
-        wall_seconds=markdown.wall_seconds(folder),
-        figures=titles,
-    )
-    write_whole(folder / "report.md", markdown.report(material))
 
 
 def _world(arguments: argparse.Namespace) -> Highway | World:

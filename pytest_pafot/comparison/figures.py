@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -15,10 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pytest_pafot.comparison import run_measures
+from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.markdown import BIN_SECONDS
-from pytest_pafot.comparison.paper import PAPER, Reported
-from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Measures
+from pytest_pafot.comparison.paper import PAPER, PAPER_GENERATIONS, Reported
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of
 from pytest_pafot.files import write_whole
 from pytest_pafot.trace import FloatArray
 
@@ -60,40 +60,17 @@ STYLES = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Data:
-    """What figures are drawn of.
-
-    Attributes:
-        frame: the rows.
-        runs: their measures.
-        algorithms: in the order of the comparison.
-        longest: how long a scenario lasts that nothing ends early [s].
-        has_papers_size: whether a run has as many generations as the paper's.
-    """
-
-    frame: pd.DataFrame
-    runs: Sequence[Measures]
-    algorithms: tuple[str, ...]
-    longest: float
-    has_papers_size: bool
-
-    def style(self, algorithm: str) -> Style:
-        """Of an algorithm, by its place."""
-        return STYLES[self.algorithms.index(algorithm) % len(STYLES)]
-
-    def of(self, algorithm: str) -> list[Measures]:
-        """Its runs."""
-        return run_measures.of(algorithm, self.runs)
-
-    def simulated(self, algorithm: str, run: int | None = None) -> pd.DataFrame:
-        """Rows of unique scenarios."""
-        frame = self.frame
-        chosen = (frame["algorithm"] == algorithm) & ~frame["duplicate"]
-        return frame[chosen if run is None else chosen & (frame["run"] == run)]
+def style_of(results: Results, algorithm: str) -> Style:
+    """How an algorithm looks, by its place."""
+    return STYLES[results.plan.names.index(algorithm) % len(STYLES)]
 
 
-def draw_all(data: Data, folder: Path) -> dict[str, str]:
+def simulated(results: Results, algorithm: str) -> pd.DataFrame:
+    """The rows of its unique scenarios."""
+    return of(algorithm, results.frame[~results.frame["duplicate"]])
+
+
+def draw_all(results: Results, folder: Path) -> dict[str, str]:
     """Write every figure as PNG and SVG.
 
     Returns:
@@ -103,7 +80,7 @@ def draw_all(data: Data, folder: Path) -> dict[str, str]:
     with mpl.rc_context(SETTINGS):
         for name, (title, draw, size) in FIGURES.items():
             figure = Figure(figsize=size, layout="constrained")
-            draw(figure.subplots(), data)
+            draw(figure.subplots(), results)
             for ending, options in (("png", {"dpi": 160}), ("svg", {"metadata": {"Date": None}})):
                 buffer = BytesIO()
                 figure.savefig(buffer, format=ending, **options)
@@ -112,18 +89,18 @@ def draw_all(data: Data, folder: Path) -> dict[str, str]:
     return titles
 
 
-def _totals(axes: Axes, data: Data) -> None:
+def _totals(axes: Axes, results: Results) -> None:
     """All scenarios, in total over all runs, and the paper's beside them."""
-    width, reported = 0.36, [name for name in data.algorithms if name in PAPER]
-    for place, name in enumerate(data.algorithms):
-        style, runs = data.style(name), data.of(name)
-        counts = [sum(each.collisions for each in runs), sum(each.scenarios for each in runs)]
+    width, reported = 0.36, [name for name in results.plan.names if name in PAPER]
+    for place, name in enumerate(results.plan.names):
+        style, runs = style_of(results, name), of(name, results.whole)
+        counts = int(runs["collisions"].sum()), int(runs["scenarios"].sum())
         offset = -width / 2 - 0.02 if name in reported else 0.0
         _stacked(axes, place + offset, width, counts[0], counts[1], style, is_paper=False)
         if name in reported:
             told, beside = PAPER[name], place + width / 2 + 0.02
             _stacked(axes, beside, width, told.collisions, told.scenarios, style, is_paper=True)
-    axes.set_xticks(range(len(data.algorithms)), data.algorithms)
+    axes.set_xticks(range(len(results.plan.names)), results.plan.names)
     axes.set_ylabel("scenarios in all runs")
     axes.grid(visible=False, axis="x")
     axes.margins(y=0.12)
@@ -143,14 +120,14 @@ def _stacked(axes: Axes, x: float, width: float, hits: int, total: int, style: S
     )
 
 
-def _collisions_over_time(axes: Axes, data: Data) -> None:
-    _curves(axes, data, lambda frame: frame["outcome"] == "collision", "unique collisions of a run")
+def _collisions_over_time(axes: Axes, results: Results) -> None:
+    _curves(axes, results, lambda frame: frame["outcome"] == "collision", "unique collisions of a run")
 
 
-def _discoveries(axes: Axes, data: Data) -> None:
+def _discoveries(axes: Axes, results: Results) -> None:
     _curves(
         axes,
-        data,
+        results,
         lambda frame: (
             frame["is_ego_failure"]
             & ~frame.loc[frame["is_ego_failure"], "signature"].duplicated().reindex(frame.index, fill_value=False)
@@ -159,12 +136,12 @@ def _discoveries(axes: Axes, data: Data) -> None:
     )
 
 
-def _curves(axes: Axes, data: Data, counts: Callable[[pd.DataFrame], Any], label: str) -> None:
+def _curves(axes: Axes, results: Results, counts: Callable[[pd.DataFrame], Any], label: str) -> None:
     """Means over the runs as far as all of them reach, and the range of their middle half."""
-    for name in data.algorithms:
-        runs, style = data.of(name), data.style(name)
-        times = np.linspace(0.0, min(each.seconds for each in runs), POINTS)
-        rows = np.stack([_cumulated(data.simulated(name, each.run), counts, times) for each in runs])
+    for name in results.plan.names:
+        runs, style = of(name, results.whole), style_of(results, name)
+        times = np.linspace(0.0, runs["seconds"].min(), POINTS)
+        rows = np.stack([_cumulated(run, counts, times) for _, run in simulated(results, name).groupby("run")])
         hours = times / SECONDS_PER_HOUR
         low, high = np.quantile(rows, [0.25, 0.75], axis=0)
         axes.fill_between(hours, low, high, color=style.colour, alpha=0.15, linewidth=0)
@@ -192,32 +169,38 @@ def _cumulated(frame: pd.DataFrame, counts: Callable[[pd.DataFrame], Any], times
     return np.searchsorted(at, times, side="right").astype(np.float64)
 
 
-def _unsafe_per_run(axes: Axes, data: Data) -> None:
-    reported = (lambda told: float(told.per_run[0])) if data.has_papers_size else None
-    _grouped(axes, data, lambda each: each.collisions, "colliding scenarios of a run", reported)
+def _unsafe_per_run(axes: Axes, results: Results) -> None:
+    reported = (lambda told: float(told.per_run[0])) if results.plan.generations == PAPER_GENERATIONS else None
+    _grouped(axes, results, "collisions", "colliding scenarios of a run", reported)
 
 
-def _time_to_collision(axes: Axes, data: Data) -> None:
+def _time_to_collision(axes: Axes, results: Results) -> None:
     _grouped(
         axes,
-        data,
-        lambda each: each.collision_seconds,
+        results,
+        "collision_time",
         "mean time to a collision, where there is one [s]",
         lambda told: told.time_to_collision[0],
     )
 
 
 def _grouped(
-    axes: Axes, data: Data, value: Callable[[Measures], float], label: str, reported: Callable[[Reported], float] | None
+    axes: Axes, results: Results, column: str, label: str, reported: Callable[[Reported], float] | None
 ) -> None:
     """A bar for every run of every algorithm, and the paper's mean as a line where it can be compared."""
-    width = 0.8 / len(data.algorithms)
-    for place, name in enumerate(data.algorithms):
-        runs, style = data.of(name), data.style(name)
-        x = [each.run + 1 + (place - (len(data.algorithms) - 1) / 2) * width for each in runs]
-        heights = [value(each) for each in runs]
+    width = 0.8 / len(results.plan.names)
+    for place, name in enumerate(results.plan.names):
+        runs, style = of(name, results.whole), style_of(results, name)
+        x = runs["run"] + 1 + (place - (len(results.plan.names) - 1) / 2) * width
         axes.bar(
-            x, heights, width * 0.92, color=style.colour, hatch=style.hatch, edgecolor="white", linewidth=0, label=name
+            x,
+            runs[column],
+            width * 0.92,
+            color=style.colour,
+            hatch=style.hatch,
+            edgecolor="white",
+            linewidth=0,
+            label=name,
         )
         if name in PAPER and reported is not None:
             height = reported(PAPER[name])
@@ -234,22 +217,22 @@ def _grouped(
                 annotation_clip=False,
             )
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xticks(sorted({each.run + 1 for each in data.runs}))
+    axes.set_xticks(range(1, results.plan.runs + 1))
     axes.grid(visible=False, axis="x")
     axes.set_xlabel("run")
     axes.set_ylabel(label)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(data.algorithms))
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(results.plan.names))
 
 
-def _collision_times(axes: Axes, data: Data) -> None:
-    edges = np.arange(0.0, np.ceil(data.longest / BIN_SECONDS) + 1) * BIN_SECONDS
-    width = BIN_SECONDS * 0.84 / len(data.algorithms)
-    for place, name in enumerate(data.algorithms):
-        style = data.style(name)
-        times = data.simulated(name)["collision_time"].dropna().to_numpy(dtype=float)
+def _collision_times(axes: Axes, results: Results) -> None:
+    edges = np.arange(0.0, np.ceil(results.longest / BIN_SECONDS) + 1) * BIN_SECONDS
+    width = BIN_SECONDS * 0.84 / len(results.plan.names)
+    for place, name in enumerate(results.plan.names):
+        style = style_of(results, name)
+        times = simulated(results, name)["collision_time"].dropna().to_numpy(dtype=float)
         counts, _ = np.histogram(times, edges)
         shares = 100 * counts / max(counts.sum(), 1)
-        x = edges[:-1] + BIN_SECONDS / 2 + (place - (len(data.algorithms) - 1) / 2) * width
+        x = edges[:-1] + BIN_SECONDS / 2 + (place - (len(results.plan.names) - 1) / 2) * width
         axes.bar(
             x, shares, width * 0.94, color=style.colour, hatch=style.hatch, edgecolor="white", linewidth=0,
             label=f"{name} ({counts.sum()})",
@@ -261,10 +244,10 @@ def _collision_times(axes: Axes, data: Data) -> None:
     axes.legend(loc="upper right")
 
 
-def _first_failure(axes: Axes, data: Data) -> None:
-    for name in data.algorithms:
-        runs, style = data.of(name), data.style(name)
-        estimate = run_measures.survival_of(runs)
+def _first_failure(axes: Axes, results: Results) -> None:
+    for name in results.plan.names:
+        style = style_of(results, name)
+        estimate = statistics.survival(*first_failures(of(name, results.whole)))
         hours = np.array([0.0, *estimate.times]) / SECONDS_PER_HOUR
         shares = 100 * np.array([1.0, *estimate.shares])
         axes.step(
@@ -278,7 +261,7 @@ def _first_failure(axes: Axes, data: Data) -> None:
     axes.legend(loc="upper right")
 
 
-Draw = Callable[[Axes, Data], None]
+Draw = Callable[[Axes, Results], None]
 
 FIGURES: Mapping[str, tuple[str, Draw, tuple[float, float]]] = {
     "totals": ("Scenarios and collisions in total, beside the paper's", _totals, (7.0, 3.8)),

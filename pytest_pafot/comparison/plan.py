@@ -84,8 +84,8 @@ class Plan:
         return tuple(resolve_algorithm(each).name for each in self.algorithms)
 
     def algorithm(self, name: str) -> AlgorithmClass:
-        """The algorithm of one of the names."""
-        return resolve_algorithm(self.algorithms[self.names.index(name)])
+        """The algorithm that one of the names, or of those of the catalogue, stands for."""
+        return resolve_algorithm(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
 
     def run_seed(self, algorithm: str, run: int) -> int:
         """The seed of one run; runs of different algorithms are independent samples."""

@@ -134,7 +134,7 @@ class Progress:
 
 def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:
     """Each task when its results are written."""
-    work = Runner(plan, folder)
+    work = TaskRunner(plan, folder)
     if workers == 1:
         for task in tasks:
             work(task, progress.tick)
@@ -156,7 +156,7 @@ def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, w
 
 
 @dataclass(frozen=True, slots=True)
-class Runner:
+class TaskRunner:
     """Runs one task and writes its results; a value, so that it travels to workers."""
 
     plan: Plan
@@ -164,25 +164,18 @@ class Runner:
 
     def __call__(self, task: Task, tick: Tick) -> None:
         """Simulate, then write all rows at once, and beside them the wall-clock time."""
-        started = time.perf_counter()
-        told = _Sparse(tick)
+        started, told = time.perf_counter(), -1.0
+
+        def tick_sparsely(share: float) -> None:  # every hundredth, so that telling costs nothing
+            nonlocal told
+            if share - told >= 0.01:
+                told = share
+                tick(share)
+
         path = self.folder / file_name(*task)
-        text = text_of(run_rows(self.plan, *task, told))
+        text = text_of(run_rows(self.plan, *task, tick_sparsely))
         write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.1f}\n")
         write_whole(path, text)
-
-
-@dataclass(slots=True)
-class _Sparse:
-    """Passes on every hundredth, so that telling costs nothing."""
-
-    tick: Tick
-    last: float = -1.0
-
-    def __call__(self, share: float) -> None:
-        if share - self.last >= 0.01:
-            self.last = share
-            self.tick(share)
 
 
 def _duration(seconds: float) -> str:

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pytest_pafot.comparison import run_measures
 from pytest_pafot.comparison.algorithm_run import run_rows
-from pytest_pafot.comparison.figures import STYLES, Data, draw_all
+from pytest_pafot.comparison.figures import STYLES, draw_all
 from pytest_pafot.comparison.rows import text_of
+from pytest_pafot.comparison.run_measures import Results
 from pytest_pafot.searching import ALGORITHMS
 
 
@@ -20,11 +20,9 @@ def test_runs_in_which_no_time_passes_are_drawn_without_a_warning(tmp_path, quic
     """Each fails at its first decision, and in two ways, so that it is no fault of the set-up."""
     plan = quick(ads="tests.comparison.test_figures:failing_in_two_ways", algorithms=("random",), runs=1)
     (tmp_path / "results.csv").write_text(text_of(run_rows(plan, "random", 0)))
-    frame = run_measures.read(tmp_path / "results.csv")
-    assert frame["clock"].max() == 0.0
-    runs = run_measures.measured(frame)
-    data = Data(frame=frame, runs=runs, algorithms=plan.algorithms, longest=20.0, has_papers_size=False)
-    assert "first-failure" in draw_all(data, tmp_path)
+    results = Results.of(plan, tmp_path / "results.csv")
+    assert results.horizon == 0.0
+    assert "first-failure" in draw_all(results, tmp_path)
 
 
 def failing_in_two_ways():

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from pytest_pafot.comparison import run_measures
+from pytest_pafot.comparison import run_measures, statistics
 from pytest_pafot.comparison.rows import Row, text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
@@ -41,8 +41,12 @@ def frame(tmp_path):
     return read
 
 
+def measured(frame, seconds=None):
+    return list(run_measures.measured(frame, seconds).itertuples())
+
+
 def test_a_run_by_hand(frame):
-    (measures,) = run_measures.measured(
+    (measures,) = measured(
         frame(
             rows(
                 {},
@@ -56,11 +60,11 @@ def test_a_run_by_hand(frame):
         )
     )
     assert (measures.scenarios, measures.unique, measures.collisions, measures.unique_collisions) == (7, 6, 4, 3)
-    assert (measures.share, measures.share_of_all) == (3 / 6, 4 / 7)
+    assert measures.share == 3 / 6
     assert measures.seconds == 60 + 10 + 20 + 5 + 7 + 3 == 105
     assert measures.seconds_per_scenario == 105 / 6
     assert measures.seconds_per_collision == 105 / 3
-    assert measures.collision_seconds == pytest.approx(35 / 3)
+    assert measures.collision_time == pytest.approx(35 / 3)
     assert (measures.by_npc, measures.by_position_npc, measures.by_ego, measures.invalid) == (1, 2, 2, 1)
     assert measures.local_searches == 1
     assert measures.distinct == 2
@@ -69,7 +73,7 @@ def test_a_run_by_hand(frame):
 
 
 def test_up_to_a_time_only_what_had_ended_by_then_counts(frame):
-    (measures,) = run_measures.measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
+    (measures,) = measured(frame(rows({}, hit(10.0), hit(20.0, "ego"))), 75.0)
     assert (measures.unique, measures.unique_collisions, measures.distinct, measures.seconds) == (2, 1, 0, 75.0)
     assert measures.first_failure == math.inf
 
@@ -82,15 +86,15 @@ def test_the_horizon_is_the_time_of_the_shortest_run(frame):
 
 
 def test_a_run_without_a_collision_has_no_time_to_one_and_infinite_seconds_for_one(frame):
-    (measures,) = run_measures.measured(frame(rows({}, {})))
-    assert math.isnan(measures.collision_seconds)
+    (measures,) = measured(frame(rows({}, {})))
+    assert math.isnan(measures.collision_time)
     assert (measures.seconds_per_collision, measures.share, measures.distinct) == (math.inf, 0.0, 0)
 
 
 def test_a_first_failure_that_did_not_come_is_censored_at_the_end_of_its_run(frame):
     runs = run_measures.measured(frame(rows({}, hit(8.0, "ego")), rows({}, {}, run=1)))
     assert run_measures.first_failures(runs) == ([68.0, 120.0], [False, True])
-    assert run_measures.survival_of(runs).median == 68.0
+    assert statistics.survival(*run_measures.first_failures(runs)).median == 68.0
 
 
 def test_distinct_failures_of_all_runs_are_counted_once(frame):
@@ -103,7 +107,8 @@ def test_distinct_failures_of_all_runs_are_counted_once(frame):
 def test_faults_of_the_ads_are_counted_among_them(frame):
     raised = {"outcome": "ads_error", "duration": 3.0, "signature": "ads-error-cccccc", "failing": True}
     data = frame(rows(hit(5.0, "ego", "a"), raised, raised), rows(raised, algorithm="random"))
-    assert [run_measures.distinct_in_all(data, "pafot"), run_measures.faults_in_all(data, "pafot")] == [2, 1]
+    faults = data[data["outcome"].isin(run_measures.FAULTS)]
+    assert [run_measures.distinct_in_all(each, "pafot") for each in (data, faults)] == [2, 1]
 
 
 def test_a_signature_that_reads_like_nothing_or_a_number_stays_a_text(frame):
@@ -127,7 +132,7 @@ def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(fra
     assert {each.at for each in found} == {"generations", "seconds"}
     asked = ("random", "simulated s per scenario", "generations")
     (speed,) = [each for each in found if (each.second, each.measure, each.at) == asked]
-    assert (speed.first_value, speed.second_value, speed.effect.a12) == (33.0, 43.0, 0.0)
+    assert (speed.values, speed.effect.a12) == ((33.0, 43.0), 0.0)
     assert speed.p == pytest.approx(0.1)
 
 
