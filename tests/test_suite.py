@@ -1,14 +1,19 @@
-"""The project itself: what counts as an error in its tests, and for which Pythons it is made."""
+"""The project itself: what counts as an error in its tests, for which Pythons it is made, and the shape of its code."""
 
+import ast
 import re
 import shutil
+import statistics
 import tomllib
 import warnings
 from pathlib import Path
 
 import pytest
 
+from tests.test_layers import MODULES, ROOMS
+
 ROOT = Path(__file__).parents[1]
+BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)
 
 
 def test_every_warning_is_an_error():
@@ -34,3 +39,30 @@ def test_wheels_are_built_for_every_python_that_is_supported():
     supported = re.findall(r"Python :: 3\.(\d+)", " ".join(project["project"]["classifiers"]))
     assert project["project"]["requires-python"] == f">=3.{supported[0]}"
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in supported]
+
+
+def functions():
+    """Every function and method of the package with the file that it is in."""
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                yield path, node
+
+
+def nesting(node, depth=0):
+    """How many blocks stand inside of each other at most; ``elif`` is no block inside of ``if``."""
+    deepest = depth
+    for child in ast.iter_child_nodes(node):
+        is_elif = isinstance(node, ast.If) and isinstance(child, ast.If) and node.orelse == [child]
+        deepest = max(deepest, nesting(child, depth + (isinstance(child, BLOCKS) and not is_elif)))
+    return deepest
+
+
+def test_functions_are_short_and_nest_little():
+    assert statistics.median(node.end_lineno - node.lineno + 1 for _, node in functions()) <= 7
+    assert [f"{path.name}: {node.name}" for path, node in functions() if nesting(node) > 4] == []
+
+
+def test_the_folders_of_tests_are_named_after_what_they_test():
+    folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
+    assert folders <= {*ROOMS, "example_ads"}
