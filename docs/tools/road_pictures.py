@@ -7,7 +7,6 @@ responsible is pictured, half a second before the impact. It needs Pillow beside
 
 from __future__ import annotations
 
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,9 +22,9 @@ from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
-from pytest_pafot.report.animation import still  # noqa: E402
-from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH  # noqa: E402
+from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH, draw_picture  # noqa: E402
 from pytest_pafot.report.finding_view import finding_view  # noqa: E402
+from pytest_pafot.report.picture import picture_at  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from pytest_pafot.trace import Trace  # noqa: E402
 from tests.support.road_cases import space_of  # noqa: E402
@@ -73,7 +72,7 @@ def picture(env_id: str) -> Image.Image:
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
     view = finding_view(trace, finding, node_id="", yaml="")
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
-    return Image.open(io.BytesIO(still(view, trace.duration - BEFORE_IMPACT))).convert("RGB")
+    return draw_picture(view, picture_at(view, trace.duration - BEFORE_IMPACT))
 
 
 def row(names: Sequence[str]) -> Image.Image:

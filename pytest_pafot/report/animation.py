@@ -1,15 +1,9 @@
-"""A finding as an animated picture, for places that show no pages: APNG or GIF. Drawn by ``drawing``, with Pillow."""
+"""A finding as an animated picture (APNG), for places that show no pages. Drawn by ``drawing``, with Pillow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Literal
-
 from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
-
-Format = Literal["apng", "gif"]
 
 MAX_SECONDS = 8.0
 """Only the end of a longer run is shown."""
@@ -28,21 +22,27 @@ class AnimationError(RuntimeError):
     """An animation that cannot be made; the message says why and what to do."""
 
 
-def animate(finding: FindingView, kind: Format = "apng") -> bytes:
+def animate(finding: FindingView) -> bytes:
     """The end of a finding's run as a file's content; the same view gives the same bytes with the same Pillow.
 
     Raises:
-        AnimationError: without Pillow, or for a finding without frames.
+        AnimationError: without Pillow, for a finding without frames, or with more vehicles than a small file can show.
     """
-    if kind not in ("apng", "gif"):
-        raise AnimationError(f"kind: expected apng or gif, received {kind!r}")
-    with _possible(finding):
+    if not finding.times:
+        raise AnimationError(
+            f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
+        )
+    try:
         from pytest_pafot.report.drawing import draw_animation  # noqa: PLC0415
+    except ImportError as error:
+        raise AnimationError(
+            "expected Pillow to draw animations, received an environment without it; "
+            'install it with pip install "pytest-pafot[report]", or ask for a page: --pafot-report=report.html'
+        ) from error
     content = b""
     for rate in RATES:
         pictures = [picture_at(finding, time) for time in moments(finding, rate)]
-        durations = [*[round(1000 / rate)] * (len(pictures) - 1), HOLD_MILLISECONDS]
-        content = draw_animation(finding, pictures, durations, "PNG" if kind == "apng" else "GIF")
+        content = draw_animation(finding, pictures, [*[round(1000 / rate)] * (len(pictures) - 1), HOLD_MILLISECONDS])
         if len(content) <= MAX_BYTES:
             return content
     raise AnimationError(
@@ -51,35 +51,8 @@ def animate(finding: FindingView, kind: Format = "apng") -> bytes:
     )
 
 
-def still(finding: FindingView, time: float) -> bytes:
-    """One moment of a finding's run [s] as a PNG file's content.
-
-    Raises:
-        AnimationError: without Pillow, or for a finding without frames.
-    """
-    with _possible(finding):
-        from pytest_pafot.report.drawing import draw_still  # noqa: PLC0415
-    return draw_still(finding, picture_at(finding, time))
-
-
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
     """The times that are shown [s], so many a second: the last eight seconds, the very end among them."""
     end = finding.duration
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)
     return tuple(round(end - step / rate, 6) for step in range(count, -1, -1))
-
-
-@contextmanager
-def _possible(finding: FindingView) -> Iterator[None]:
-    """Refuses a finding that nobody saw, and says what to install where an import inside finds no Pillow."""
-    if not finding.times:
-        raise AnimationError(
-            f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
-        )
-    try:
-        yield
-    except ImportError as error:
-        raise AnimationError(
-            "expected Pillow to draw animations, received an environment without it; "
-            'install it with pip install "pytest-pafot[report]", or ask for a page: --pafot-report=report.html'
-        ) from error

@@ -52,7 +52,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
         '<div class="columns">',
         _coverage("Cells", "cell", view.cells),
         _coverage("Target speeds", "speed", view.speeds),
-        _ring(view.steps) if len(view.steps) == 24 else "",
+        _ring(view.steps),
         "</div></details></article>",
     ]
     return "".join(parts)
@@ -78,41 +78,35 @@ def _counts(title: str, counts: Iterable[tuple[str, int]], total: int) -> str:
 
 def _coverage(title: str, what: str, rows: Sequence[CoverageRow]) -> str:
     top = max((each.requested for each in rows), default=0)
-    has_reached = any(each.reached is not None for each in rows)
     body = []
     for each in rows:
-        reached = [each.reached] if has_reached else []
         bars = _bars(top, requested=each.requested, driven=each.driven, reached=each.reached)
-        body.append(row(text(each.label), each.requested, each.driven, *reached, bars))
-    head = columns(what, "requested", "driven", *(["reached"] if has_reached else []), "")
-    return f"<div><h4>{title}</h4>{table(head, body)}</div>"
+        body.append(row(text(each.label), each.requested, each.driven, each.reached, bars))
+    return f"<div><h4>{title}</h4>{table(columns(what, 'requested', 'driven', 'reached', ''), body)}</div>"
 
 
 def _ring(steps: Sequence[CoverageRow]) -> str:
     """From each cell a row: how often an NPC held it, stepped clockwise and stepped anticlockwise."""
-    has_reached = any(each.reached is not None for each in steps)
-    rows = []
-    for cell in Cell:
-        cells = "".join(_ring_cell(each, has_reached=has_reached) for each in steps[3 * cell - 3 : 3 * cell])
-        rows.append(f'<tr><th scope="row">{int(cell)} {cell.label}</th>{cells}</tr>')
-    what = "driven / requested, reached" if has_reached else "driven / requested"
+    body = [
+        f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
+        for cell in Cell
+    ]
     return (
-        f'<div><h4>Steps on the ring <span class="unit">{what}</span></h4>'
-        f"{table(columns('from', 'hold', 'clockwise', 'anticlockwise'), rows)}</div>"
+        '<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>'
+        f"{table(columns('from', 'hold', 'clockwise', 'anticlockwise'), body)}</div>"
     )
 
 
-def _ring_cell(step: CoverageRow, *, has_reached: bool) -> str:
-    figures = f"{step.driven} / {step.requested}" + (f", {step.reached}" if has_reached else "")
+def _step(step: CoverageRow) -> str:
+    figures = f"{step.driven} / {step.requested}, {step.reached}"
     return f"<td>{figures}</td>" if step.driven else f'<td class="never">{figures} <span class="flag">never</span></td>'
 
 
-def _bars(top: int, **values: int | None) -> str:
-    """Bars under each other, of each value that is known, as shares of the top."""
+def _bars(top: int, **values: int) -> str:
+    """Bars under each other, as shares of the top."""
     bars = "".join(
         f'<svg class="meter {kind}" viewBox="0 0 100 4" preserveAspectRatio="none">'
         f'<rect width="{100 * value / top if top else 0:.1f}" height="4"/></svg>'
         for kind, value in values.items()
-        if value is not None
     )
     return f'<span class="bars" aria-hidden="true">{bars}</span>'

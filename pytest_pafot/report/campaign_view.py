@@ -73,22 +73,19 @@ def _generations(events: Iterable[Event]) -> tuple[GenerationView, ...]:
         elif isinstance(event, Restarted):
             restarts.add(event.generation)
         elif isinstance(event, LocalSearchFinished) and event.generation in views:
-            views[event.generation] = replace(
-                views[event.generation], local_best=_finite(event.best.fitness), local_replaced=event.replaced
-            )
+            best = round(event.best.fitness, 4) if math.isfinite(event.best.fitness) else None
+            view = replace(views[event.generation], local_best=best, local_replaced=event.replaced)
+            views[event.generation] = view
     return tuple(views[generation] for generation in sorted(views))
 
 
 def _generation(event: GenerationFinished, *, restarted: bool) -> GenerationView:
-    fitness = [
-        evaluation.fitness
-        for evaluation in event.population
-        if evaluation.eligible and math.isfinite(evaluation.fitness)
-    ]
+    eligible = (evaluation.fitness for evaluation in event.population if evaluation.eligible)
+    fitness = [value for value in eligible if math.isfinite(value)]
     return GenerationView(
         generation=event.generation,
-        best=_finite(max(fitness)) if fitness else None,
-        mean=_finite(sum(fitness) / len(fitness)) if fitness else None,
+        best=round(max(fitness), 4) if fitness else None,
+        mean=round(sum(fitness) / len(fitness), 4) if fitness else None,
         failing=sum(evaluation.failing for evaluation in event.population),
         population=len(event.population),
         restarted=restarted,
@@ -96,15 +93,8 @@ def _generation(event: GenerationFinished, *, restarted: bool) -> GenerationView
 
 
 def _rows(coverage: Coverage, labels: Iterable[tuple[str, Key]]) -> tuple[CoverageRow, ...]:
-    return tuple(
-        CoverageRow(
-            label=label,
-            requested=coverage.requested[key],
-            driven=coverage.driven[key],
-            reached=coverage.reached[key],
-        )
-        for label, key in labels
-    )
+    counts = coverage.requested, coverage.driven, coverage.reached
+    return tuple(CoverageRow(label, *(count[key] for count in counts)) for label, key in labels)
 
 
 def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
@@ -117,7 +107,3 @@ def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
 def _ordered(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
     """The most frequent first, then by name."""
     return tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
-
-
-def _finite(value: float) -> float | None:
-    return round(value, 4) if math.isfinite(value) else None

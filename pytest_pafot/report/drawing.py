@@ -39,38 +39,16 @@ WINDSCREEN = (0.2, -0.36), (0.34, -0.28), (0.34, 0.28), (0.2, 0.36)
 """Corners of a vehicle and of what tells its front from its rear, in shares of its length and width."""
 
 
-def draw_still(finding: FindingView, picture: Picture) -> bytes:
-    """A picture as the content of a PNG file."""
-    content = io.BytesIO()
-    _drawn(finding, picture).save(content, format="PNG", optimize=True)
-    return content.getvalue()
-
-
-def draw_animation(
-    finding: FindingView, pictures: Sequence[Picture], durations: Sequence[int], file_format: str
-) -> bytes:
-    """Pictures one after the other as the content of a file, again from the start after the last.
-
-    Args:
-        finding: of which they are.
-        pictures: to be drawn.
-        durations: of each [ms].
-        file_format: ``PNG`` or ``GIF``.
-    """
-    # One palette for all frames: each its own would let colours flicker and take twice the bytes.
+def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations: Sequence[int]) -> bytes:
+    """Pictures of a finding, each for its duration [ms], as the content of an APNG file that goes round."""
+    # One palette for all frames, so that colours do not flicker and the file stays small.
     palette = Images.new("P", (1, 1))
     palette.putpalette(_palette(len(finding.vehicles) - 1))
-    frames = [_drawn(finding, picture).quantize(palette=palette, dither=Images.Dither.NONE) for picture in pictures]
-    content = io.BytesIO()
-    frames[0].save(
-        content,
-        format=file_format,
-        save_all=True,
-        append_images=frames[1:],
-        duration=list(durations),
-        loop=0,
-        optimize=True,
+    first, *others = (
+        draw_picture(finding, picture).quantize(palette=palette, dither=Images.Dither.NONE) for picture in pictures
     )
+    content = io.BytesIO()
+    first.save(content, "PNG", save_all=True, append_images=others, duration=list(durations), loop=0, optimize=True)
     return content.getvalue()
 
 
@@ -88,7 +66,8 @@ def _palette(npcs: int) -> list[int]:
     return [part for colour in dict.fromkeys([*grounds, *inks, *tints, *edges]) for part in colour]
 
 
-def _drawn(finding: FindingView, picture: Picture) -> Image:
+def draw_picture(finding: FindingView, picture: Picture) -> Image:
+    """A picture, from the road at the bottom to the words on top."""
     sheet = _Sheet(finding, picture)
     sheet.road()
     sheet.cells()
@@ -127,7 +106,7 @@ class _Sheet:
                     self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
             return
         top, bottom = self._y(self.left), self._y(self.right)
-        self._rectangle(0, top, WIDTH, bottom, ROAD)
+        self.pen.rectangle(_large([(0, top), (WIDTH, bottom)]), fill=ROAD)
         for y in (top, bottom):
             self._line([(0, y), (WIDTH, y)], EDGE, 2)
         first = math.floor((self.picture.ego.along - WIDTH * EGO_AT / SCALE) / 12) * 12
@@ -168,9 +147,9 @@ class _Sheet:
             return
         ink, tint = (INK, INK) if vehicle == 0 else (NPC_INKS[(vehicle - 1) % 8], NPC_TINTS[(vehicle - 1) % 8])
         corners = self._corners(box, OUTLINE)
-        self._polygon(corners, tint)
+        self.pen.polygon(_large(corners), fill=tint)
         self._line([*corners, corners[0]], ink, 2)
-        self._polygon(self._corners(box, WINDSCREEN), PAPER)
+        self.pen.polygon(_large(self._corners(box, WINDSCREEN)), fill=PAPER)
         self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
 
     def impact(self) -> None:
@@ -179,12 +158,12 @@ class _Sheet:
         x, y = self._at(*self.picture.impact)
         spikes = [(13 if spike % 2 == 0 else 6, spike * math.pi / 8) for spike in range(16)]
         star = [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for radius, angle in spikes]
-        self._polygon(star, DANGER)
+        self.pen.polygon(_large(star), fill=DANGER)
 
     def words(self) -> None:
         if self.is_bent:  # The road goes on under the words.
-            self._rectangle(0, 0, WIDTH, HEAD, PAPER)
-            self._rectangle(0, self.bottom, WIDTH, self.height, PAPER)
+            self.pen.rectangle(_large([(0, 0), (WIDTH, HEAD)]), fill=PAPER)
+            self.pen.rectangle(_large([(0, self.bottom), (WIDTH, self.height)]), fill=PAPER)
         self._text((10, HEAD / 2), _cut(self.finding.headline, 88), INK, 13, "lm")
         foot = self.bottom + FOOT / 2
         self._text((10, foot), f"{self.picture.time:.1f} s", INK, 12, "lm")
@@ -198,7 +177,8 @@ class _Sheet:
             y += 1
         self.pointers.append((is_behind, y))
         edge, inward = (4, 1) if is_behind else (WIDTH - 4, -1)
-        self._polygon([(edge, y), (edge + 9 * inward, y - 7), (edge + 9 * inward, y + 7)], NPC_INKS[npc % 8])
+        arrow = [(edge, y), (edge + 9 * inward, y - 7), (edge + 9 * inward, y + 7)]
+        self.pen.polygon(_large(arrow), fill=NPC_INKS[npc % 8])
         away = f"{abs(box.along - ego.along):.0f} m {'behind' if is_behind else 'ahead'}"
         if self.is_bent:
             away = f"{math.dist((box.along, box.across), (ego.along, ego.across)):.0f} m away"
@@ -230,12 +210,6 @@ class _Sheet:
 
     def _line(self, points: Sequence[Point], ink: str, width: float) -> None:
         self.pen.line(_large(points), fill=ink, width=round(width * SMOOTH), joint="curve")
-
-    def _polygon(self, points: Sequence[Point], ink: str) -> None:
-        self.pen.polygon(_large(points), fill=ink)
-
-    def _rectangle(self, left: float, top: float, right: float, bottom: float, ink: str) -> None:
-        self.pen.rectangle(_large([(left, top), (right, bottom)]), fill=ink)
 
     def _text(self, place: Point, words: str, ink: str, size: int, anchor: str, *, halo: int = 0) -> None:
         font = ImageFont.load_default(size * SMOOTH)

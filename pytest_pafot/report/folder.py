@@ -5,16 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from pytest_pafot.report.animation import Format, animate
+from pytest_pafot.report.animation import animate
 from pytest_pafot.report.finding_markup import finding_keys
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 
 PAGE = "index.html"
-SUFFIXES = {"apng": ".png", "gif": ".gif"}
 
 
-def report_files(report: Report, kind: Format = "apng") -> Iterator[tuple[str, bytes]]:
+def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
     """Name and content of each file, the page first; findings that nobody saw have no picture.
 
     Raises:
@@ -23,4 +22,4 @@ def report_files(report: Report, kind: Format = "apng") -> Iterator[tuple[str, b
     yield PAGE, render_page(report).encode()
     for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
         if finding.times:
-            yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + SUFFIXES[kind], animate(finding, kind)
+            yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)

@@ -226,7 +226,7 @@ class GenerationView:
     local_replaced: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class CoverageRow:
     """How often something occurred in the simulated scenarios of a search.
 
@@ -234,13 +234,13 @@ class CoverageRow:
         label: what it is.
         requested: in the scenarios as asked for.
         driven: in the scenarios as driven, as far as the runs came.
-        reached: of those driven, how many had their cell reached; None where that is not known.
+        reached: of those driven, how many had their cell reached.
     """
 
     label: str
     requested: int
     driven: int
-    reached: int | None
+    reached: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

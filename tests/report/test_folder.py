@@ -26,13 +26,6 @@ def test_the_page_comes_first_then_a_picture_of_each_finding():
     assert files[f"{findings[0].id}.png"].startswith(b"\x89PNG")
 
 
-def test_gifs_have_their_own_suffix():
-    report = Report(title="t", findings=(short(real_report().findings[0]),))
-    name, content = list(report_files(report, "gif"))[1]
-    assert name.endswith(".gif")
-    assert content.startswith(b"GIF89a")
-
-
 def test_a_finding_that_nobody_saw_has_no_picture():
     report = Report(title="t", findings=(replace(real_report().findings[0], times=(), vehicles=()),))
     assert [name for name, _ in report_files(report)] == ["index.html"]
