@@ -13,9 +13,11 @@ import secrets
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from pytest_pafot.locks import hold, is_held, pid_of
+
+T = TypeVar("T")
 
 TEMPORARY = ".pafot-"
 """How the names of files begin that are being written."""
@@ -43,7 +45,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Raises:
         OSError: when it cannot be written; nothing half written is left.
     """
-    _through_temporary(path, content.encode() if isinstance(content, str) else content, _replace)
+    _through_temporary(path, content.encode() if isinstance(content, str) else content, Path.replace)
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
@@ -75,7 +77,7 @@ def sweep(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], bool]) -> bool:
+def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:
     path.parent.mkdir(parents=True, exist_ok=True)
     sweep(path.parent)
     temporary, file = _create(path.parent)
@@ -100,11 +102,6 @@ def _create(folder: Path) -> tuple[Path, BinaryIO]:
             return temporary, file
         file.close()
         temporary.unlink(missing_ok=True)
-
-
-def _replace(temporary: Path, path: Path) -> bool:
-    temporary.replace(path)
-    return True
 
 
 def _publish(temporary: Path, path: Path) -> bool:

@@ -54,7 +54,12 @@ class PositionInstruction:
     speed: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cell", _checked_cell(self.cell))
+        if type(self.cell) is not Cell:
+            number = _whole(self.cell)
+            if number is None or not 1 <= number <= 8:
+                expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
+                raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
+            object.__setattr__(self, "cell", Cell(number))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
     @property
@@ -240,16 +245,6 @@ class Scenario:
     def __repr__(self) -> str:
         chains = "; ".join(" ".join(f"{g.target}@{g.speed:g}" for g in chain) for chain in self.npcs)
         return f"<Scenario {self.id}: {chains}>"
-
-
-def _checked_cell(value: object) -> Cell:
-    if type(value) is Cell:
-        return value
-    number = _whole(value)
-    if number is None or not 1 <= number <= 8:
-        expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
-        raise ScenarioError(field="cell", expected=expected, received=repr(value))
-    return Cell(number)
 
 
 def _checked_speed(value: object) -> float:

@@ -34,12 +34,9 @@ class Field:
         received = received or f"{self.value!r:.80}"
         return CorpusError(self.path, line=line, field=self.name, expected=expected, received=received, fix=fix)
 
-    def at(self, *inner: str | int) -> Field:
-        """A value inside of this one."""
-        value = self.value
-        for part in inner:
-            value = value[part]
-        return Field(self.path, self.document, (*self.place, *inner), value)
+    def at(self, part: str | int) -> Field:
+        """The value under a key, or at an index, of this one."""
+        return Field(self.path, self.document, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys) -> dict[str, Field]:
         """The values of a mapping that has all required keys and no unknown ones."""

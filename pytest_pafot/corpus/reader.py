@@ -47,14 +47,26 @@ def load(path: str | os.PathLike[str]) -> Finding:
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
     """The finding in the content of a file; see :func:`load`. ``loader`` is for :func:`yaml_document.parse`."""
-    return _finding(path, _top(path, content, loader))
-
-
-def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
-    """The document in the content of a file, as one of the version that is written."""
-    document = parse(path, content, loader)
-    top = Field(path, document, (), document.value)
-    return replace(top, value=upgraded(top.value)) if _version(top) == 1 else top
+    top = _top(path, content, loader)
+    name = path.name.removesuffix(SUFFIX)
+    if not path.name.endswith(SUFFIX) or not is_id(name):
+        expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
+        raise CorpusError(path, expected=expected, received=path.name, fix="rename the file")
+    fields = top.mapping(schema.FILE)
+    scenario = _scenario(fields["scenario"])
+    reason = 'write the reason in quotes, as in xfail: "issue 12"'
+    return Finding(
+        id=name,
+        test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
+        world=_world(fields["world"]),
+        scenario=scenario,
+        expect=_expect(fields["expect"], len(scenario.npcs)),
+        found=_found(fields["found"]),
+        original=_given(fields, "original", _scenario),
+        shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario)),
+        flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
+        xfail=_given(fields, "xfail", lambda field: field.some_text(reason)),
+    )
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
@@ -83,44 +95,24 @@ def _content(path: Path) -> bytes:
     raise CorpusError(path, expected="a file that can be read", received=received)
 
 
-def _finding(path: Path, top: Field) -> Finding:
-    name = path.name.removesuffix(SUFFIX)
-    if not path.name.endswith(SUFFIX) or not is_id(name):
-        expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
-        raise CorpusError(path, expected=expected, received=path.name, fix="rename the file")
-    fields = top.mapping(schema.FILE)
-    scenario = _scenario(fields["scenario"])
-    reason = 'write the reason in quotes, as in xfail: "issue 12"'
-    return Finding(
-        id=name,
-        test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
-        world=_world(fields["world"]),
-        scenario=scenario,
-        expect=_expect(fields["expect"], len(scenario.npcs)),
-        found=_found(fields["found"]),
-        original=_given(fields, "original", _scenario),
-        shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario)),
-        flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
-        xfail=_given(fields, "xfail", lambda field: field.some_text(reason)),
-    )
-
-
-def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
-    """The value of an optional key."""
-    return get(fields[key]) if key in fields else default
-
-
-def _version(top: Field) -> int:
-    """The version comes first: of a newer one, nothing else can be judged."""
+def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
+    """The document in the content of a file, as one of the version that is written."""
+    document = parse(path, content, loader)
+    top = Field(path, document, (), document.value)
     fields = top.any_mapping()
-    if "pafot" not in fields:
+    if "pafot" not in fields:  # it comes first: of a newer version, nothing else can be judged
         raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
     version = fields["pafot"]
     if isinstance(version.value, bool) or not isinstance(version.value, int) or version.value not in VERSIONS:
         known = " or ".join(map(str, VERSIONS))
         fix = f"install the pytest-pafot that wrote it; this one reads versions {known}"
         raise version.error(f"the format version {known}", fix)
-    return version.value
+    return replace(top, value=upgraded(top.value)) if version.value == 1 else top
+
+
+def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
+    """The value of an optional key."""
+    return get(fields[key]) if key in fields else default
 
 
 def _world(field: Field) -> dict[str, Any]:
@@ -228,11 +220,8 @@ def _found(field: Field) -> Found:
 
 def _shrunk(field: Field, scenario: Scenario) -> Simplified:
     fields = field.mapping(schema.SHRUNK)
-    return Simplified(
-        rollouts=fields["rollouts"].whole(),
-        is_minimal=fields["is_minimal"].truth(),
-        speeds=tuple(_interval(inner, scenario) for inner in fields["speeds"].items()),
-    )
+    speeds = tuple(_interval(inner, scenario) for inner in fields["speeds"].items())
+    return Simplified(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=speeds)
 
 
 def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
