@@ -55,12 +55,6 @@ _CELLS = dict(zip(zip(_ROWS, _COLUMNS, strict=True), Cell, strict=True))
 ALL_CELLS = frozenset(Cell)
 
 
-def ring_distance(a: Cell, b: Cell) -> int:
-    """Steps along the ring from one cell to another, 0 to 4."""
-    clockwise = (b - a) % 8
-    return min(clockwise, 8 - clockwise)
-
-
 def is_adjacent(a: Cell, b: Cell) -> bool:
     """Whether a chain may hold ``b`` directly after ``a``: the same cell or a ring neighbour of it."""
     return (b - a + 1) % 8 <= 2
@@ -134,14 +128,15 @@ def repair_gene(
     Raises:
         ValueError: in the first gene, when there are more NPCs than existing cells.
     """
-    if _can_all_be_met(previous, requested, existing):
+    are_free = len(set(requested)) == len(requested) and all(cell in existing for cell in requested)
+    if are_free and (previous is None or all(map(is_adjacent, previous, requested))):
         return tuple(requested)
     if previous is None:
         preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
     else:
-        next_cells = _next_existing_cells if skipping else _next_cells
+        ring = existing if skipping else ALL_CELLS
         preferences = [
-            next_cells(before, cell, existing, coin(npc))
+            _next_cells(before, cell, existing, ring, coin(npc))
             for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
         ]
     assignment = next(_assignments(preferences, ()), None)
@@ -151,13 +146,6 @@ def repair_gene(
             "use fewer NPCs or more lanes"
         )
     return assignment
-
-
-def _can_all_be_met(previous: Sequence[Cell] | None, requested: Sequence[Cell], existing: Collection[Cell]) -> bool:
-    """Whether the requests are the first in order of preference: possible, and no two for one cell."""
-    if len(set(requested)) < len(requested) or not all(cell in existing for cell in requested):
-        return False
-    return previous is None or all(map(is_adjacent, previous, requested))
 
 
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
@@ -191,24 +179,18 @@ def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: b
     return [cell for cell in dict.fromkeys(by_distance) if cell in existing]
 
 
-def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
-    anticlockwise, clockwise = previous.neighbours
-    neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
-    wanted = (requested,) if is_adjacent(previous, requested) else ()
-    moves = [cell for cell in (*wanted, *neighbours) if cell in existing]
-    return list(dict.fromkeys([*moves, previous]))
-
-
-def _next_existing_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
+def _next_cells(
+    previous: Cell, requested: Cell, existing: Collection[Cell], ring: Collection[Cell], clockwise_first: bool
 ) -> list[Cell]:
+    """The cells that may follow one, the best first; from one to the next on a ring of all cells or of some."""
     ways = {}
     for step in (-1, 1):
         beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
-        ways[step] = next((cell for cell in beyond if cell in existing), previous)
+        ways[step] = next((cell for cell in beyond if cell in ring), previous)
     toward = {Cell((previous - 1 + step) % 8 + 1): cell for step, cell in ways.items()}
-    allowed = {cell: cell for cell in (previous, *ways.values()) if cell in existing}
-    wanted = allowed.get(requested, None if requested in existing else toward.get(requested))
+    wanted = requested if requested in (previous, *ways.values()) else None
+    if requested not in existing:
+        wanted = toward.get(requested)
     neighbours = (ways[1], ways[-1]) if clockwise_first else (ways[-1], ways[1])
     moves = [cell for cell in (wanted, *neighbours) if cell is not None and cell in existing]
     return list(dict.fromkeys([*moves, previous]))

@@ -283,12 +283,10 @@ def _gene_table(trace: Trace) -> list[str]:
     scenario = trace.executed
     started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
     reached = {1: "reached at ", 2: "reached "}.get(len(scenario.npcs), "")  # as many words as there is room for
-    header = ["  from [s]", *(f"NPC {npc}" for npc in range(len(scenario.npcs)))]
+    npcs = range(len(scenario.npcs))
+    header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
     rows = [
-        [
-            f"{gene * scenario.gene_seconds:10.1f}",
-            *(_gene(trace, npc, gene, reached) for npc in range(len(scenario.npcs))),
-        ]
+        [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
         for gene in range(started)
     ]
     shown = rows[-MAX_GENE_ROWS:]

@@ -16,9 +16,9 @@ from pytest_pafot.grid import (
     longitudinal_target,
     repair_chains,
     repair_gene,
-    ring_distance,
     toss,
 )
+from tests.support.traces import ring_distance
 
 LENGTH, LANE = 5.0, 4.0
 

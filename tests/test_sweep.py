@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
-from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, sweep
+from pytest_pafot.criticality import Encounters, sweep
+from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.searching import SearchSpace, interaction, sample
 from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
 from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y

@@ -8,10 +8,8 @@ never turned into a harmless number.
 Whoever needs several measures of one run asks an :class:`Encounters`, which computes what they share once.
 """
 
-from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, overlaps, relate
 from pytest_pafot.criticality.encroachment import post_encroachment_time
 from pytest_pafot.criticality.measures import (
-    MANOEUVRE_SECONDS,
     Encounters,
     centre_distance,
     ego_follows,
@@ -42,16 +40,11 @@ from pytest_pafot.criticality.rss import (
 )
 
 __all__ = [
-    "MANOEUVRE_SECONDS",
-    "Boxes",
     "Encounters",
-    "Pairs",
     "RelativePositions",
     "RoadFrame",
     "RssRules",
-    "box_gap",
     "centre_distance",
-    "contact_time",
     "ego_follows",
     "ettc",
     "execution_time",
@@ -65,10 +58,8 @@ __all__ = [
     "min_gap",
     "min_safety_distance",
     "min_ttc",
-    "overlaps",
     "planned_duration",
     "post_encroachment_time",
-    "relate",
     "required_deceleration",
     "rss_lateral",
     "rss_longitudinal",

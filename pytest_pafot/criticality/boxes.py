@@ -11,6 +11,7 @@ All arrays broadcast against each other; results have their common shape. Boxes 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -58,16 +59,11 @@ class Boxes:
 
     def part(self, vehicles: slice, ticks: slice) -> Boxes:
         """Some vehicles at some ticks, of boxes with shape [vehicles, ticks] and sizes [vehicles, 1]."""
-        return Boxes(
-            x=self.x[vehicles, ticks],
-            y=self.y[vehicles, ticks],
-            cos=self.cos[vehicles, ticks],
-            sin=self.sin[vehicles, ticks],
-            vx=self.vx[vehicles, ticks],
-            vy=self.vy[vehicles, ticks],
-            half_length=self.half_length[vehicles],
-            half_width=self.half_width[vehicles],
+        x, y, cos, sin, vx, vy = (
+            array[vehicles, ticks] for array in (self.x, self.y, self.cos, self.sin, self.vx, self.vy)
         )
+        length, width = self.half_length[vehicles], self.half_width[vehicles]
+        return Boxes(x=x, y=y, cos=cos, sin=sin, vx=vx, vy=vy, half_length=length, half_width=width)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,11 +155,8 @@ def _corners_to_box(
     length_u, length_v = other.half_length * cos, other.half_length * sin
     width_u, width_v = -other.half_width * sin, other.half_width * cos
     nearest: FloatArray = np.full(u.shape, np.inf)
-    for move in (np.add, np.subtract):
-        for side in (np.add, np.subtract):
-            corner_u = side(move(u, length_u), width_u)
-            corner_v = side(move(v, length_v), width_v)
-            outside_u = np.maximum(np.abs(corner_u) - box.half_length, 0.0)
-            outside_v = np.maximum(np.abs(corner_v) - box.half_width, 0.0)
-            nearest = np.minimum(nearest, outside_u * outside_u + outside_v * outside_v)
+    for move, side in product((np.add, np.subtract), repeat=2):
+        outside_u = np.maximum(np.abs(side(move(u, length_u), width_u)) - box.half_length, 0.0)
+        outside_v = np.maximum(np.abs(side(move(v, length_v), width_v)) - box.half_width, 0.0)
+        nearest = np.minimum(nearest, outside_u * outside_u + outside_v * outside_v)
     return nearest

@@ -26,20 +26,12 @@ def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray
         horizon: longest time looked for [s]; the work grows with it.
     """
     boxes = Encounters(trace).boxes
-    npcs = trace.npcs.shape[1]
-    result = np.full(npcs, np.inf)
-    for npc in range(npcs):
-        lag = _smallest_lag(boxes, npc + 1, min(int(horizon * trace.physics_hz), trace.ticks))
-        if lag is not None:
-            result[npc] = lag / trace.physics_hz
-    return result
-
-
-def _smallest_lag(boxes: Boxes, vehicle: int, longest: int) -> int | None:
-    for lag in range(longest + 1):
-        if _meets(boxes, 0, vehicle, lag) or _meets(boxes, vehicle, 0, lag):
-            return lag
-    return None
+    lags = range(min(int(horizon * trace.physics_hz), trace.ticks) + 1)
+    met = [
+        next((lag for lag in lags if _meets(boxes, 0, npc, lag) or _meets(boxes, npc, 0, lag)), np.inf)
+        for npc in range(1, len(boxes.x))
+    ]
+    return np.array(met) / trace.physics_hz
 
 
 def _meets(boxes: Boxes, first: int, second: int, lag: int) -> bool:

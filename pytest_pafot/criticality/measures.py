@@ -269,7 +269,9 @@ class Encounters(RelativePositions):
     @property
     def max_safety_shortfall(self) -> float:
         """See :func:`max_safety_shortfall`."""
-        return _highest(self.safety_shortfall) if self._extremes is None else self._extremes.max_safety_shortfall
+        if self._extremes is not None:
+            return self._extremes.max_safety_shortfall
+        return float(self.safety_shortfall.max(initial=0.0))
 
     @cached_property
     def _extremes(self) -> sweep.Sweep | None:
@@ -287,7 +289,3 @@ class Encounters(RelativePositions):
 
 def _lowest(values: FloatArray) -> float:
     return float(values.min(initial=np.inf))
-
-
-def _highest(values: FloatArray) -> float:
-    return float(values.max(initial=0.0))

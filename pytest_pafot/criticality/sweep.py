@@ -37,12 +37,9 @@ def is_compiled() -> bool:
 
 def is_in_use() -> bool:
     """Whether compiled passes stand in for numpy's arrays: with the same results, or not at all."""
-    return is_compiled() and os.environ.get("PAFOT_KERNEL") != "interpreted" and agrees_with_numpy()
-
-
-def agrees_with_numpy() -> bool:
-    """Whether numpy's sine and cosine are the C library's, as they are used here: looked at for 256 angles."""
-    angles = np.linspace(-2.0, 2.0, 256)
+    if not is_compiled() or os.environ.get("PAFOT_KERNEL") == "interpreted":
+        return False
+    angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
     return bool(
         (np.sin(angles) == [math.sin(angle) for angle in angles.tolist()]).all()
         and (np.cos(angles) == [math.cos(angle) for angle in angles.tolist()]).all()

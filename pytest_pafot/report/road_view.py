@@ -11,13 +11,12 @@ import numpy.typing as npt
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.page_data import LaneView, Pose, RoadView
 from pytest_pafot.trace import ALONG, LANE, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
 DENSE = 0.5
 """Distance of the points by which cells are found [m]."""
 BEYOND = 150.0
 """How far beyond where the vehicles came the lanes of the ego's way are drawn [m]."""
-SAME_DIRECTION = 0.5
-"""Largest angle between the lanes of one direction [rad]."""
 
 
 def road_view(trace: Trace, clearance: float) -> RoadView:
@@ -29,13 +28,12 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
     """
     ends = np.array([(lane.x, lane.y) for lane in trace.lanes])
     across = along_and_across(trace, ends[:, 0], ends[:, 1])[1]
-    is_bent = trace.track is not None
     return RoadView(
-        lanes=() if is_bent else tuple(round(float(value), 2) for value in across),
+        lanes=() if trace.track is not None else tuple(round(float(value), 2) for value in across),
         lane_width=float(trace.lanes[0].width),
         speed_limit=round(float(trace.speed_limit), 2),
         clearance=clearance,
-        shapes=_lane_lines(trace) if is_bent else (),
+        shapes=() if trace.track is None else _lane_lines(trace.lanes, trace.track),
     )
 
 
@@ -47,10 +45,10 @@ def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatA
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
-def _lane_lines(trace: Trace) -> tuple[LaneView, ...]:
-    reach = float(trace.track_of(0)[:, ALONG].max()) + BEYOND
+def _lane_lines(lanes: Sequence[Lane], track: FloatArray) -> tuple[LaneView, ...]:
+    reach = float(track[:, 0, ALONG].max()) + BEYOND
     views = []
-    for lane in trace.lanes:
+    for lane in lanes:
         points, length = _measured(lane)
         shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
         line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)

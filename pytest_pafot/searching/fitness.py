@@ -21,7 +21,8 @@ from types import MappingProxyType
 import numpy as np
 
 from pytest_pafot.attribution.near_misses import NEAR_SECONDS
-from pytest_pafot.criticality import MANOEUVRE_SECONDS, Encounters, execution_time, planned_duration
+from pytest_pafot.criticality import Encounters, execution_time, planned_duration
+from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.searching.av_fuzzer_fitness import av_fuzzer_fitness
 from pytest_pafot.searching.references import referred_to
 from pytest_pafot.trace import Outcome, Trace

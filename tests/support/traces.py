@@ -11,6 +11,12 @@ from pytest_pafot.trace import Collision, Lane, Outcome, Trace
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 
 
+def ring_distance(a, b):
+    """Steps along the ring from one cell to another, 0 to 4."""
+    clockwise = (b - a) % 8
+    return min(clockwise, 8 - clockwise)
+
+
 def scenario_of(npcs=1, *, genes=6, gene_seconds=10.0):
     """NPCs that hold one cell each for the whole scenario."""
     chains = [[PositionInstruction(Cell(npc + 1), 20.0)] * genes for npc in range(npcs)]

@@ -107,9 +107,12 @@ def made(factory: AdsFactory, **arguments: Any) -> Any:
         raise
     if is_vehicle_class(ads) or callable(ads):
         return ads
+    hint = hint_at_object(ads) or (
+        "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
+    )
     raise AdsFactoryError(
-        f"ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
-        f"class, received {shown(ads)}. {_hint_at(ads)}"
+        "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
+        f"class, received {shown(ads)}. {'Is a `return` missing in it?' if ads is None else hint}"
     )
 
 
@@ -123,15 +126,6 @@ def hint_at_object(given: Any) -> str:
         return ""
     example = f", {PREDICTING}" if method == "predict" else ""
     return f"It has a method {method!r}: let the factory return a function of the observation that calls it{example}"
-
-
-def _hint_at(made: Any) -> str:
-    """What to write where a factory made something that does not drive."""
-    if made is None:
-        return "Is a `return` missing in it?"
-    return hint_at_object(made) or (
-        "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
-    )
 
 
 def _takes_nothing(factory: AdsFactory) -> bool:
@@ -153,23 +147,20 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         signature.bind(**arguments)
     except TypeError as error:
         given = "with env=<environment>" if arguments else "without arguments"
+        inner = inspect.unwrap(factory)
+        if isinstance(inner, type):
+            hint = f"Give the arguments in a function, `lambda: {inner.__name__}(...)`"
+        elif getattr(inner, "__name__", "") == "predict":
+            hint = f"Of a model, write {PREDICTING}"
+        else:
+            hint = (
+                "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: "
+                "`ads=lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
+            )
         raise AdsFactoryError(
             f"ads: expected a factory that can be called {given}, received one with the signature {signature} "
-            f"({error}). {_wrapped(factory)}"
+            f"({error}). {hint}"
         ) from None
-
-
-def _wrapped(factory: Any) -> str:
-    """How to make a factory of what is an ADS, or a class with arguments."""
-    given = inspect.unwrap(factory)
-    if isinstance(given, type):
-        return f"Give the arguments in a function, `lambda: {given.__name__}(...)`"
-    if getattr(given, "__name__", "") == "predict":
-        return f"Of a model, write {PREDICTING}"
-    return (
-        "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`, or "
-        "`return lambda: MyPlanner()` in the fixture"
-    )
 
 
 def follow(vehicle: Any, route: Sequence[Any] | None) -> None:
@@ -205,13 +196,22 @@ class SelfDriving:
 
 
 class Planner:
-    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad])."""
+    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]).
+
+    Args:
+        ads: the callable.
+        road: highway-env's, with its vehicles.
+        lanes: of that road.
+        ego: the vehicle that it drives.
+        physics_hz: ticks per second.
+        every: physics ticks from one decision to the next.
+    """
 
     def __init__(
         self,
         ads: Callable[[Observation], Any],
         road: Road,
-        straight: StraightRoad | NetworkRoad,
+        lanes: StraightRoad | NetworkRoad,
         ego: Car,
         physics_hz: int,
         every: int,
@@ -220,7 +220,7 @@ class Planner:
         self.every = every
         self._ads = ads
         self._road = road
-        self._straight = straight
+        self._lanes = lanes
         self._physics_hz = physics_hz
 
     def decide(self, tick: int) -> tuple[float, float]:
@@ -239,16 +239,9 @@ class Planner:
         self.vehicle.acceleration = without_reversing(self._wanted, self.vehicle.speed, 1 / self._physics_hz)
 
     def observe(self, tick: int) -> Observation:
-        """The scene as it is now."""
+        """What the ADS sees: all vehicles as they are now."""
         states = [
             VehicleState(v.x, v.y, v.heading, v.speed, v.lane_index[2], v.LENGTH, v.WIDTH) for v in self._road.vehicles
         ]
-        straight = self._straight
-        return Observation(
-            tick / self._physics_hz,
-            states[0],
-            tuple(states[1:]),
-            len(straight.lanes),
-            straight.lane_width,
-            straight.speed_limit,
-        )
+        road, time = self._lanes, tick / self._physics_hz
+        return Observation(time, states[0], tuple(states[1:]), len(road.lanes), road.lane_width, road.speed_limit)

@@ -6,7 +6,6 @@ import bdb
 import sys
 import traceback
 from types import TracebackType
-from typing import Any
 
 from pytest_pafot.trace import AdsError
 from pytest_pafot.world.driving import guard as guard_module
@@ -28,9 +27,12 @@ def is_interruption(error: BaseException) -> bool:
     """
     if isinstance(error, BaseExceptionGroup):
         return any(is_interruption(each) for each in error.exceptions)
-    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, *_ends_of_a_session())):
+    # What `pytest.exit()` raises: whoever calls it has imported pytest, which this room does not know.
+    exits = (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
+    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, *exits)):
         return True
-    return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in _modules(error.__traceback__))
+    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in modules)
 
 
 def let_through(error: BaseException) -> None:
@@ -60,16 +62,6 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
     )
 
 
-def _ends_of_a_session() -> tuple[type[BaseException], ...]:
-    """What ``pytest.exit()`` raises: whoever calls it has imported pytest, which this room does not know."""
-    pytest = sys.modules.get("pytest")
-    return () if pytest is None else (pytest.exit.Exception,)
-
-
-def _modules(tb: TracebackType | None) -> list[str]:
-    return [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(tb)]
-
-
 def _where(hang: AdsHang) -> str:
     """The stack at which a decision was interrupted, without the frames of the interruption."""
     frames = traceback.extract_tb(_users_part(hang))
@@ -77,13 +69,11 @@ def _where(hang: AdsHang) -> str:
     return "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
 
 
-def _users_part(error: BaseException) -> Any:
+def _users_part(error: BaseException) -> TracebackType | None:
     """The traceback without this package's own frames at its top."""
     frames = error.__traceback__
-    while frames is not None and frames.tb_next is not None and _is_own(frames.tb_frame.f_globals):
+    while frames is not None and frames.tb_next is not None:
+        if not str(frames.tb_frame.f_globals.get("__name__")).startswith("pytest_pafot.world."):
+            break
         frames = frames.tb_next
     return frames
-
-
-def _is_own(module: dict[str, Any]) -> bool:
-    return str(module.get("__name__")).startswith("pytest_pafot.world.")

@@ -54,14 +54,11 @@ class FastKinematics:
         """float32, shape [vehicles_count, features]."""
         stock, env = self._stock, self._env
         ego = stock.observer_vehicle
-        ego_row = _features(ego)
-        rows = [ego_row]
-        for vehicle in self._close(ego):
-            row = _features(vehicle)
-            if not stock.absolute:
+        rows = [_features(vehicle) for vehicle in (ego, *self._close(ego))]
+        if not stock.absolute:
+            for row in rows[1:]:
                 for feature in _RELATIVE:
-                    row[feature] -= ego_row[feature]
-            rows.append(row)
+                    row[feature] -= rows[0][feature]
         table = np.zeros((stock.vehicles_count, len(stock.features)))
         for index, row in enumerate(rows):
             table[index] = [row[feature] for feature in stock.features]
@@ -100,15 +97,9 @@ class FastKinematics:
         if not ranges:
             lanes = len(env.road.network.all_side_lanes(self._stock.observer_vehicle.lane_index))
             top, across = Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * lanes
-            ranges = {
-                "x": [-5.0 * top, 5.0 * top],
-                "y": [-across, across],
-                "vx": [-2 * top, 2 * top],
-                "vy": [-2 * top, 2 * top],
-            }
-        return [
-            (ranges[feature][0], ranges[feature][1]) if feature in ranges else None for feature in self._stock.features
-        ]
+            ends = {"x": 5.0 * top, "y": across, "vx": 2 * top, "vy": 2 * top}
+            ranges = {feature: (-end, end) for feature, end in ends.items()}
+        return [tuple(ranges[feature]) if feature in ranges else None for feature in self._stock.features]
 
 
 def _features(vehicle: Any) -> dict[str, float]:

@@ -90,16 +90,12 @@ class NetworkDirector(Director):
         gained = max(npc.asked, 0.0) ** 2 / (2 * self._jerk)  # while the accelerator is released
         for lane in (npc.lane, goal):
             wanted = min(wanted, self._network.speed_at(lane, npc.x) - gained)
-        wanted = min(wanted, max(npc.speed, self._changing_speed(npc, goal)))
+        if abs(npc.y - self._network.centre(goal)) > BETWEEN_LANES:  # turned outwards it must be able to turn back
+            changing = math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
+            wanted = min(wanted, max(npc.speed, changing))
         npc.asked = self._driver.acceleration(wanted, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         self._steer(npc, goal)
-
-    def _changing_speed(self, npc: Npc, goal: int) -> float:
-        """Up to which an NPC speeds up now [m/s]: turned outwards in a bend, it must still be able to turn back."""
-        if abs(npc.y - self._network.centre(goal)) <= BETWEEN_LANES:
-            return math.inf
-        return math.sqrt(CHANGING_SHARE * self._lateral / max(self._sharpest(npc, goal), 1e-9))
 
     def _sharpest(self, npc: Npc, goal: int) -> float:
         """Curvature of the sharpest bend of a lane that an NPC meets in a lane change [1/m]."""

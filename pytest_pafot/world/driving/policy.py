@@ -10,7 +10,6 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.road.road import Road
 from highway_env.utils import class_from_path
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.errors import WorldError
@@ -79,20 +78,18 @@ def checked_action(action: Any, space: Any) -> Any:
     Raises:
         BadAction: when it is none, or not finite.
     """
-    if isinstance(space, spaces.Discrete):
-        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
-        try:
-            array = np.asarray(action)
-        except (TypeError, ValueError):  # such as rows of different lengths
-            raise _bad(expected, action) from None
-        if array.size != 1 or array.dtype.kind not in "iu" or not space.contains(int(array.reshape(()))):
-            raise _bad(expected, action, _hint_at_choice(array, space))
-        return int(array.reshape(()))
+    is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
+    if is_choice:
+        expected = f"expected a whole number from {space.start} to {space.start + space.n - 1}"
     try:
         given = np.asarray(action)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # such as rows of different lengths
         raise _bad(expected, action) from None
+    if is_choice:
+        if given.size != 1 or given.dtype.kind not in "iu" or not space.contains(int(given.reshape(()))):
+            raise _bad(expected, action, _hint_at_choice(given, space))
+        return int(given.reshape(()))
     if given.dtype.kind not in "iuf" or given.shape != space.shape or not np.isfinite(given).all():
         raise _bad(expected, action)
     return np.array(given, dtype=np.result_type(given, np.float32))  # a copy: the ADS may reuse its array
@@ -149,7 +146,9 @@ class View:
         ego.action = dict(source.vehicle.action)
         ego.check_collisions = True
         road.objects = moved(source.road.objects, road)
-        road.vehicles = [ego, *(self._stranger(road, other) for other in source.road.vehicles[1:])]
+        road.vehicles = [ego]
+        for each in source.road.vehicles[1:]:
+            road.vehicles.append(self._traffic(road, np.array(each.position), float(each.heading), float(each.speed)))
         env.road = road
         env.controlled_vehicles = [ego]
         env.np_random = road.np_random
@@ -157,6 +156,3 @@ class View:
         env.define_spaces()
         env.action_space.seed(tick)  # planners sample from it
         env.observation_space.seed(tick)
-
-    def _stranger(self, road: Road, other: Vehicle) -> Vehicle:
-        return self._traffic(road, np.array(other.position), float(other.heading), float(other.speed))

@@ -52,9 +52,12 @@ class RoadPlanner(Planner):
         return action
 
     def observe(self, tick: int) -> Observation:
-        """The scene as it is now."""
+        """What the ADS sees: all vehicles as they are now, with the road straightened out."""
         network, vehicles = self._network, self._road.vehicles
-        near = self._places or [self._started(vehicle) for vehicle in vehicles]
+        near = self._places or [
+            min(self._starts, key=lambda along, at=(v.x, v.y): math.dist(at, network.reference(along)[:2]))  # type: ignore[misc]
+            for v in vehicles
+        ]
         spots = [network.spot(v.x, v.y, v.heading, place) for v, place in zip(vehicles, near, strict=True)]
         self._places = [spot.along for spot in spots]
         own = spots[0]
@@ -71,8 +74,3 @@ class RoadPlanner(Planner):
         x = own.along + (spot.along - own.along) * stretch
         y = network.in_lanes(spot)
         return VehicleState(x, y, heading, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)
-
-    def _started(self, vehicle: Car) -> float:
-        """Of all places where vehicles start, the nearest to one."""
-        at = (vehicle.x, vehicle.y)
-        return min(self._starts, key=lambda along: math.dist(at, self._network.reference(along)[:2]))
