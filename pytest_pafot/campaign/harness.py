@@ -1,115 +1,70 @@
-"""Everything that one item runs scenarios with: its world, its ADS, its test function, its place on disk."""
+"""What one search runs and judges with: a world, an ADS, a test function; and where what it finds lies."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import pytest
-
-from pytest_pafot.campaign.request import Request, RequestError, build_world, hint_at_world
-from pytest_pafot.campaign.verdict import Test, Verdict, bound_test, judge, no_skip, skips
+from pytest_pafot.campaign.request import Request, RequestError, hint_at_world
+from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.corpus import layout
-from pytest_pafot.execution.crash_records import InFlight
-from pytest_pafot.execution.worker_pool import Errand
-from pytest_pafot.files import sweep
-from pytest_pafot.plugin import node_ids
-from pytest_pafot.plugin.crash_folder import flight_folder, owner_of
-from pytest_pafot.plugin.marks import WORLD_FIXTURE
+from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, Leftover, leftovers
+from pytest_pafot.execution.job import Job
 from pytest_pafot.run import Run
-from pytest_pafot.versions import installed_versions
-from pytest_pafot.world.codec import described
-
-if TYPE_CHECKING:
-    from pytest_pafot.scenario import Scenario
-    from pytest_pafot.trace import Trace
-
-WORLD_ATTRIBUTES = ("rollout", "to_dict", "speed_limit", "longest_run")
-"""What a search needs of any world."""
+from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.trace import Trace
+from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
+from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, wants_env
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
-    """How an item simulates and judges.
+class Harness:
+    """How scenarios are run and judged for one test, parameters included.
 
     Attributes:
-        item: the test.
-        request: what its mark asks for.
+        request: what the search is asked for.
         world: of new scenarios.
         ads: the factory.
-        test: the user's function with its fixtures.
-        folder: of the item's saved scenarios.
+        test: the user's function.
+        test_file: in which that function is written.
+        node_id: of the test, free of what the plugin adds.
+        saved_node_id: under which a saved scenario of an id is a test of its own.
+        folder: of the test's saved scenarios.
+        records: folder of the crash records.
+        root: folder of the project, which paths are told relative to.
         versions: of the packages that a run depends on.
     """
 
-    item: pytest.Function
     request: Request
     world: Any
-    ads: Callable[[], Any]
+    ads: Callable[..., Any]
     test: Test
+    test_file: str
+    node_id: str
+    saved_node_id: Callable[[str], str]
     folder: Path
+    records: Path
+    root: Path
     versions: dict[str, str]
 
-    @classmethod
-    def of(cls, item: pytest.Function, request: Request) -> Bench:
-        """From an item whose fixtures are set up.
+    def job(self, world: Any = None, owner: str = "") -> Job:
+        """What any process needs to run scenarios of this test.
+
+        Args:
+            world: in the place of that of new scenarios.
+            owner: of the crash records, in the place of the test.
 
         Raises:
-            RequestError: when a fixture gives something that cannot be used.
+            RequestError: for a world that cannot be used.
         """
-        world = build_world(request, item.funcargs[WORLD_FIXTURE])
-        _check_world(request, world)
-        folder = layout.folder_of_test(
-            item.path, node_ids.qualified_name(item), request.settings.corpus, item.config.rootpath
-        )
-        sweep(folder)
-        return cls(
-            item=item,
-            request=request,
-            world=world,
-            ads=_factory(item, request),
-            test=bound_test(item, request.arg),
-            folder=folder,
-            versions=installed_versions(),
-        )
-
-    def simulate(self, scenario: Scenario, world: Any) -> Run:
-        """One run; refuses what no finding can be made of.
-
-        Raises:
-            RequestError: for a world, factory or scenario that does not fit.
-        """
-        __tracebackhide__ = True
-        return self.seen(self.rolled_out(scenario, world), world)
-
-    def rolled_out(
-        self, scenario: Scenario, world: Any, ads: Callable[..., Any] | None = None, decisions: Sequence[Any] = ()
-    ) -> Trace:
-        """The same, as its trace alone; the ADS is the item's unless given, and not asked for given decisions.
-
-        Raises:
-            RequestError: for a world, factory or scenario that does not fit.
-        """
-        __tracebackhide__ = True
-        with self._refusals():
-            given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
-            trace: Trace = world.rollout(scenario, ads or self.ads, **given)
-        return trace
-
-    def rolled_out_together(self, scenarios: Sequence[Scenario]) -> list[Trace]:
-        """Runs in lock step in the world of new scenarios, as traces.
-
-        Raises:
-            RequestError: likewise.
-        """
-        __tracebackhide__ = True
-        with self._refusals():
-            traces: list[Trace] = self.world.rollout_batch(scenarios, self.ads)
-        return traces
+        world = self.world if world is None else world
+        with refusals():  # whether a pafot.World can be used shows when its environment is made
+            data = codec.described(world)
+        return Job(world=world, ads=self.ads, records=self.records, owner=owner or self.node_id, world_data=data)
 
     @property
     def can_lock_step(self) -> bool:
@@ -118,154 +73,126 @@ class Bench:
         Not in a world that cannot do that, not for an ADS that needs the environment of its run, and not where
         decisions have a limit of time, which decisions for many runs do not tell.
         """
-        from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env  # noqa: PLC0415
-
-        is_asked = not is_vehicle_class(self.ads) and not wants_env(self.ads)
-        if not is_asked or self.request.decision_limit is not None:
+        if is_vehicle_class(self.ads) or wants_env(self.ads) or self.request.decision_limit is not None:
             return False
-        with self._refusals():  # whether a pafot.World has it shows when its environment is made
-            return hasattr(self.world, "rollout_batch") and getattr(self.world, "has_lock_step", True)
+        with refusals():
+            return protocol.lock_stepping(self.world) is not None
 
     @property
     def can_resume(self) -> bool:
-        """Whether decisions of a pure ADS could be taken from earlier runs.
+        """Whether decisions of a pure ADS could be taken from earlier runs, which tell no time that they took."""
+        return protocol.resumable(self.world) is not None and self.request.decision_limit is None
 
-        Only in a world that takes decisions, and not where decisions have a limit of time: those tell none.
-        """
-        try:
-            parameters = inspect.signature(self.world.rollout).parameters
-        except (TypeError, ValueError):  # builtins without a signature
-            return False
-        return "decisions" in parameters and self.request.decision_limit is None
-
-    @contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """Errors of the world that are the user's to mend, as errors of the request."""
-        __tracebackhide__ = True
-        from pytest_pafot.scenario import ScenarioError  # noqa: PLC0415
-        from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
-
-        try:
-            yield
-        except (WorldError, AdsFactoryError, ScenarioError) as error:
-            raise RequestError(str(error)) from None
-        except skips() as error:  # of the factory: what the ADS raises is in the trace
-            raise RequestError(no_skip("the factory of the ADS", error)) from None
-
-    def seen(self, trace: Trace, world: Any) -> Run:
-        """The run that a trace from a world is the record of."""
-        prevent = getattr(world, "preventable_by", None)  # A world of the user's own need not have it.
+    def seen(self, trace: Trace, world: Any = None) -> Run:
+        """The run that a trace is the record of, in the world of new scenarios unless another is given."""
+        prevent = protocol.prevention(self.world if world is None else world)
         return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent)
-
-    def simulate_in_gym(
-        self, scenario: Scenario, replay: Callable[[Any, Scenario, Any], Trace] | None = None
-    ) -> Run | None:
-        """The same by ``env.step`` of the plain environment; None for a world of the user's own, which has none.
-
-        Args:
-            scenario: to run.
-            replay: does that with a world and a factory, where it shall not be done in this process.
-        """
-        __tracebackhide__ = True
-        from pytest_pafot.world import Highway, World  # noqa: PLC0415
-        from pytest_pafot.world.engines.gym_replay import replay_in_gym  # noqa: PLC0415
-
-        if type(self.world) not in (Highway, World):  # one that derives from these may do anything
-            return None
-        with self._refusals():
-            trace = (replay or replay_in_gym)(self.world, scenario, self.ads)
-        return Run(trace, decision_limit=self.request.decision_limit)
 
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""
         __tracebackhide__ = True
-        return judge(run, self.test, blame=self.request.blame, test_file=_source_file(self.item))
+        return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
+
+    def judge_trace(self, world: Any, trace: Trace) -> Verdict:
+        """What the function makes of a trace from a world."""
+        return self.judge(self.seen(trace, world))
 
     def tried(self, scenario: Scenario, world: Any, owner: str) -> tuple[Run, Verdict]:
-        """One run and its verdict, with the scenario on disk meanwhile."""
+        """One run in this process and its verdict, with the scenario on disk meanwhile.
+
+        Raises:
+            RequestError: for a world, factory or scenario that does not fit.
+        """
         __tracebackhide__ = True
-        with self.in_flight(world, owner) as flight:
-            flight.record(scenario)
-            run = self.simulate(scenario, world)
+        job = self.job(world, owner)
+        with self.recording(job) as record:
+            record.write(scenario)
+            with refusals():
+                trace = job.rollout(scenario)
+            run = self.seen(trace, world)
             return run, self.judge(run)
 
-    @property
-    def errand(self) -> Errand:
-        """What other processes do for this item."""
-        return Errand(
-            world=self.world,
-            ads=self.ads,
-            folder=flight_folder(self.item, self.request),
-            owner=owner_of(self.item),
-            plain_world=described(self.world),
-        )
-
     @contextmanager
-    def in_flight(self, world: Any, owner: str = "") -> Iterator[InFlight]:
+    def recording(self, job: Job) -> Iterator[CrashRecord]:
         """The record of what runs now; gone at the end, however that comes, unless the process dies."""
-        folder = flight_folder(self.item, self.request)
-        with self._refusals():  # whether a pafot.World can be used shows when its environment is made
-            data = described(world)
         try:
-            with InFlight(folder, owner or owner_of(self.item), world=data) as flight:
-                yield flight
+            with job.crash_record() as record:
+                yield record
         finally:
-            if folder == layout.corpus_root(self.item.path, self.request.settings.corpus, self.item.config.rootpath):
+            if self.records == self.folder.parents[1]:  # the corpus, where there is no cache to keep records in
                 with suppress(OSError):  # It holds findings, or was never made.
-                    folder.rmdir()
+                    self.records.rmdir()
 
-    @property
-    def root(self) -> str:
-        """The rootdir, which paths in files are relative to."""
-        return str(self.item.config.rootpath)
+    def left_behind(self, owner: str = "") -> list[Leftover]:
+        """The records of processes that died in runs of this test, or of another owner of crash records."""
+        try:
+            return [each for each in leftovers(self.records) if each.owner == (owner or self.node_id)]
+        except InFlightError:
+            return []  # Writing a record into the same folder fails as well, and says so.
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""
-        return layout.relative(path, self.item.config.rootpath)
+        return layout.relative(path, self.root)
 
 
-def is_same_run(a: Run, b: Run) -> bool:
-    """Whether two runs are the same to the last bit."""
-    return a.outcome == b.outcome and a.trace.states.shape == b.trace.states.shape and _equal(a, b)
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Errors of a world, a factory or a scenario that are the user's to mend, as errors of the request."""
+    __tracebackhide__ = True
+    try:
+        yield
+    except (WorldError, AdsFactoryError, ScenarioError) as error:
+        raise RequestError(str(error)) from None
+    except skips() as error:  # of the factory: what the ADS raises is in the trace
+        raise RequestError(no_skip("the factory of the ADS", error)) from None
 
 
-def _check_world(request: Request, world: Any) -> None:
-    from pytest_pafot.world import Highway, World  # noqa: PLC0415
+def check_world(world: Any, origin: str) -> None:
+    """Check that a world has what a search needs of it.
 
-    if isinstance(world, (Highway, World)):  # whose attributes show when an environment is made
-        return
-    missing = [name for name in WORLD_ATTRIBUTES if not hasattr(world, name)]
+    Args:
+        world: given by a mark or a fixture.
+        origin: who gave it, for the message.
+
+    Raises:
+        RequestError: naming what is missing.
+    """
+    missing = protocol.missing(world)
     if missing:
-        origin = f"the fixture {WORLD_FIXTURE} to give" if request.world is None else "world= to be"
         raise RequestError(
             f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
-            f"{', '.join(WORLD_ATTRIBUTES)}, received {world!r:.100}, which has no {', '.join(missing)}"
+            f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
             f"{hint_at_world(world)}"
         )
 
 
-def _source_file(item: pytest.Function) -> str:
-    """As in the code of the test function, whatever wraps it."""
-    code = getattr(inspect.unwrap(item.obj), "__code__", None)
-    return str(item.path) if code is None else str(code.co_filename)
+def checked_factory(given: Any, name: str) -> Callable[..., Any]:
+    """The ADS factory that a fixture gives.
+
+    Args:
+        given: by the fixture.
+        name: of the fixture.
+
+    Raises:
+        RequestError: where it is none.
+    """
+    if callable(given):
+        factory: Callable[..., Any] = given
+        return factory
+    hint = hint_at_object(given)
+    raise RequestError(
+        f"expected the fixture {name!r} to give a factory, a function that makes a fresh ADS for each scenario such as "
+        f"`return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
+    )
 
 
-def _equal(a: Run, b: Run) -> bool:
-    return a.trace.states.tobytes() == b.trace.states.tobytes()
+def source_file(function: Callable[..., Any], default: str = "") -> str:
+    """The file in which a function is written, whatever wraps it."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return default if code is None else str(code.co_filename)
 
 
-def _factory(item: pytest.Function, request: Request) -> Callable[[], Any]:
-    if not isinstance(request.ads, str):
-        return request.ads
-    factory = item.funcargs[request.ads]
-    if not callable(factory):
-        from pytest_pafot.world.driving.ads import hint_at_object  # noqa: PLC0415
-
-        hint = hint_at_object(factory)
-        received = f"{factory!r:.100}{f'. {hint}' if hint else ''}"
-        raise RequestError(
-            f"expected the fixture {request.ads!r} to give a factory, a function that makes a fresh ADS for each "
-            f"scenario such as `return lambda: MyPlanner()`, received {received}"
-        )
-    made: Callable[[], Any] = factory
-    return made
+def is_same_run(a: Run, b: Run) -> bool:
+    """Whether two runs are the same to the last bit."""
+    first, second = a.trace.states, b.trace.states
+    return a.outcome == b.outcome and first.shape == second.shape and first.tobytes() == second.tobytes()

@@ -5,21 +5,16 @@ A misspelt name in the test function, or an ADS that fails before it has seen an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
-import pytest
-
-from pytest_pafot.campaign.verdict import plain_failure
+from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
 from pytest_pafot.findings.finding import Cause, first_decision_cause
+from pytest_pafot.run import Run
+from pytest_pafot.scenario import Scenario
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import first_decision
-
-if TYPE_CHECKING:
-    from pytest_pafot.campaign.harness import Bench
-    from pytest_pafot.campaign.verdict import Verdict
-    from pytest_pafot.run import Run
-    from pytest_pafot.scenario import Scenario
 
 NOT_ASKED = ("npc", "invalid")
 """Verdicts on runs that the test function was not asked about."""
@@ -34,15 +29,15 @@ class SetupFaultError(Exception):
         self.verdict = verdict
         self.runs = runs
 
-    def shown(self, bench: Bench) -> BaseException:
+    def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
         """The exception for the item: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         if verdict.is_ads or verdict.exception is None:
-            return plain_failure(
+            return PlainFailure(
                 f"{verdict.exception}\n\n"
                 f"So it was in {self.runs}, before anything had happened in them: an error of the set-up and no "
                 "finding, so that nothing was saved. Correct the ADS, its factory, or the world= that it drives in, "
-                f"and search again.\n\n{given_in(bench, self.run.trace.scenario)}".rstrip()
+                f"and search again.\n\n{given_in(world, ads, self.run.trace.scenario)}".rstrip()
             )
         verdict.exception.add_note(
             f"So it was in {self.runs}, whatever happened in them: an error of the test function and no finding, so "
@@ -89,11 +84,9 @@ class FirstGeneration:
         self.is_alike = False
 
 
-def given_in(bench: Bench, scenario: Scenario) -> str:
+def given_in(world: Any, ads: Callable[..., Any], scenario: Scenario) -> str:
     """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
-    if is_vehicle_class(bench.ads):
-        return ""
-    asked = first_decision(bench.world, scenario)
+    asked = None if is_vehicle_class(ads) else first_decision(world, scenario)
     if asked is None:
         return ""
     if asked.is_si:
@@ -115,6 +108,6 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
         return None
     if verdict.is_ads:
         return first_decision_cause(run.ads_error)
-    if isinstance(exception, (AssertionError, pytest.fail.Exception)):
+    if isinstance(exception, assertions()):
         return None
     return failure.kind, failure.assertion

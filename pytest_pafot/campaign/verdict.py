@@ -6,21 +6,22 @@ import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
-
-import pytest
+from typing import Any, Literal
 
 from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.findings.finding import ads_failure, raised_failure
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.rejection import Rejected
+from pytest_pafot.run import Run
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world.driving.failure import UNFIT, let_through
 
-if TYPE_CHECKING:
-    from pytest_pafot.findings.signature import Failure
-    from pytest_pafot.run import Run
+Test = Callable[[Run], Any]
+"""The user's function with everything but the run filled in; it asserts, and returns None."""
 
-Kind = Literal["passed", "failed", "rejected", "skipped", "npc", "invalid"]
 
-Test = Callable[["Run"], None]
-"""The user's function with everything but the run filled in."""
+class PlainFailure(Exception):  # noqa: N818  (it is shown as what failed)
+    """A failure that is told by its text alone: a traceback would show code of this package."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +37,7 @@ class Verdict:
         is_ads: whether the ADS itself failed, whatever the function asserts.
     """
 
-    kind: Kind
+    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "invalid"]
     exception: BaseException | None = None
     failure: Failure | None = None
     is_timed: bool = False
@@ -56,13 +57,16 @@ class Verdict:
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     """Judge a run: by the function, except where the ADS or the NPCs themselves failed.
 
+    Args:
+        run: to judge.
+        test: the user's function.
+        blame: ``ego`` for a function that is not asked about collisions that an NPC is responsible for.
+        test_file: in which the function is written; a failure is identified by the line of it that failed.
+
     Raises:
         BaseException: what says nothing of the run: an interrupt, the end of the session, a timeout of the item,
             the end of a debugging session, or a function that cannot be an oracle.
     """
-    from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
-    from pytest_pafot.trace import Outcome  # noqa: PLC0415
-
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     broken = ads_failure(run)
@@ -75,48 +79,9 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     return verdict
 
 
-def bound_test(item: pytest.Function, arg: str) -> Test:
-    """The test function with its fixtures, called as pytest calls it, with a run in the place of its argument.
-
-    Raises:
-        RequestError: for a fixture that keeps failures from leaving the function; when it is called, for a function
-            that returns something, or that has collected failures with pytest-check.
-    """
-    for name, value in item.funcargs.items():
-        if isinstance(value, pytest.Subtests) or type(value).__module__.partition(".")[0] == "pytest_subtests":
-            raise RequestError(_no_collecting(f"the fixture {name!r}"))
-    names = inspect.signature(item.obj).parameters
-    fixed = {name: item.funcargs[name] for name in names if name in item.funcargs}
-
-    def test(run: Run) -> None:
-        # pytest's own traceback filter cuts everything up to the user's function.
-        result = item.obj(**{**fixed, arg: run})
-        if result is not None:
-            raise RequestError(
-                "expected the test function to assert and to return None, received the return value "
-                f"{result!r:.60}; write `assert ...` in place of `return ...`"
-            )
-        check = sys.modules.get("pytest_check")
-        if check is not None and check.any_failures():
-            raise RequestError(_no_collecting("pytest-check"))
-
-    return test
-
-
-def _no_collecting(what: str) -> str:
-    return (
-        f"expected a test function that raises at its first failure, which is the finding, received one with {what}, "
-        "which collects failures, so that the function ends as if it had passed; write `assert ...`, and a test of its "
-        "own for each property"
-    )
-
-
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:
-    from pytest_pafot.findings.finding import raised_failure  # noqa: PLC0415
-    from pytest_pafot.world.driving.failure import UNFIT, let_through  # noqa: PLC0415
-
     try:
-        test(run)
+        result = test(run)
     except Rejected:
         return Verdict(kind="rejected")
     except skips() as skipped:
@@ -126,12 +91,17 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
     except UNFIT as error:
         let_through(error)
         return Verdict(kind="failed", exception=error, failure=raised_failure(error, test_file))
+    if result is not None:
+        raise RequestError(
+            f"expected the test function to assert and to return None, received the return value {result!r:.60}; write "
+            "`assert ...` in place of `return ...`"
+        )
     return Verdict(kind="passed")
 
 
 def _ads_verdict(failure: Failure, *, is_timed: bool) -> Verdict:
     timing = " (depends on wall-clock time)" if is_timed else ""
-    exception = plain_failure(ads_text(failure, timing))
+    exception = PlainFailure(ads_text(failure, timing))
     return Verdict(kind="failed", exception=exception, failure=failure, is_timed=is_timed, is_ads=True)
 
 
@@ -142,10 +112,19 @@ def ads_text(failure: Failure, timing: str = "") -> str:
 
 
 def skips() -> tuple[type[BaseException], ...]:
-    """What pytest reports as a skip or an expected failure, which only the test function may decide."""
-    unittest = sys.modules.get("unittest")  # pytest looks there as well; who raises its SkipTest has imported it
-    own = (pytest.skip.Exception, pytest.xfail.Exception)
-    return own if unittest is None else (*own, unittest.SkipTest)
+    """What pytest reports as a skip or an expected failure, which only the test function may decide.
+
+    Whoever raises one of these has imported its module, which this room does not know.
+    """
+    pytest, unittest = sys.modules.get("pytest"), sys.modules.get("unittest")
+    of_pytest = () if pytest is None else (pytest.skip.Exception, pytest.xfail.Exception)
+    return of_pytest if unittest is None else (*of_pytest, unittest.SkipTest)
+
+
+def assertions() -> tuple[type[BaseException], ...]:
+    """What a test function says that a property does not hold with, rather than that something went wrong in it."""
+    pytest = sys.modules.get("pytest")
+    return (AssertionError,) if pytest is None else (AssertionError, pytest.fail.Exception)
 
 
 def no_skip(who: str, error: BaseException) -> str:
@@ -155,12 +134,6 @@ def no_skip(who: str, error: BaseException) -> str:
         f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "
         "with @pytest.mark.skipif"
     )
-
-
-def plain_failure(text: str) -> BaseException:
-    """A failure of the item that is shown as this text, without a traceback of the plugin's own code."""
-    failure: BaseException = pytest.fail.Exception(text, pytrace=False)
-    return failure
 
 
 def is_asynchronous(function: Any) -> bool:

@@ -73,7 +73,7 @@ class _Rollouts:
             with listening() as echo:
                 trace = self.job.rollout(scenario)
         finally:
-            self.record.clear()
+            self.record.close()  # Nobody would when the session dies, whose processes then end.
         return trace, echo
 
 

@@ -1,4 +1,4 @@
-"""Records of the scenario in flight: where they lie, and what a process that died has left behind."""
+"""Crash records: where they lie, and what a process that died has left behind."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FOLDER = "pafot"
 
 
-def flight_folder(item: pytest.Item, request: Request) -> Path:
+def records_folder(item: pytest.Item, request: Request) -> Path:
     """In pytest's cache, which no repository keeps; without a cache in the corpus."""
     cached = _cached_folder(item.config)
     return cached or layout.corpus_root(item.path, request.settings.corpus, item.config.rootpath)
@@ -50,7 +50,7 @@ def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Le
         request: the item's.
         owner: of the records; without it the item's own.
     """
-    folder = flight_folder(item, request)
+    folder = records_folder(item, request)
     if _is_empty(folder):
         return []
     from pytest_pafot.execution.crash_records import InFlightError, leftovers  # noqa: PLC0415

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from pytest_pafot.execution.worker_pool import GRACE
+from pytest_pafot.execution.pool import GRACE
 from pytest_pafot.plugin.terminal_reporter import uncaptured
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.world.driving.guard import LastResort, last_resort

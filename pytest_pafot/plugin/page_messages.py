@@ -7,31 +7,27 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_pafot.campaign.recorder import what_happened
-from pytest_pafot.campaign.simplification import speed_sentences
+from pytest_pafot.campaign.events import FindTold, Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.headline import headline
+from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.plugin import messages
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view, shrink_view
 from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import NEW
+from pytest_pafot.report.page_data import NEW, FindingView, ShrinkView
+from pytest_pafot.report.simplified import speed_sentences
+from pytest_pafot.run import Run
 from pytest_pafot.searching.events import Event
-
-if TYPE_CHECKING:
-    from pytest_pafot.campaign.options import Settings
-    from pytest_pafot.campaign.summary import Find
-    from pytest_pafot.campaign.verdict import Verdict
-    from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.report.page_data import FindingView, ShrinkView
-    from pytest_pafot.run import Run
-    from pytest_pafot.trace import Trace
+from pytest_pafot.trace import Trace
 
 
 def shrink_of(finding: Finding) -> ShrinkView | None:
@@ -48,70 +44,73 @@ def label_of(find: Find) -> str:
 
 
 @dataclass(slots=True, kw_only=True)
-class Showing:
-    """What one item shows.
+class PageMessages:
+    """Sends what a page shows of one item, a search or a replay.
 
     Attributes:
         item: that runs.
         settings: of it; they name the page.
-        events: of the search so far.
-        responsibilities: of its runs.
+        events: of the search's algorithm so far.
+        responsibilities: number of runs of the search by who is responsible for a collision.
+        speed_limit: of the search's world [m/s].
     """
 
     item: pytest.Item
     settings: Settings
     events: list[Event] = field(default_factory=list)
     responsibilities: Counter[str] = field(default_factory=Counter)
+    speed_limit: float = 0.0
 
-    def judging(self, judge: Callable[[Run], Verdict]) -> Callable[[Run], Verdict]:
-        """A judge who also notes what the page says of all runs together."""
-
-        def judged(run: Run) -> Verdict:
-            __tracebackhide__ = True
-            verdict = judge(run)
-            self.responsibilities[run.responsibility or "none"] += 1
-            return verdict
-
-        return judged
-
-    def noted(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The same events, which are kept for the end of the search."""
-        for event in events:
+    def __call__(self, event: SearchEvent) -> None:
+        """Take an event of a search."""
+        if isinstance(event, Judged):
+            self.responsibilities[event.run.responsibility or "none"] += 1
+        elif isinstance(event, FindTold):
+            self._find(event)
+        elif isinstance(event, SearchSummary):
+            if self.events:  # else it only replayed
+                self._searched(event)
+        elif isinstance(event, SearchStarted):
+            self.speed_limit = event.speed_limit
+        elif not isinstance(event, Progress):
             self.events.append(event)
-            yield event
 
-    def find(
-        self,
-        find: Find,
-        finding: Finding,
-        trace: Trace | None,
-        *,
-        tried: Sequence[str] = (),
-    ) -> None:
-        """Show a find. Telling it again, when more is known of it, replaces what was told.
-
-        Args:
-            find: as the terminal tells it.
-            finding: as it is kept.
-            trace: of a run of the scenario in ``finding``; None where nobody saw how it ended.
-            tried: reference drivers that were tried.
-        """
+    def _find(self, told: FindTold) -> None:
+        """Show a find. Telling it again, when more is known of it, replaces what was told."""
+        find, finding = told.kept.find, told.kept.finding
         view = finding_view(
-            trace,
+            None if told.run is None else told.run.trace,
             finding,
             node_id=find.node_id,
             yaml=text_of(finding),
             headline=find.headline,
-            preventable_tried=tried,
+            preventable_tried=told.tried,
             shrink=shrink_of(finding),
         )
         command = view.command if find.path else self._search_command()
         self._show(replace(view, label=label_of(find), path=find.path, command=command))
 
+    def _searched(self, summary: SearchSummary) -> None:
+        """Show the search, and what is known at its end of the finds."""
+        campaign = campaign_view(
+            self.item.nodeid,
+            self.events,
+            speed_limit=self.speed_limit,
+            responsibilities=self.responsibilities,
+            cut_by=summary.reason if summary.reason in ("error", "interrupted") else "",
+        )
+        known = {node_ids.saved_node_id(self.item, id_): count for id_, count in summary.known.items()}
+        self._tell(
+            campaign=encode(campaign),
+            runs={find.node_id: 1 + find.repeats for find in summary.finds} | known,
+            labels={find.node_id: label_of(find) for find in summary.finds},
+            base_seed=self.settings.seed,
+        )
+
     def replayed(self, finding: Finding, run: Run, verdict: Verdict, *, label: str, path: str) -> None:
         """Count a replay of a saved scenario, and show it where it fails."""
         if verdict.failed:
-            self._show_replay(finding, run.trace, what_happened(run, verdict), label, path)
+            self._show_replay(finding, run.trace, headline(run, verdict), label, path)
         else:
             self._tell(replayed=label)
 
@@ -131,30 +130,6 @@ class Showing:
         )
         accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
         self._show(replace(view, label=f"{label}{accepted}", path=path))
-
-    def searched(self, finds: Iterable[Find], known: Mapping[str, int], speed_limit: float, cut_by: str) -> None:
-        """Show the search, and what is known at its end of the finds.
-
-        Args:
-            finds: of the search.
-            known: failing runs of the search by the node id of the saved scenario that covers them.
-            speed_limit: of its world [m/s].
-            cut_by: ``error`` or ``interrupted`` where that ended it; else empty.
-        """
-        finds = tuple(finds)
-        campaign = campaign_view(
-            self.item.nodeid,
-            self.events,
-            speed_limit=speed_limit,
-            responsibilities=self.responsibilities,
-            cut_by=cut_by,
-        )
-        self._tell(
-            campaign=encode(campaign),
-            runs={find.node_id: 1 + find.repeats for find in finds} | dict(known),
-            labels={find.node_id: label_of(find) for find in finds},
-            base_seed=self.settings.seed,
-        )
 
     def _search_command(self) -> str:
         """By which a find that lies in no file is found again."""

@@ -21,18 +21,18 @@ from pytest_pafot.plugin.session import SUMMARY_LINES
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
-    from pytest_pafot.plugin.page_messages import Showing
+    from pytest_pafot.plugin.page_messages import PageMessages
     from pytest_pafot.report.draft import Draft
     from pytest_pafot.report.page_data import FindingView
 
 
-def showing_of(item: pytest.Item, settings: Settings) -> Showing | None:
-    """How an item shows what happens; None where nobody asked for it."""
+def page_messages_of(item: pytest.Item, settings: Settings) -> PageMessages | None:
+    """Who sends what a page shows of an item; None where nobody asked for one."""
     if settings.report is None and not _has_rows(item.config):
         return None
-    from pytest_pafot.plugin.page_messages import Showing  # noqa: PLC0415
+    from pytest_pafot.plugin.page_messages import PageMessages  # noqa: PLC0415
 
-    return Showing(item=item, settings=settings)
+    return PageMessages(item=item, settings=settings)
 
 
 class Pages:

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.campaign.search import TimeLimit
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.session import SHARED
-
-
-class TimeLimit(NamedTuple):
-    """A moment, and the option that it comes from.
-
-    Attributes:
-        flag: of the option, for what is told of a search that this cuts.
-        until: the moment [s], by the same clock as the beginning of the search; infinite without a limit.
-    """
-
-    flag: str
-    until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:

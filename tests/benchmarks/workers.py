@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, Observation, Scenario
-from pytest_pafot.execution.prefetch import METHOD, Ahead, hired
-from pytest_pafot.execution.worker_pool import Errand
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event
@@ -61,11 +61,11 @@ def searched(ads: Callable[[], Any], workers: int, population: int, options: arg
     world = Highway(duration=GENES * options.gene_seconds)
     fitness = resolve("default")
     with tempfile.TemporaryDirectory() as folder:
-        errand = Errand(world=world, ads=ads, folder=Path(folder), owner="benchmark")
-        with Ahead(size=workers, hire=lambda: hired(errand, workers, METHOD, [])) as ahead:
+        job = Job(world=world, ads=ads, records=Path(folder), owner="benchmark")
+        with job.crash_record() as record, runner_for(job, record, workers=workers) as runner:
 
             def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
-                traces = [ahead.run(each, lambda scenario: world.rollout(scenario, ads)) for each in scenarios]
+                traces = [runner.run(each) for each in scenarios]
                 return [
                     Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome == "collision")
                     for trace in traces
@@ -73,7 +73,9 @@ def searched(ads: Callable[[], Any], workers: int, population: int, options: arg
 
             space = SearchSpace(genes=GENES, gene_seconds=options.gene_seconds)
             algorithm = resolve_algorithm("pafot").make(space, population=population)
-            campaign = run_campaign(algorithm, evaluate, generations=options.generations, seed=1, foresee=ahead.foresee)
+            campaign = run_campaign(
+                algorithm, evaluate, generations=options.generations, seed=1, foresee=runner.announce
+            )
             return list(campaign)
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.scenario_pool
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by signals")
 
@@ -38,9 +38,9 @@ def ads():
 """With an ADS that ends every process, that of the session too."""
 
 SPAWNS = """
-import pytest_pafot.execution.separate_process
+import pytest_pafot.execution.scenario_pool
 
-pytest_pafot.execution.separate_process.METHOD = "spawn"
+pytest_pafot.execution.scenario_pool.METHOD = "spawn"
 """
 """As on a platform where processes cannot be forked."""
 
@@ -168,7 +168,7 @@ def test_what_is_printed_in_the_other_process_is_captured_once(crash):
 
 @forks
 def test_a_hang_replays_in_a_process_that_can_be_killed(crash, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
     crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))"))

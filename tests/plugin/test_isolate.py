@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.prefetch
-import pytest_pafot.execution.separate_process
+import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from tests.plugin.test_workers import forget, summary
 
@@ -192,7 +191,7 @@ def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
 
 
 def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pickled(isolated, monkeypatch):
-    for module in (pytest_pafot.execution.prefetch, pytest_pafot.execution.separate_process):
+    for module in (pytest_pafot.execution.scenario_pool, pytest_pafot.execution.scenario_pool):
         monkeypatch.setattr(module, "METHOD", "spawn")
     project = isolated()
     result, contents = session(project, "--pafot-isolate", generations=1)

@@ -4,10 +4,6 @@ import re
 
 import pytest
 
-from pytest_pafot.execution.together import LockStep
-from tests.execution.test_prefetch import Session, ahead_of
-from tests.support.toy_world import scenario, trace_of
-
 PLANNERS = """
 import os
 
@@ -40,69 +36,6 @@ def test_moves(run):
 def test_calls():
     print("calls:", *calls)
 """
-
-
-class TestLockStep:
-    def made(self, is_wanted=True):
-        session, together = Session(0.0), []
-
-        def simulate(scenarios):
-            together.append([each.seed for each in scenarios])
-            return [trace_of(each) for each in scenarios]
-
-        runs = LockStep(apart=ahead_of(session, None, size=1), together=simulate, is_wanted=is_wanted)
-        return runs, session, together
-
-    def test_makes_all_runs_to_come_when_the_first_of_them_is_asked_for(self):
-        runs, session, together = self.made()
-        coming = [scenario(number) for number in range(4)]
-        with runs:
-            runs.foresee(coming)
-            assert together == []
-            assert [runs.run(each, session.run).scenario for each in coming] == coming
-        assert (together, session.ran) == ([[0, 1, 2, 3]], [])
-
-    def test_makes_what_was_not_foreseen_and_what_is_asked_again_by_itself(self):
-        runs, session, together = self.made()
-        runs.foresee([scenario(0), scenario(1)])
-        for number in (7, 0, 0, 1, 1):
-            trace = runs.run(scenario(number), session.run)
-            assert trace.scenario.seed == number
-        assert (together, session.ran) == ([[0, 1]], [7, 0, 1])
-
-    def test_knows_of_the_last_run_whether_it_took_place_together_with_others(self):
-        runs, session, _ = self.made()
-        runs.foresee([scenario(0), scenario(1)])
-        first = runs.run(scenario(0), session.run)
-        assert runs.was_together(first)
-        assert not runs.was_together(runs.run(scenario(0), session.run))
-        assert not runs.was_together(first)
-
-    def test_one_scenario_to_come_is_made_by_itself(self):
-        runs, session, together = self.made()
-        runs.foresee([scenario(0)])
-        runs.run(scenario(0), session.run)
-        assert (together, session.ran) == ([], [0])
-
-    @pytest.mark.parametrize(("batch", "expected"), [(len, [[1, 2]]), (None, [])])
-    def test_learns_from_the_first_ads_whether_it_decides_for_many(self, batch, expected):
-        runs, session, together = self.made(is_wanted=None)
-        planner = type("Planner", (), {"batch": batch})()
-        runs.foresee([scenario(number) for number in range(3)])
-        runs.run(scenario(0), session.run)
-        runs.saw(planner)
-        runs.run(scenario(1), session.run)
-        assert together == expected
-
-    def test_keeps_nothing_that_the_search_did_not_ask_for(self):
-        runs, session, together = self.made()
-        with runs:
-            runs.foresee([scenario(0), scenario(1)])
-            runs.run(scenario(0), session.run)
-            runs.foresee([scenario(1), scenario(2)])
-            runs.run(scenario(1), session.run)
-        runs.run(scenario(2), session.run)
-        assert (together, session.ran) == ([[0, 1], [1, 2]], [2])
 
 
 def searched(project, ads, source=PLANNERS + SEARCH, **more):
@@ -225,7 +158,7 @@ def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_proces
     project, alone, expected
 ):
     project.pytester.makeconftest(
-        "import pytest_pafot.execution.separate_process\npytest_pafot.execution.separate_process.METHOD = 'spawn'\n"
+        "import pytest_pafot.execution.scenario_pool\npytest_pafot.execution.scenario_pool.METHOD = 'spawn'\n"
     )
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
     assert project.run(subprocess=True, generations=3).ret == 9

@@ -315,7 +315,8 @@ atexit.register(dump)
     project.run(subprocess=True).assert_outcomes(failed=2)
     names = set(json.loads((project.path / "modules.json").read_text()))
     own = {name for name in names if name.startswith("pytest_pafot.report")}
-    assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal", "pytest_pafot.report.wrapping"}
+    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("simplified", "terminal", "wrapping"))}
+    assert own == texts
     assert "pytest_pafot.plugin.page_messages" not in names
 
 

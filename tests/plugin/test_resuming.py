@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.execution.known_decisions import Resuming
+from pytest_pafot.execution.known_decisions import KnownDecisions
 
 PLANNERS = """
 class Planner:
@@ -98,10 +98,10 @@ def test_drives(run):
 
 @pytest.mark.parametrize("pure", [1, "yes", False, None])
 def test_anything_but_true_is_no_declaration(pure):
-    resuming = Resuming()
-    resuming.saw(type("Planner", (), {"pure": pure})())
-    resuming.saw(type("Planner", (), {"pure": True})())
-    assert resuming.is_wanted is False
+    known = KnownDecisions()
+    known.saw(type("Planner", (), {"pure": pure})())
+    known.saw(type("Planner", (), {"pure": True})())
+    assert known.is_wanted is False
 
 
 OWN_WORLD = """

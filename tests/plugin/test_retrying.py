@@ -6,8 +6,7 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.prefetch
-import pytest_pafot.execution.separate_process
+import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome
@@ -140,7 +139,7 @@ def test_a_death_in_the_test_function_comes_again(project):
 
 @forks
 def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     write(project, "sum(range(10**12))")
     project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
     result = replayed(project)
@@ -150,7 +149,7 @@ def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, mo
 
 
 def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.separate_process, "METHOD", "spawn")
+    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "METHOD", "spawn")
     write(project, "None")
     project.leave_behind(OWNER)
     result = replayed(project)

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.plugin import last_resort as stuck
 from pytest_pafot.trace import Outcome
@@ -20,11 +20,11 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.scenario_pool
 import pytest_pafot.plugin.last_resort
 from pytest_pafot import Highway
 
-pytest_pafot.execution.prefetch.GRACE = pytest_pafot.plugin.last_resort.GRACE = 0.3
+pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.last_resort.GRACE = 0.3
 
 @pytest.fixture
 def pafot_world():
@@ -134,7 +134,7 @@ def test_under_xdist_only_the_worker_ends(hanging):
 
 @forks
 def test_a_worker_whose_decision_swallows_its_interruption_ends_and_the_search_goes_on(dear, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.3)
+    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.3)
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
     project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
     result, contents = session(project, 2, generations=4)

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.prefetch
+import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.trace import Outcome
 
@@ -206,7 +206,7 @@ def test_a_worker_whose_decision_hangs_interrupts_it(dear):
 
 
 def test_a_worker_that_does_not_return_to_the_interpreter_is_killed_and_its_scenario_is_a_hang(dear, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.prefetch, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "sum(range(10**12))")
     project = dear("hangs", hangs + IMPATIENT)
     result, contents = session(project, 2, generations=4)

@@ -1,19 +1,22 @@
 """The search loop with stand-ins for the simulation and the test function."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 import pytest
 
-from pytest_pafot.campaign.search import Hunt, Stage
+from pytest_pafot.campaign.loop import SearchLoop
+from pytest_pafot.campaign.search import search_seed
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.execution.worker_pool import Lost, ProcessLostError
+from pytest_pafot.execution.pool import Lost
+from pytest_pafot.execution.scenario_pool import ProcessLostError, expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.plugin.execution import item_seed
 from pytest_pafot.run import Run
+from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import SearchSpace, run_campaign, sample
 from pytest_pafot.searching.random_search import RandomSearch
 from pytest_pafot.trace import Lane, Outcome, Trace
@@ -42,7 +45,7 @@ def quiet_run(scenario):
 
 def lost(scenario, *, is_hang=False):
     """A run whose process does not come back."""
-    raise ProcessLostError(Lost(scenario=scenario, pid=7, how="ended with exit code 9", is_hang=is_hang))
+    raise ProcessLostError(Lost(task=scenario, pid=7, how="ended with exit code 9", is_hang=is_hang))
 
 
 def failed(kind="AssertionError"):
@@ -50,10 +53,10 @@ def failed(kind="AssertionError"):
 
 
 @dataclass
-class Kept:
-    """What the loop handed on."""
+class Recorder:
+    """Takes what the loop hands on."""
 
-    finds: list
+    finds: list = field(default_factory=list)
 
     def keep(self, run, verdict, generation, number):
         self.finds.append((verdict.failure.kind, generation, number))
@@ -63,37 +66,49 @@ class Kept:
         self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
         return f"id-{len(self.finds)}"
 
+    def release(self):
+        """All is told at once here."""
 
-def hunt(
-    verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), lethal=frozenset(), run=quiet_run
-):
-    """A random search in which run ``n`` gets the ``n``-th verdict."""
-    count = iter(range(10**6))
-    kept = Kept([])
-    stage = Stage(
-        run=run,
-        judge=lambda run: verdicts(next(count)),
+
+@dataclass
+class Simulation:
+    """Runs by a function; run ``n`` gets the ``n``-th verdict."""
+
+    verdicts: Callable[[int], Verdict]
+    simulate: Callable[[Scenario], Run]
+    is_alone: bool = True
+    numbers: Iterator[int] = field(default_factory=count)
+
+    def run(self, scenario, *, afresh=False):
+        return self.simulate(scenario)
+
+    def judge(self, run):
+        return self.verdicts(next(self.numbers))
+
+
+def searched(verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), fatal=(), run=quiet_run):
+    """A random search with these verdicts, and what it handed on."""
+    recorder = Recorder()
+    loop = SearchLoop(
+        simulation=Simulation(verdicts, run),
+        recorder=recorder,
         fitness=lambda trace: 0.0,
-        keep=kept.keep,
-        keep_lost=kept.keep_lost,
-        lethal=lethal,
+        fatal=set(fatal),
+        replayed=replayed,
     )
-    found = Hunt(stage=stage, replayed=replayed)
-    events = run_campaign(
-        RandomSearch(SPACE, population=population), found.evaluate, generations=generations, seed=1, stop=None
-    )
-    found.follow(events, lambda: None)
-    return found, kept.finds
+    events = run_campaign(RandomSearch(SPACE, population=population), loop.evaluate, generations=generations, seed=1)
+    loop.follow(events, lambda: None)
+    return loop, recorder.finds
 
 
 def test_failures_with_one_signature_are_one_find_with_a_count():
-    found, finds = hunt(lambda number: failed())
+    found, finds = searched(lambda number: failed())
     assert finds == [("AssertionError", 0, 1)]
     assert found.repeats == {"id-1": found.runs - 1}
 
 
 def test_each_signature_is_handed_on_once_with_its_generation():
-    _, finds = hunt(lambda number: failed("A" if number < 2 else "B"))
+    _, finds = searched(lambda number: failed("A" if number < 2 else "B"))
     assert finds == [("A", 0, 1), ("B", 1, 3)]
 
 
@@ -101,7 +116,7 @@ def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
     run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
     signature = of_failure(run, Failure(kind="AssertionError"))
     covering = Replayed(id="saved", signature=signature, observed=signature)
-    found, finds = hunt(lambda number: failed(), replayed=[covering])
+    found, finds = searched(lambda number: failed(), replayed=[covering])
     assert finds == []
     assert found.known == {"saved": found.runs}
 
@@ -109,63 +124,55 @@ def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
 def test_a_failure_whose_saved_scenario_passes_now_is_new_again():
     run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
     fixed = Replayed(id="saved", signature=of_failure(run, Failure(kind="AssertionError")), observed=None)
-    _, finds = hunt(lambda number: failed(), replayed=[fixed])
+    _, finds = searched(lambda number: failed(), replayed=[fixed])
     assert len(finds) == 1
 
 
 @pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "invalid"])
 def test_other_verdicts_are_counted_by_kind(kind):
-    found, finds = hunt(lambda number: Verdict(kind=kind))
+    found, finds = searched(lambda number: Verdict(kind=kind))
     assert finds == []
     assert found.verdicts == {kind: found.runs}
 
 
 def test_a_scenario_in_which_a_process_died_is_not_run():
-    everything, _ = hunt(lambda number: Verdict(kind="passed"))
     scenarios = []
-    stage = Stage(
-        run=lambda scenario: scenarios.append(scenario) or Run(quiet_trace(scenario)),
-        judge=lambda run: Verdict(kind="passed"),
-        fitness=lambda trace: 0.0,
-        keep=lambda *find: "",
-        keep_lost=lambda *find: "",
+    everything, _ = searched(
+        lambda number: Verdict(kind="passed"), run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario)
     )
-    search = RandomSearch(SPACE, population=2)
-    Hunt(stage=stage).follow(run_campaign(search, Hunt(stage=stage).evaluate, generations=3, seed=1), lambda: None)
-    found, _ = hunt(lambda number: Verdict(kind="passed"), lethal=frozenset(scenarios[:1]))
+    found, _ = searched(lambda number: Verdict(kind="passed"), fatal=scenarios[:1])
     assert found.runs == everything.runs - 1
 
 
 def test_processes_that_die_are_one_find_with_a_count_and_no_runs():
-    found, finds = hunt(lambda number: failed(), run=lost)
+    found, finds = searched(lambda number: failed(), run=lost)
     assert finds == [("crash", 0, 1)]
     assert found.repeats == {"id-1": 5}
     assert found.runs == 0
-    assert len(found.lethal) == 6
+    assert len(found.fatal) == 6
 
 
 def test_a_process_that_hangs_is_another_find_than_one_that_dies():
     count = iter(range(10**6))
-    _, finds = hunt(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
+    _, finds = searched(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
     assert [kind for kind, *_ in finds] == ["crash", "hang"]
 
 
 def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
-    signature = Lost(
-        scenario=sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV"
-    ).expect.signature
+    lost_run = Lost(task=sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
+    signature = expectation(lost_run).signature
     covering = Replayed(id="saved", signature=signature, observed=signature)
-    found, finds = hunt(lambda number: failed(), run=lost, replayed=[covering])
+    found, finds = searched(lambda number: failed(), run=lost, replayed=[covering])
     assert finds == []
     assert found.known == {"saved": 6}
 
 
 def test_a_scenario_whose_process_did_not_come_back_tells_the_search_nothing():
-    found, _ = hunt(lambda number: failed(), run=lost)
+    found, _ = searched(lambda number: failed(), run=lost)
     assert found.finished.best is None
 
 
 def test_the_seed_of_an_item_is_a_function_of_base_seed_and_node_id():
-    assert item_seed(1, "test_it.py::test_a") == item_seed(1, "test_it.py::test_a") == 1662527925
-    assert item_seed(1, "test_it.py::test_a") != item_seed(2, "test_it.py::test_a")
-    assert item_seed(1, "test_it.py::test_a") != item_seed(1, "test_it.py::test_b")
+    assert search_seed(1, "test_it.py::test_a") == search_seed(1, "test_it.py::test_a") == 1662527925
+    assert search_seed(1, "test_it.py::test_a") != search_seed(2, "test_it.py::test_a")
+    assert search_seed(1, "test_it.py::test_a") != search_seed(1, "test_it.py::test_b")

@@ -1,0 +1,85 @@
+"""What a search tells as it goes on, besides the events of its algorithm (:mod:`pytest_pafot.searching.events`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.run import Run
+from pytest_pafot.searching.events import Event
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchStarted:
+    """A search begins.
+
+    Attributes:
+        node_id: of its test.
+        seed: of this search.
+        speed_limit: highest target speed in its world [m/s].
+    """
+
+    node_id: str
+    seed: int
+    speed_limit: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """A run of the search, with what the test function made of it."""
+
+    run: Run
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept:
+    """A finding with where it lies, or why it lies nowhere, and how it is told.
+
+    Attributes:
+        finding: as it lies in its file.
+        find: as it is told.
+        origin: how it was found, in one line.
+        file: of it, or None.
+        content: of the file that could not be written, or empty.
+    """
+
+    finding: Finding
+    find: Find
+    origin: str
+    file: Path | None = None
+    content: str = ""
+
+    @property
+    def is_firm(self) -> bool:
+        """Whether its runs are expected to repeat, so that it can be shrunk."""
+        return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindTold:
+    """A new find, or more of one that was told before: the last telling of a find is the one that counts.
+
+    Attributes:
+        kept: the find.
+        exception: that the test function raised.
+        run: of the scenario in the file; None where nobody saw how it ended.
+        is_new: whether it is told for the first time.
+        tried: reference drivers that were tried in its scenario.
+    """
+
+    kept: Kept
+    exception: BaseException
+    run: Run | None = None
+    is_new: bool = False
+    tried: tuple[str, ...] = ()
+
+
+SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event
+
+Listener = Callable[[SearchEvent], None]
+"""Is told what happens in a search, in the order in which it happens."""

@@ -1,0 +1,220 @@
+"""The loop of a search: scenarios in, evaluations out, and every distinct find handed on the moment it is there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.campaign.events import Judged, Listener
+from pytest_pafot.campaign.setup_fault import FirstGeneration
+from pytest_pafot.campaign.units import doubt
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError, expectation
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.replay import Replayed, covered_by
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.run import Run
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import (
+    CampaignFinished,
+    Evaluated,
+    Event,
+    GenerationFinished,
+    LocalSearchFinished,
+    LocalSearchStarted,
+)
+from pytest_pafot.searching.health_check import Health
+from pytest_pafot.trace import Outcome, Trace
+
+
+class Simulates(Protocol):
+    """Who runs and judges the scenarios of a search."""
+
+    def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
+        """One run; afresh, by itself with the ADS asked for every decision.
+
+        Raises:
+            ProcessLostError: where another process made it, and did not come back.
+        """
+
+    def judge(self, run: Run) -> Verdict:
+        """What the user's function makes of the last run."""
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether the last run was made by itself, and not in lock step with others."""
+
+
+class Records(Protocol):
+    """Who saves and announces the finds of a search."""
+
+    def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
+        """Take a new find of a generation, the number of its run from 1; returns its id."""
+
+    def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
+        """Take the first scenario whose process did not come back; returns its id."""
+
+    def release(self) -> None:
+        """Know that what was kept so far is no fault of the set-up, and to be announced."""
+
+
+@dataclass(slots=True, kw_only=True)
+class SearchLoop:
+    """A search in progress: what it has seen so far.
+
+    Attributes:
+        simulation: runs and judges.
+        recorder: takes the finds.
+        fitness: of a trace, higher is worse for the ego.
+        listener: is told of each run and each event.
+        near_misses: what the ego nearly had to answer for in a trace; None where the algorithm does not read that.
+        fatal: scenarios in which a process died, earlier or in this search; they are not run.
+        replayed: what the replays of the saved scenarios showed.
+        finds: ids of new finds by signature.
+        repeats: further runs of each new find, by id.
+        known: failing runs by the id of the saved scenario that covers them.
+        verdicts: counts by kind.
+        health: of the evaluations.
+        generation: of the main search, from 0.
+        finished: the last event, once the campaign is over.
+        skip: the last exception by which the function declined to judge.
+        first: what the runs of the first generation have in common.
+        doubt: about the units of the ADS's actions, once there is one.
+    """
+
+    simulation: Simulates
+    recorder: Records
+    fitness: Callable[[Trace], float]
+    listener: Listener = lambda event: None
+    near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
+    fatal: set[Scenario] = field(default_factory=set)
+    replayed: Sequence[Replayed] = ()
+    finds: dict[Signature, str] = field(default_factory=dict)
+    repeats: Counter[str] = field(default_factory=Counter)
+    known: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    health: Health = field(default_factory=Health)
+    generation: int = 0
+    finished: CampaignFinished | None = None
+    skip: BaseException | None = None
+    first: FirstGeneration = field(default_factory=FirstGeneration)
+    doubt: str = ""
+
+    @property
+    def runs(self) -> int:
+        """Simulated scenarios."""
+        return self.verdicts.total()
+
+    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        """The evaluations that a campaign asks for."""
+        evaluations = []
+        for scenario in scenarios:  # no comprehension: it would be one more frame around each run
+            if scenario in self.fatal:
+                self._first_is_settled()
+                evaluations.append(_not_run(scenario))
+                continue
+            lost = None
+            try:
+                run = self.simulation.run(scenario)
+            except ProcessLostError as error:
+                lost = error.lost
+            if lost is None:
+                evaluations.append(self._judged(run))
+            else:  # Outside of the handler: the find that is made of it is no consequence of that exception.
+                self._first_is_settled()
+                self.lose(lost)
+                evaluations.append(_not_run(scenario))
+        return evaluations
+
+    def follow(self, events: Iterable[Event], tick: Callable[[], None]) -> None:
+        """Run a campaign to its end; ``tick`` is called after each event.
+
+        Raises:
+            SetupFaultError: where the same exception ends all runs of the first generation.
+        """
+        for event in events:
+            self.listener(event)
+            if isinstance(event, Evaluated):
+                self.health = self.health.counted(event.evaluation, reused=event.reused)
+            elif isinstance(event, GenerationFinished) and event.local_generation == 0:
+                self.generation = event.generation + 1
+                self.first.end()
+            elif isinstance(event, LocalSearchStarted):
+                self.generation = event.generation
+            elif isinstance(event, LocalSearchFinished):
+                self.generation = event.generation + 1
+            elif isinstance(event, CampaignFinished):
+                self.finished = event
+            tick()
+
+    def lose(self, lost: LostRun) -> None:
+        """Know of a scenario whose process did not come back; it is not run again, in later sessions either."""
+        self.fatal.add(lost.task)
+        signature = expectation(lost).signature
+        self._count(signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
+
+    def _judged(self, run: Run) -> Evaluation:
+        is_alone = self.simulation.is_alone
+        verdict = self.simulation.judge(run)
+        self.listener(Judged(run=run, verdict=verdict))
+        if verdict.failed and not is_alone:  # A find is what its replay will be, also where a batch mixes up its rows.
+            run = self.simulation.run(run.trace.scenario, afresh=True)
+            verdict = self.simulation.judge(run)
+            self.listener(Judged(run=run, verdict=verdict))
+        self.verdicts[verdict.kind] += 1
+        self.doubt = self.doubt or doubt(run.trace)
+        if self.first.is_alike:
+            self.first.see(run, verdict)
+            if not self.first.is_alike:
+                self.recorder.release()
+        signature = None
+        if verdict.failure is not None:
+            signature = of_failure(run, verdict.failure)
+            self._count(signature, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
+        if verdict.kind == "skipped":
+            self.skip = verdict.exception
+        return Evaluation.of(
+            run.trace,
+            fitness=self.fitness(run.trace),
+            failing=verdict.failed,
+            discarded=verdict.discarded,
+            kind=signature,
+            fault=None if signature is None else signature.fault,
+            near_misses=() if self.near_misses is None else self.near_misses(run.trace),
+        )
+
+    def _first_is_settled(self) -> None:
+        """Not every run of the first generation ends in the same exception."""
+        if self.first.is_alike:
+            self.first.is_alike = False
+            self.recorder.release()
+
+    def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
+        """A failure is known, or one of this search's own again, or new."""
+        saved = covered_by(signature, self.replayed)
+        if saved is not None:
+            self.known[saved] += 1
+        elif signature in self.finds:
+            self.repeats[self.finds[signature]] += 1
+        else:
+            self.finds[signature] = keep()
+
+
+def _not_run(scenario: Scenario) -> Evaluation:
+    """What is known of a scenario in which a process died: it is not run again."""
+    return Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=False,
+        outcome=Outcome.SAFE,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )

@@ -1,0 +1,88 @@
+"""The item of a saved scenario: one replay, whose failure reaches pytest as the test function raised it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NoReturn
+
+import pytest
+
+from pytest_pafot.campaign.headline import headline
+from pytest_pafot.campaign.recorder import cause
+from pytest_pafot.campaign.replays import FLAKY, Replays, happened
+from pytest_pafot.campaign.request import Request
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.failure_reports import SUMMARY
+from pytest_pafot.plugin.own_session import own_session
+from pytest_pafot.plugin.report_pages import page_messages_of
+from pytest_pafot.plugin.search_item import harness_of, shown
+from pytest_pafot.run import Run
+from pytest_pafot.text import ascii_text
+from pytest_pafot.trace import Outcome
+
+
+def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
+    """Run the item of a saved scenario; what the test function raises reaches pytest as it is."""
+    __tracebackhide__ = True
+    finding = saved.finding
+    if finding is None:
+        pytest.fail(saved.error, pytrace=False)
+    harness = harness_of(item, request)
+    replays = Replays(harness=harness, session=partial(own_session, item))
+    path, lost = harness.relative(saved.path), None
+    try:
+        label, run, verdict = replays.labelled(saved, item.nodeid)
+    except ProcessLostError as error:
+        lost = error.lost
+    for leftover in harness.left_behind(item.nodeid):
+        leftover.discard()  # What came of it is told now.
+    if lost is not None:  # Outside of the handler, so that the same is not shown twice.
+        _conclude_lost(item, replays, finding, lost, path)
+    detail = replays.changes(finding, happened(finding, run)) if label in ("drifted", FLAKY) else ""
+    _tell(item, label, detail)
+    page = page_messages_of(item, request.settings)
+    if page is not None:
+        page.replayed(finding, run, verdict, label=label, path=path)
+    if finding.xfail is not None and not verdict.failed:
+        item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {path}")
+    _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
+
+
+def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lost: LostRun, path: str) -> NoReturn:
+    """Fail for a scenario whose process did not come back."""
+    __tracebackhide__ = True
+    was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
+    label = "still failing" if was_lost else "drifted"
+    detail = "" if was_lost else replays.changes(finding, f"the process {lost.how}")
+    _tell(item, label, detail)
+    line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
+    page = page_messages_of(item, replays.harness.request.settings)
+    if page is not None:
+        page.lost(finding, line, label=label, path=path)
+    item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
+    pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
+
+
+def _tell(item: pytest.Function, label: str, detail: str) -> None:
+    messages.send(item, "replay", {"label": label, "detail": detail})
+    item.user_properties.append(("pafot", label))
+
+
+def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
+    __tracebackhide__ = True
+    if verdict.failed and verdict.exception is not None:
+        item.stash[SUMMARY] = ascii_text(headline(run, verdict))
+        item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
+        raise shown(verdict.exception)
+    if verdict.kind == "skipped" and verdict.exception is not None:
+        raise verdict.exception
+    if label == "drifted" and is_strict:
+        pytest.fail(f"the saved scenario passes, but drifted: {detail} (--pafot-strict-drift)", pytrace=False)
+    if verdict.kind == "rejected":
+        pytest.skip("the test function rejected the saved scenario with pafot.reject()")
+    if verdict.kind == "invalid":
+        pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing of the ADS")
