@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world import Observation as Observation
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
+    from pytest_pafot.world import WorldLike as WorldLike
 
 __version__ = "0.1.0"
 
@@ -50,6 +51,7 @@ _HOMES = {
     "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",
+    "WorldLike": "world",
     "load": "corpus.reader",
     "reject": "rejection",
     "search": "plugin.marks",

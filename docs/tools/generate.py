@@ -63,7 +63,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "`Highway` or `World`, all of them. `config` of a `World` has the defaults of its environment, too. The replay "
     "uses this world, not the one that the test names now, and no default of a later version. Where the world is code, "
     "the replay uses the one that the test names: kind `own`, with the `class` of [a world of your "
-    "own](how-to.md#a-world-of-your-own) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`.",
+    "own](how-to.md#a-world-of-your-own) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. "
+    "A world that a package has [registered](how-to.md#a-simulator-of-your-own) has its own kind and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",

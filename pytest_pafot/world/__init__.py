@@ -6,6 +6,7 @@ from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.protocol import WorldLike
 
 __all__ = [
     "AdsFactoryError",
@@ -15,5 +16,6 @@ __all__ = [
     "VehicleState",
     "World",
     "WorldError",
+    "WorldLike",
     "from_dict",
 ]

@@ -1,10 +1,12 @@
 """Worlds that are code, the user's own and environments in wrappers, are searched and replayed as tests name them."""
 
 import textwrap
+from importlib import metadata
 
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.world.codec import GROUP
 
 OWN = """
 class Ring:
@@ -239,3 +241,65 @@ def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_n
     result = project.run("--pafot-workers=2")
     result.assert_outcomes(passed=1)
     result.stdout.no_fnmatch_line("*by its `batch`*")
+
+
+# --- worlds that a package has registered
+
+RINGS = """
+import pytest_pafot as pafot
+
+class Ring:
+    speed_limit, longest_run = 26.8, 10.0
+
+    def __init__(self, lanes):
+        self.lanes = lanes
+
+    def rollout(self, scenario, ads_factory):
+        return pafot.Highway(lanes=self.lanes, duration=10.0).rollout(scenario, ads_factory)
+
+    def to_dict(self):
+        return {"lanes": self.lanes}
+
+    @classmethod
+    def from_dict(cls, data):
+        return cls(**data)
+"""
+FINDS = """
+from rings import Ring
+
+@pafot.search(SHORT, npcs=1, world=Ring(3), stop_after=1)
+def test_fails(run):
+    assert len(run.trace.lanes) != 3
+"""
+
+
+@pytest.fixture
+def registered(project, monkeypatch):
+    """A project with one scenario that was saved in a world that a package has registered."""
+    given = metadata.entry_points
+    rings = (metadata.EntryPoint("ring", "rings:Ring", GROUP),)
+    monkeypatch.setattr(
+        metadata, "entry_points", lambda **which: rings if which == {"group": GROUP} else given(**which)
+    )
+    project.pytester.makepyfile(rings=RINGS)
+    project.write(FINDS)
+    project.run(generations=5)
+    return project
+
+
+def test_a_find_in_a_registered_world_is_replayed_in_it_by_a_test_that_does_not_name_it(registered):
+    assert "\nworld: {kind: ring, data: {lanes: 3}}\n" in registered.only_file.read_text()
+    registered.write(FINDS.replace("world=Ring(3), ", ""))
+    result = registered.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+
+
+def test_a_file_of_a_kind_that_no_package_registers_fails_its_item_with_the_line_and_the_likely_cause(registered):
+    file = registered.only_file
+    file.write_text(file.read_text().replace("kind: ring", "kind: wring"))
+    result = registered.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(
+        [f"*{file.name}:3: world.kind: expected one of gym, highway, ring, received 'wring'; *may not be installed*"]
+    )

@@ -1,0 +1,187 @@
+"""What a world promises to a search, checked: for the tests of whoever writes a world of their own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.run import Run
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.trace import ACCELERATION, ANGLE, HEADING, LANE, SPEED, STEERING, Outcome, Trace
+from pytest_pafot.world.codec import OWN, described, from_dict, is_code
+from pytest_pafot.world.kernel.bodies import Box
+from pytest_pafot.world.kernel.contact import overlap
+from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.protocol import hang_limit, missing, road_start
+
+Ads = Callable[[], Callable[[Any], Any]]
+
+NOT_COMPARED = ("scenario", "max_decision_seconds")
+"""Fields of a trace that differ although the run is the same."""
+SHORT_HANG = 1.0
+"""A hang limit up to this is tried out [s]."""
+ROUNDING = 1e-6
+
+
+def straight_on() -> Callable[[Any], tuple[float, float]]:
+    """An ADS in SI units that neither accelerates nor steers."""
+    return lambda observation: (0.0, 0.0)
+
+
+def check_world(world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = straight_on, **space: Any) -> None:
+    """Check that a world keeps what a search builds on, by random scenarios.
+
+    - It has what a search needs, and plain data that a file can hold.
+    - Traces have the form that oracles and reports read.
+    - The same scenario gives the same trace to the last bit, whatever ran before.
+    - What was executed runs to the same trace.
+    - NPCs keep its ``limits``, where these are a :class:`pytest_pafot.NpcLimits`.
+    - An ADS that raises, returns no action or hangs ends its own run and harms no other; hanging is tried where the
+      world's ``hang_limit`` is one second at most.
+    - ``from_dict`` gives the same world again, where its class has that or a file can describe it.
+
+    Args:
+        world: to check.
+        seed: of the scenarios.
+        runs: number of scenarios.
+        ads: factory of an ADS that drives in this world without errors and remembers nothing of other runs.
+        space: what scenarios have in common, as in :func:`pytest_pafot.search`: ``npcs``, ``genes``, ``ego_lane`` ...
+
+    Raises:
+        AssertionError: naming the promise that is broken.
+    """
+    _promise(not (lacking := missing(world)), "a world has what a search needs", f"no {', '.join(lacking)}")
+    random = np.random.default_rng(seed)
+    within = space_on(world, space, road_start(world))
+    done = [(scenario, _rollout(world, scenario, ads)) for scenario in (sample(within, random) for _ in range(runs))]
+    for scenario, trace in done:
+        _check_form(world, scenario, trace)
+        _check_limits(world, trace)
+    for scenario, trace in done[::-1]:  # another order than before
+        _check_same(trace, _rollout(world, scenario, ads), "the same scenario gives the same trace")
+        _check_same(trace, _rollout(world, trace.executed, ads), "what was executed runs to the same trace")
+    _check_faults(world, *done[0], ads)
+    _check_round_trip(world, *done[0], ads)
+
+
+def _promise(is_kept: bool, promise: str, received: str) -> None:
+    if not is_kept:
+        raise AssertionError(f"expected that {promise}, received {received}")
+
+
+def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any]) -> Trace:
+    try:
+        trace = world.rollout(scenario, ads)
+    except Exception as error:
+        raise AssertionError(
+            f"expected that a run ends in a trace, whatever the ADS does, received {error!r}"
+        ) from error
+    if not isinstance(trace, Trace):
+        raise AssertionError(f"expected that rollout returns a pafot.Trace, received {trace!r:.200}")
+    return trace
+
+
+def _check_same(first: Trace, second: Trace, promise: str) -> None:
+    names = [field.name for field in fields(Trace) if field.name not in NOT_COMPARED]
+    differ = [name for name in names if not _is_same(getattr(first, name), getattr(second, name))]
+    _promise(not differ, promise, f"another {', '.join(differ)} of {first.scenario!r}")
+
+
+def _is_same(first: Any, second: Any) -> bool:
+    """Whether two values are the same to the last bit."""
+    if isinstance(first, np.ndarray):
+        return isinstance(second, np.ndarray) and (first.shape, first.tobytes()) == (second.shape, second.tobytes())
+    if isinstance(first, tuple) and isinstance(second, tuple):
+        return len(first) == len(second) and all(map(_is_same, first, second))
+    return bool(first == second)
+
+
+def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
+    """What oracles, measures and pages read of a trace."""
+    _promise(trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give another by ads=")
+    states, start = trace.states, trace.states[0]
+    _promise(states.shape[1] == len(scenario.npcs) + 1, "states are of the ego and each NPC", f"shape {states.shape}")
+    boxes = [Box(*row[:3], *size) for row, size in zip(start.tolist(), trace.sizes.tolist(), strict=True)]
+    promises = {
+        "trace.scenario is what was asked for": trace.scenario == scenario,
+        "states are finite": np.isfinite(states).all(),
+        "vehicles have a length and a width": (trace.sizes > 0).all(),
+        "the column lane is an index of lanes, or -1": np.isin(states[..., LANE], range(-1, len(trace.lanes))).all(),
+        "ads_hz divides physics_hz": trace.physics_hz % trace.ads_hz == 0,
+        "no run is longer than longest_run": trace.duration <= world.longest_run + trace.dt,
+        "a collision is there where the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
+        "the ego starts as fast as the scenario says": abs(start[0, SPEED] - scenario.ego_speed) < ROUNDING,
+        "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
+        "nobody touches anybody at the start": not any(overlap(a, b) for a, b in combinations(boxes, 2)),
+    }
+    for promise, is_kept in promises.items():
+        _promise(bool(is_kept), promise, f"otherwise in {trace!r}")
+    try:
+        Run(trace).explain()
+    except Exception as error:
+        raise AssertionError(f"expected that Run(trace).explain() tells what happened, received {error!r}") from error
+
+
+def _check_limits(world: Any, trace: Trace) -> None:
+    limits, npcs, dt = getattr(world, "limits", None), trace.npcs, trace.dt
+    if not isinstance(limits, NpcLimits):
+        return
+    speed = npcs[..., SPEED]
+    acceleration = np.concatenate([np.zeros_like(speed[:1]), np.diff(speed, axis=0) / dt])
+    is_standing = (speed[1:] <= ROUNDING) | (speed[:-1] <= ROUNDING)
+    jerk = np.where(is_standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    turns = (np.diff(npcs[..., HEADING], axis=0) + np.pi) % (2 * np.pi) - np.pi
+    angle = npcs[..., HEADING] - trace.lanes[0].heading if trace.track is None else trace.track[:, 1:, ANGLE]
+    for name, values, low, high in (
+        ("speed", speed, 0.0, limits.overspeed * world.speed_limit),
+        ("acceleration", acceleration, -limits.braking, limits.acceleration),
+        ("jerk", jerk, -limits.jerk, limits.jerk),
+        ("heading", angle, -limits.heading, limits.heading),
+        ("lateral acceleration", speed[:-1] * turns / dt, -limits.lateral_acceleration, limits.lateral_acceleration),
+    ):
+        least, most = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))
+        is_kept = low - ROUNDING <= least and most <= high + ROUNDING
+        _promise(is_kept, f"the {name} of NPCs is from {low:g} to {high:g}", f"{least:g} to {most:g}")
+
+
+def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> None:
+    limit = hang_limit(world)
+    faults: list[tuple[str, Callable[[], Any], Outcome]] = [
+        ("raises", lambda: 1 / 0, Outcome.ADS_ERROR),
+        ("returns None", lambda: None, Outcome.ADS_ERROR),
+        ("hangs", lambda: time.sleep(20 * limit), Outcome.HANG),
+    ]
+    for name, fault, outcome in faults if limit <= SHORT_HANG else faults[:-1]:
+        trace = _rollout(world, scenario, partial(_failing_ads, ads, fault))
+        is_kept = trace.outcome is outcome and trace.error is not None
+        _promise(is_kept, f"an ADS that {name} ends its run as {outcome}", f"{trace.outcome}, {trace.error}")
+        _check_same(healthy, _rollout(world, scenario, ads), f"an ADS that {name} leaves the next run alone")
+
+
+def _failing_ads(factory: Ads, fault: Callable[[], Any]) -> Callable[[Any], Any]:
+    """An ADS that fails in its second decision."""
+    ads, seen = factory(), []
+
+    def decide(observation: Any) -> Any:
+        seen.append(observation)
+        return ads(observation) if len(seen) == 1 else fault()
+
+    return decide
+
+
+def _check_round_trip(world: Any, scenario: Scenario, trace: Trace, ads: Ads) -> None:
+    data, cls = described(world), type(world)
+    if data["kind"] == OWN:
+        _promise("data" in data, "to_dict gives plain data that a file can hold", f"{world.to_dict()!r:.200}")
+    if is_code(data) and not (data["kind"] == OWN and hasattr(cls, "from_dict")):
+        return
+    again = cls.from_dict(world.to_dict()) if data["kind"] == OWN else from_dict(data)
+    _promise(described(again) == data, "from_dict(to_dict()) has the same data", f"{described(again)} for {data}")
+    _check_same(trace, _rollout(again, scenario, ads), "from_dict(to_dict()) gives the same traces")

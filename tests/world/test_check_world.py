@@ -1,0 +1,205 @@
+"""The kit that checks a world: this package's pass, and one that breaks a promise is refused with the promise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_pafot import Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot.testing import check_world
+from pytest_pafot.trace import ACCELERATION, LANE, SPEED, X
+
+SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
+ROAD = Highway(duration=4.0, hang_limit=0.3)
+
+
+class Own:
+    """A world of one's own that keeps all promises; what is broken derives from it."""
+
+    speed_limit, longest_run, hang_limit = 26.8, 4.0, 0.3
+    limits = NpcLimits()
+
+    def __init__(self, number=1):
+        self.number = number
+
+    def rollout(self, scenario, ads_factory):
+        return self.changed(ROAD.rollout(scenario, ads_factory))
+
+    def changed(self, trace):
+        return trace
+
+    def to_dict(self):
+        return {"number": self.number}
+
+    @classmethod
+    def from_dict(cls, data):
+        return cls(**data)
+
+
+def with_states(trace, change):
+    states = trace.states.copy()
+    change(states)
+    return replace(trace, states=states)
+
+
+@pytest.mark.parametrize(
+    ("world", "given"),
+    [
+        (ROAD, {}),
+        (Highway(duration=4.0, engine="highway-env"), {}),
+        (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
+        (Own(), {}),
+    ],
+    ids=["Highway", "by highway-env's objects", "World", "of one's own"],
+)
+def test_a_world_that_keeps_its_promises_passes(world, given):
+    check_world(world, runs=3, **SHORT, **given)
+
+
+def test_an_environment_whose_road_says_how_the_ego_starts_passes():
+    check_world(World("roundabout-v0", duration=4.0), runs=2, ads=lambda: lambda seen: 1, npcs=2)
+
+
+class Random(Own):
+    runs = 0
+
+    def changed(self, trace):
+        self.runs += 1
+        return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1e-9 * self.runs))
+
+
+class Forgets(Own):
+    def changed(self, trace):
+        return replace(trace, executed=replace(trace.executed, ego_speed=trace.executed.ego_speed - 1.0))
+
+
+class Throws(Own):
+    def rollout(self, scenario, ads_factory):
+        trace = super().rollout(scenario, ads_factory)
+        if trace.error is not None:
+            raise ValueError(trace.error.message)
+        return trace
+
+
+class Swallows(Own):
+    def changed(self, trace):
+        return replace(trace, outcome=Outcome.SAFE, error=None) if trace.error else trace
+
+
+class Harmed(Own):
+    is_harmed = False
+
+    def changed(self, trace):
+        if self.is_harmed:
+            trace = with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0))
+        self.is_harmed |= trace.error is not None
+        return trace
+
+
+class Hangs(Own):
+    def rollout(self, scenario, ads_factory):
+        return Highway(duration=4.0).rollout(scenario, ads_factory)
+
+
+class NoTrace(Own):
+    def rollout(self, scenario, ads_factory):
+        return super().rollout(scenario, ads_factory).states
+
+
+class Unwritable(Own):
+    def to_dict(self):
+        return {"number": object()}
+
+
+class Changed(Own):
+    @classmethod
+    def from_dict(cls, data):
+        return cls(data["number"] + 1)
+
+
+class Different(Own):
+    def changed(self, trace):
+        return trace if self.is_first else with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0))
+
+    is_first = True
+
+    @classmethod
+    def from_dict(cls, data):
+        again = cls(**data)
+        again.is_first = False
+        return again
+
+
+def changing(name, **fields):
+    """A class whose traces have other fields."""
+    return type(name, (Own,), {"changed": lambda self, trace: replace(trace, **fields)})
+
+
+def moving(name, change):
+    """A class whose traces have other states."""
+    return type(name, (Own,), {"changed": lambda self, trace: with_states(trace, change)})
+
+
+def put(*place, value):
+    def change(states):
+        states[place] = value
+
+    return change
+
+
+def lost(self, trace):
+    return replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])
+
+
+BROKEN = [
+    (Random, "the same scenario gives the same trace"),
+    (Forgets, "what was executed runs to the same trace"),
+    (Throws, "a run ends in a trace, whatever the ADS does"),
+    (Swallows, "an ADS that raises ends its run as ads_error"),
+    (Harmed, "an ADS that raises leaves the next run alone"),
+    (Hangs, "an ADS that hangs ends its run as hang"),
+    (NoTrace, "rollout returns a pafot.Trace"),
+    (Unwritable, "to_dict gives plain data that a file can hold"),
+    (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
+    (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
+    (type("Lost", (Own,), {"changed": lost}), "states are of the ego and each NPC"),
+    (type("Longer", (Own,), {"longest_run": 3.0}), "no run is longer than longest_run"),
+    (type("Lazy", (Own,), {"limits": NpcLimits(acceleration=0.1, braking=0.1)}), "the acceleration of NPCs is from"),
+    (type("Gentle", (Own,), {"limits": NpcLimits(jerk=0.1)}), "the jerk of NPCs is from"),
+    (type("Slow", (Own,), {"limits": NpcLimits(overspeed=1.0), "speed_limit": 15.0}), "the speed of NPCs is from"),
+    (type("Straight", (Own,), {"limits": NpcLimits(heading=0.01)}), "the heading of NPCs is from"),
+    (type("Stiff", (Own,), {"limits": NpcLimits(lateral_acceleration=0.1)}), "the lateral acceleration of NPCs is"),
+    (changing("Renamed", scenario=Scenario(npcs=[[PositionInstruction(1, 9.0)]])), "trace.scenario is what was asked"),
+    (changing("Odd", ads_hz=7), "ads_hz divides physics_hz"),
+    (changing("Collides", outcome=Outcome.COLLISION), "a collision is there where the outcome says so"),
+    (changing("Pointlike", sizes=np.zeros((3, 2))), "vehicles have a length and a width"),
+    (changing("Mute", arrivals=5), r"Run\(trace\).explain\(\) tells what happened"),
+    (moving("Holey", put(-1, 0, X, value=np.nan)), "states are finite"),
+    (moving("Laneless", put(-1, 0, LANE, value=9)), "the column lane is an index of lanes, or -1"),
+    (moving("Fast", put(0, 0, SPEED, value=9)), "the ego starts as fast as the scenario says"),
+    (moving("Pushed", put(0, 0, ACCELERATION, value=1)), "acceleration and steering of the first row are 0"),
+    (moving("Crowded", lambda states: np.copyto(states[0], states[0, :1])), "nobody touches anybody at the start"),
+]
+
+
+@pytest.mark.parametrize(("broken", "promise"), BROKEN, ids=[broken.__name__ for broken, _ in BROKEN])
+def test_a_world_that_breaks_a_promise_is_refused_with_the_promise(broken, promise):
+    with pytest.raises(AssertionError, match=f"^expected that {promise}"):
+        check_world(broken(), runs=3, **SHORT)
+
+
+@pytest.mark.parametrize("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
+def test_a_world_without_what_a_search_needs_is_refused(name):
+    parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
+    with pytest.raises(AssertionError, match=f"^expected that a world has what a search needs, received no {name}$"):
+        check_world(type("Lacking", (), parts)())
+
+
+def test_an_ads_that_does_not_drive_in_the_world_is_told_from_a_fault_of_the_world():
+    with pytest.raises(AssertionError, match=r"the ADS of the check drives in this world, received .*; give another"):
+        check_world(World("highway-v0", duration=4.0), runs=1, **SHORT)
+
+
+def test_hanging_is_not_tried_where_it_would_take_long(monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("tried"))
+    check_world(Highway(duration=4.0), runs=1, **SHORT)

@@ -1,0 +1,120 @@
+"""Worlds of installed packages: a file names the kind that a package has registered, and no other code."""
+
+from importlib import metadata
+
+import pytest
+
+from pytest_pafot import Highway, WorldError
+from pytest_pafot.world.codec import GROUP, changes, described, from_dict, is_code
+
+
+class Ring:
+    """A world of one's own that a file can describe."""
+
+    speed_limit, longest_run = 26.8, 10.0
+
+    def __init__(self, lanes):
+        self.lanes = lanes
+
+    def rollout(self, scenario, ads_factory):
+        return Highway(lanes=self.lanes, duration=10.0).rollout(scenario, ads_factory)
+
+    def to_dict(self):
+        return {"lanes": self.lanes}
+
+    @classmethod
+    def from_dict(cls, data):
+        return cls(data["lanes"])
+
+
+class Broken(Ring):
+    @classmethod
+    def from_dict(cls, data):
+        return "no world"
+
+
+class Unwritable(Ring):
+    def to_dict(self):
+        return {"lanes": object()}
+
+
+@pytest.fixture
+def register(monkeypatch):
+    """Lets entry points be there, by name and value, as if packages with them were installed."""
+
+    def put(**values):
+        entries = tuple(metadata.EntryPoint(name, value, GROUP) for name, value in values.items())
+        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == GROUP else ())
+
+    return put
+
+
+@pytest.fixture
+def ring(register):
+    register(ring=f"{__name__}:Ring")
+
+
+@pytest.mark.usefixtures("ring")
+def test_a_file_has_its_kind_and_data_and_gives_the_same_world_again():
+    data = described(Ring(3))
+    assert data == {"kind": "ring", "data": {"lanes": 3}}
+    assert not is_code(data)
+    assert changes(data, Ring(4)) == []
+    again = from_dict(data)
+    assert (type(again), again.lanes) == (Ring, 3)
+
+
+def test_without_its_registration_it_is_a_world_that_the_test_names():
+    assert described(Ring(3)) == {"kind": "own", "class": "Ring", "data": {"lanes": 3}}
+
+
+@pytest.mark.usefixtures("ring")
+def test_a_class_that_derives_from_it_is_not_registered_with_it():
+    assert described(Broken(3))["kind"] == "own"
+
+
+def test_only_the_entry_points_of_its_own_package_are_imported_to_find_its_kind(register):
+    register(other="no_such_package:Ring", ring=f"{__name__}:Ring")
+    assert described(Ring(3))["kind"] == "ring"
+
+
+def test_the_kinds_of_this_package_cannot_be_taken(register):
+    register(highway=f"{__name__}:Ring", own=f"{__name__}:Ring")
+    assert from_dict({"kind": "highway"}) == Highway()
+    assert described(Ring(3))["kind"] == "own"
+
+
+@pytest.mark.usefixtures("ring")
+@pytest.mark.parametrize("kind", ["rings", "tests.world.test_registered_worlds:Ring", "os:system", "", None])
+def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cause(kind):
+    message = r"world.kind: expected one of gym, highway, ring, received .*; a package .*pytest_pafot.worlds may not be"
+    with pytest.raises(WorldError, match=message):
+        from_dict({"kind": kind, "data": {"lanes": 3}})
+
+
+@pytest.mark.parametrize(
+    ("value", "data", "message"),
+    [
+        ("no_such_package:Ring", {"lanes": 3}, r"that no_such_package:Ring, .*, can be imported, received ModuleNot"),
+        (f"{__name__}:Ringg", {"lanes": 3}, r"can be imported, received AttributeError"),
+        (f"{__name__}:Ring", {"lane": 3}, r"world.data: expected what .*Ring.from_dict takes, .*; it raised KeyError"),
+        (f"{__name__}:Broken", {}, r"gives a world, received 'no world', which has no rollout, to_dict, speed_limit"),
+    ],
+)
+def test_what_makes_no_world_is_refused_with_its_place_and_cause(register, value, data, message):
+    register(ring=value)
+    with pytest.raises(WorldError, match=message):
+        from_dict({"kind": "ring", "data": data})
+
+
+@pytest.mark.usefixtures("ring")
+@pytest.mark.parametrize("world", [{"kind": "ring"}, {"kind": "ring", "lanes": 3}])
+def test_all_but_the_kind_is_in_its_data(world):
+    with pytest.raises(WorldError, match=r"world \(kind ring\): expected the field data, received (none|lanes)"):
+        from_dict(world)
+
+
+def test_data_that_no_file_can_hold_are_refused_before_a_find_would_be_lost(register):
+    register(ring=f"{__name__}:Unwritable")
+    with pytest.raises(WorldError, match=r"Unwritable.to_dict: .*expected plain data"):
+        described(Unwritable(3))
