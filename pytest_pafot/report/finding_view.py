@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.finding import Finding
 from pytest_pafot.report.page_data import (
     EventView,
     FindingView,
@@ -22,7 +22,7 @@ from pytest_pafot.report.page_data import (
 )
 from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
 from pytest_pafot.run import Run
-from pytest_pafot.scenario import Chromosome, Gene, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 from pytest_pafot.world.limits import CLEARANCE
 
@@ -37,7 +37,6 @@ def finding_view(
     node_id: str,
     yaml: str,
     headline: str = "",
-    explanation: str = "",
     preventable_tried: Sequence[str] = (),
     shrink: ShrinkView | None = None,
 ) -> FindingView:
@@ -51,7 +50,7 @@ def finding_view(
         finding: as it is kept.
         node_id: of the item that replays it.
         yaml: the text of its file.
-        headline, explanation: unless given, those of the run.
+        headline: unless given, that of the run.
         preventable_tried: reference drivers that were tried, beside those in the finding that survived.
         shrink: see :func:`shrink_view`.
     """
@@ -59,13 +58,14 @@ def finding_view(
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     first, _, rest = ("" if trace is None else Run(trace).explain()).partition("\n")
+    raised = f"{expect.failure}: {expect.message}" if expect.message else expect.failure
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation=explanation or rest or expect.message,
-        assertion=_assertion(expect),
+        explanation=rest or expect.message,
+        assertion=f"assert {expect.assertion.removeprefix('assert ')}" if expect.assertion else raised,
         responsibility=expect.responsibility,
         generation=finding.found.generation,
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
@@ -134,7 +134,11 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     encounters = Encounters(trace)
-    along, across, heading = _in_the_picture(trace)
+    along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
+    if trace.track is None:
+        (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
+    else:  # A road that bends is drawn as the world has it.
+        heading = np.unwrap(heading, axis=0)
     views = []
     for vehicle in range(trace.states.shape[1]):
         view = VehicleView(
@@ -164,14 +168,6 @@ def _jerk(trace: Trace, ticks: Sequence[int], vehicle: int) -> FloatArray:
     return np.array([span[np.argmax(np.abs(span))] for span in spans]) * trace.physics_hz
 
 
-def _in_the_picture(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Along [m], across [m], heading [rad], shape [ticks + 1, vehicles]: of the road, or of the world if it bends."""
-    x, y, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
-    if trace.track is not None:
-        return x, y, np.unwrap(heading, axis=0)
-    return *along_and_across(trace, x, y), heading - trace.lanes[0].heading
-
-
 def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:
     """Without a run, as asked for; none of them begun."""
     asked = finding.scenario if trace is None else trace.scenario
@@ -180,7 +176,8 @@ def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionVie
     for npc, chain in enumerate(asked.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, requested in enumerate(chain):
-            instruction = driven[npc][gene]
+            told = driven[npc][gene]
+            cells = [int(each.cell) if isinstance(each, PositionInstruction) else 0 for each in (requested, told)]
             tick = begun[gene] if gene < len(begun) else None
             views.append(
                 InstructionView(
@@ -188,26 +185,15 @@ def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionVie
                     gene=gene,
                     start=round(gene * asked.gene_seconds, 3),
                     end=round((gene + 1) * asked.gene_seconds, 3),
-                    requested=_cell_of(requested),
-                    cell=_cell_of(instruction),
-                    speed=instruction.speed,
+                    requested=cells[0],
+                    cell=cells[1],
+                    speed=told.speed,
                     started=gene < len(begun),
                     arrived=None if tick is None else round(tick / hz, 3),
-                    lane=instruction.lane if isinstance(instruction, LaneInstruction) else "",
+                    lane=told.lane if isinstance(told, LaneInstruction) else "",
                 )
             )
     return tuple(views)
-
-
-def _cell_of(instruction: Gene) -> int:
-    return int(instruction.cell) if isinstance(instruction, PositionInstruction) else 0
-
-
-def _assertion(expect: Expect) -> str:
-    """What failed, as the test has it."""
-    if expect.assertion:
-        return f"assert {expect.assertion.removeprefix('assert ')}"
-    return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:

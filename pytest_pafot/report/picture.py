@@ -34,7 +34,7 @@ class DrawnVehicle:
     speed: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DrawnCell:
     """A cell of the grid around the ego.
 
@@ -96,7 +96,7 @@ def picture_at(finding: FindingView, time: float) -> Picture:
         cells=cells,
         targets=tuple(_target(finding, cells, instruction_at(finding, npc, time)) for npc in range(len(vehicles) - 1)),
         trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(vehicles))),
-        impact=_impact(finding, vehicles, time),
+        impact=_impact(finding, ego, vehicles, time),
     )
 
 
@@ -140,19 +140,18 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
         along = ego.along + cell.row * ((ego.length + other) / 2 + road.clearance)
         lane = nearest_lane(road.lanes, ego.across)
         goal = lane + cell.column
-        if 0 <= goal < len(road.lanes):
-            return DrawnCell(cell=int(cell), along=along, across=road.lanes[goal], exists=True)
-        across = road.lanes[lane] + cell.column * road.lane_width
-        return DrawnCell(cell=int(cell), along=along, across=across, exists=False)
+        exists = 0 <= goal < len(road.lanes)
+        across = road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width
+        return DrawnCell(int(cell), along, across, exists)
     before, after, share = _frame_at(finding, time)
     frame = after if share > 0.5 else before
     pose = finding.grid[frame][cell - 1]
     if pose is None:
-        return DrawnCell(cell=int(cell), along=ego.along, across=ego.across, exists=False)
+        return DrawnCell(int(cell), ego.along, ego.across, exists=False)
     x, y, heading = pose
     dx = ego.along - (finding.vehicles[0].along[frame] or 0.0)
     dy = ego.across - (finding.vehicles[0].across[frame] or 0.0)
-    return DrawnCell(cell=int(cell), along=x + dx, across=y + dy, exists=True, heading=heading)
+    return DrawnCell(int(cell), x + dx, y + dy, exists=True, heading=heading)
 
 
 def _target(
@@ -184,13 +183,13 @@ def _trail(finding: FindingView, vehicle: int, time: float, ego: DrawnVehicle) -
     return tuple(points)
 
 
-def _impact(finding: FindingView, vehicles: Sequence[DrawnVehicle | None], time: float) -> Point | None:
+def _impact(
+    finding: FindingView, ego: DrawnVehicle, vehicles: Sequence[DrawnVehicle | None], time: float
+) -> Point | None:
     """The point of the ego that is nearest to the centre of the NPC that it touches."""
     event = finding.event
-    if event.kind != "collision" or event.npc is None or time < event.time - 1e-6:
-        return None
-    ego, other = vehicles[0], vehicles[event.npc + 1]
-    if ego is None or other is None:
+    other = None if event.npc is None else vehicles[event.npc + 1]
+    if event.kind != "collision" or other is None or time < event.time - 1e-6:
         return None
     cos, sin = (math.cos(ego.heading), math.sin(ego.heading)) if finding.road.shapes else (1.0, 0.0)
     dx, dy = other.along - ego.along, other.across - ego.across
