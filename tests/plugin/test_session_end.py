@@ -6,11 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot.plugin.crash_folder
-import pytest_pafot.plugin.orphans
-import pytest_pafot.plugin.terminal_reporter
-import pytest_pafot.report.draft
-import pytest_pafot.report.terminal
+import pytest_pafot.report.draft  # noqa: F401  pytester forgets modules that a run imports; this one is patched
 
 FAILS = """
 @pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
@@ -18,43 +14,7 @@ def test_fails(run):
     assert run.duration < 1, "the text of the failure"
 """
 
-
-def is_whole(result):
-    """Whether a session ended as one whose tests failed, with the text of the failure."""
-    result.stdout.fnmatch_lines(["*AssertionError: the text of the failure*", "FAILED test_it.py::test_fails*"])
-    return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
-
-
-@pytest.mark.parametrize(
-    ("owner", "name", "expected"),
-    [
-        (pytest_pafot.plugin.crash_folder, "unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        (pytest_pafot.plugin.orphans, "prune", "problem: --pafot-prune: ValueError: a fault"),
-        (
-            pytest_pafot.report.draft,
-            "write_report",
-            "problem: --pafot-report=x.html: not written: ValueError: a fault",
-        ),
-        (pytest_pafot.report.terminal, "session_lines", "summary of pytest-pafot: ValueError: a fault"),
-    ],
-    ids=["records", "prune", "report", "summary"],
-)
-def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, owner, name, expected):
-    def fail(*arguments, **named):
-        raise ValueError("a fault")
-
-    project.write(FAILS.replace("test_fails", "test_old"))
-    project.run()
-    project.write(FAILS)
-    monkeypatch.setattr(owner, name, fail)
-    result = project.run("--pafot-prune", "--pafot-report=x.html")
-    assert is_whole(result)
-    assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
-
-
-def test_finds_that_cannot_be_reported_at_the_end_of_a_cut_session_are_named(project, monkeypatch):
-    project.write(
-        """
+IS_CUT = """
 seen = []
 
 @pafot.search(SHORT)
@@ -64,11 +24,49 @@ def test_fails(run):
         raise KeyboardInterrupt
     assert not run
 """
-    )
-    monkeypatch.setattr(pytest_pafot.plugin.terminal_reporter, "_phase", lambda report, when: 1 / 0)
+"""A search that is interrupted after its first find."""
+
+
+def text_of(result):
+    """What a session shows, on one line."""
+    return " ".join(result.stdout.str().split())
+
+
+def is_whole(result):
+    """Whether a session ended as one whose tests failed, with the text of the failure."""
+    result.stdout.fnmatch_lines(["*AssertionError: the text of the failure*", "FAILED test_it.py::test_fails*"])
+    return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    ("function", "expected"),
+    [
+        ("plugin.crash_folder.unclaimed", "problem: records of processes that died: ValueError: a fault"),
+        ("plugin.orphans.prune", "problem: --pafot-prune: ValueError: a fault"),
+        ("report.draft.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
+    ],
+    ids=["records", "prune", "report", "summary"],
+)
+def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, function, expected):
+    def fail(*arguments, **named):
+        raise ValueError("a fault")
+
+    project.write(FAILS.replace("test_fails", "test_old"))
+    project.run()
+    project.write(FAILS)
+    monkeypatch.setattr(f"pytest_pafot.{function}", fail)
+    result = project.run("--pafot-prune", "--pafot-report=x.html")
+    assert is_whole(result)
+    assert [line.strip() for line in result.stdout.lines if "a fault" in line] == [expected]
+
+
+def test_finds_that_cannot_be_reported_at_the_end_of_a_cut_session_are_named(project, monkeypatch):
+    project.write(IS_CUT)
+    monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter._phase", lambda report, when: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    text = " ".join(result.stdout.str().split())
+    text = text_of(result)
     assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
 
 
@@ -84,7 +82,7 @@ def test_a_cache_folder_that_cannot_be_read_is_one_line_of_the_summary(project, 
     monkeypatch.setattr(Path, "iterdir", refuse)
     result = project.run()
     assert is_whole(result)
-    text = " ".join(result.stdout.str().split())
+    text = text_of(result)
     assert "pafot: expected a folder that can be read and written, received: Permission denied;" in text
 
 
@@ -114,7 +112,7 @@ def leak():
     project.write(FAILS)
     result = project.run("--pafot-report=x.html", subprocess=True)
     assert is_whole(result)
-    text = " ".join(result.stdout.str().split())
+    text = text_of(result)
     assert "problem: --pafot-report=x.html: not written: " in text
     assert "received: Too many open files;" in text
     assert "close the files that the ADS and the tests open" in text
@@ -125,27 +123,16 @@ def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr(pytest_pafot.report.draft, "write_report", interrupted)
+    monkeypatch.setattr("pytest_pafot.report.draft.write_report", interrupted)
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])
 
 
 def test_an_interrupted_session_does_not_wait_for_pictures(project):
-    project.write(
-        """
-seen = []
-
-@pafot.search(SHORT)
-def test_fails(run):
-    seen.append(run)
-    if len(seen) > 1:
-        raise KeyboardInterrupt
-    assert not run
-"""
-    )
+    project.write(IS_CUT)
     result = project.run("--pafot-report=x/", no_reraise_ctrlc=True)
     assert [path.name for path in (project.path / "x").iterdir()] == ["index.html"]
-    text = " ".join(result.stdout.str().split())
+    text = text_of(result)
     assert "the page is there, pictures are not, after an interrupt" in text
     assert "FAILED test_it.py::test_fails[saved-" in text

@@ -28,6 +28,13 @@ def test_second(run):
 """
 
 
+@pytest.fixture
+def two(project):
+    """A project with two searches by an ADS that takes its time."""
+    project.write(TWO)
+    return project
+
+
 def limits(max_time=None, total_time=None):
     return SimpleNamespace(max_time=max_time, total_time=total_time)
 
@@ -86,12 +93,11 @@ def runs(result):
 
 
 @pytest.mark.parametrize("args", [(), ("-n2",)], ids=["alone", "workers"])
-def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(project, args):
+def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(two, args):
     if args:
         pytest.importorskip("xdist")
-    project.write(TWO)
     begun = time.monotonic()
-    result = project.run("--pafot-total-time=4", *args, generations=9999, subprocess=True)
+    result = two.run("--pafot-total-time=4", *args, generations=9999, subprocess=True)
     assert time.monotonic() - begun < 60  # each would take many minutes
     result.assert_outcomes(passed=2)
     text = result.stdout.str()
@@ -99,16 +105,14 @@ def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(pro
     assert text.count("note: cut by --pafot-total-time: the same seed may find other scenarios next time") == 2
 
 
-def test_a_session_whose_time_is_over_still_runs_one_scenario_of_each_search(project):
-    project.write(TWO)
-    result = project.run("--pafot-total-time=0", generations=50)
+def test_a_session_whose_time_is_over_still_runs_one_scenario_of_each_search(two):
+    result = two.run("--pafot-total-time=0", generations=50)
     result.assert_outcomes(passed=2)
     assert runs(result) == [1, 1]
 
 
-def test_the_time_of_searches_that_are_not_selected_goes_to_those_that_are(project):
-    project.write(TWO)
-    result = project.run("--pafot-total-time=3", "-k", "second", generations=9999)
+def test_the_time_of_searches_that_are_not_selected_goes_to_those_that_are(two):
+    result = two.run("--pafot-total-time=3", "-k", "second", generations=9999)
     result.assert_outcomes(passed=1, deselected=1)
     (seconds,) = re.findall(r"runs? in (\S+) s", result.stdout.str())
     assert float(seconds) > 1.5  # more than a half, which is the share of one of two
