@@ -58,7 +58,7 @@ def is_compact(config: pytest.Config) -> bool:
     return config.get_verbosity() <= 0
 
 
-def summarise(report: Any, text: str) -> None:
+def summarise(report: pytest.TestReport, text: str) -> None:
     """Let the summary line say a text, or the first line of the message where there is none."""
     crash = getattr(report.longrepr, "reprcrash", None)
     if crash is not None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import pytest
 
@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.run import Run
     from pytest_pafot.scenario import Scenario
+    from pytest_pafot.world.driving.ads import AdsFactory
+    from pytest_pafot.world.protocol import WorldLike
 
 
 class Simulate(Protocol):
     """What the fixture ``pafot_simulate`` gives."""
 
-    def __call__(self, scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
+    def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
         ...
 
@@ -57,7 +59,7 @@ class Corpus:
 
 
 @pytest.fixture(scope="session")
-def pafot_world() -> Any:
+def pafot_world() -> WorldLike:
     """The world of searches whose mark gives none: a straight motorway. Override it in a conftest.py."""
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
@@ -65,7 +67,7 @@ def pafot_world() -> Any:
 
 
 @pytest.fixture(scope="session")
-def pafot_simulate(pafot_world: Any) -> Simulate:
+def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     """A function (scenario, ads_factory, world=None) -> Run, warm, so that the first call is no slower.
 
     It fails the test where the ADS raises, hangs or returns no action.
@@ -77,9 +79,9 @@ def pafot_simulate(pafot_world: Any) -> Simulate:
     from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
-    def simulate(scenario: Scenario, ads_factory: Callable[[], Any], world: Any = None) -> Run:
-        place = pafot_world if world is None else world
-        run = Run(place.rollout(scenario, ads_factory), prevent=getattr(place, "preventable_by", None))
+    def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
+        world = pafot_world if world is None else world
+        run = Run(world.rollout(scenario, ads_factory), prevent=getattr(world, "preventable_by", None))
         failure = ads_failure(run)
         if failure is not None:  # Such a run is short, and passes nearly any assertion on what did not happen in it.
             pytest.fail(ads_text(failure), pytrace=False)

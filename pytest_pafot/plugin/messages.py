@@ -44,12 +44,12 @@ def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
     item.ihook.pytest_runtest_logreport(report=report)
 
 
-def received(report: Any) -> Message | None:
+def received(report: pytest.TestReport | pytest.CollectReport) -> Message | None:
     """The message in a report, or None for an ordinary report."""
     return Message(*report.pafot) if getattr(report, "when", None) == PHASE else None
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_report_teststatus(report: Any) -> tuple[str, str, str] | None:
+def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
     """Keep messages out of the results, in the controller and in workers: they are no category of them."""
     return ("", "", "") if getattr(report, "when", None) == PHASE else None

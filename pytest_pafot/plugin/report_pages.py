@@ -49,7 +49,7 @@ class Pages:
         self._shown: set[str] = set()
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_logreport(self, report: Any) -> None:
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what items show; add it to the row of an ordinary report."""
         message = messages.received(report)
         if message is not None:
@@ -114,12 +114,13 @@ class Pages:
             if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
         )
 
-    def _add_row(self, report: Any, finding: FindingView) -> None:
+    def _add_row(self, report: pytest.TestReport, finding: FindingView) -> None:
         from pytest_html import extras  # noqa: PLC0415
 
         from pytest_pafot.report.page import render_frame  # noqa: PLC0415
 
-        report.extras = [*getattr(report, "extras", ()), extras.html(render_frame(self._completed(finding)))]
+        row = extras.html(render_frame(self._completed(finding)))
+        report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def _completed(self, finding: FindingView) -> FindingView:
         """With what is known only at the end of its search."""

@@ -96,7 +96,7 @@ class Reporter:
         self._removed: list[Path] = []
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
-        self._handlers: Mapping[str, Callable[[Any, dict[str, Any]], None]] = {
+        self._handlers: Mapping[str, Callable[[pytest.TestReport, dict[str, Any]], None]] = {
             "start": self._take_start,
             "progress": self._take_progress,
             "find": self._take_find,
@@ -113,7 +113,7 @@ class Reporter:
             self._config.stash[SHARED].progress_seconds = TERMINAL_SECONDS
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_logreport(self, report: Any) -> Generator[None, Any, Any]:
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
         """Take messages; report the finds of a search after its teardown."""
         message = received(report)
         if message is None:
@@ -126,12 +126,12 @@ class Reporter:
         return result
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
+    def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
         """The label of a replay that passes is shown by ``-v``."""
-        label = dict(getattr(report, "user_properties", ())).get("pafot")
-        if label is None or report.when != "call" or hasattr(report, "wasxfail"):
+        if report.when != "call" or hasattr(report, "wasxfail"):
             return None
-        return ("passed", ".", f"PASSED ({label})") if report.passed else None
+        label = dict(report.user_properties).get("pafot")
+        return ("passed", ".", f"PASSED ({label})") if label is not None and report.passed else None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
@@ -184,7 +184,7 @@ class Reporter:
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
-    def _take_start(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_start(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         # Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early.
         is_first = not self._running and not self._searches
         if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
@@ -192,13 +192,13 @@ class Reporter:
             self._live.write([f"pafot: {base}"] if base else [])
         self._running[report.nodeid] = None
 
-    def _take_progress(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_progress(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         from pytest_pafot.campaign.summary import Progress  # noqa: PLC0415
         from pytest_pafot.report.terminal import progress_line  # noqa: PLC0415
 
         self._live.show_progress(lambda width: progress_line(Progress(**data), width))
 
-    def _take_find(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_find(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         if data["node_id"] not in self._expanded:
             finds = self._pending.setdefault(report.nodeid, {})
             finds[data["node_id"]] = (data["report"], getattr(report, "node", None))
@@ -206,18 +206,18 @@ class Reporter:
         if self._config.get_verbosity() >= 0:
             self._live.write(data["lines"])
 
-    def _take_search(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_search(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         from pytest_pafot.campaign.summary import SearchSummary  # noqa: PLC0415
 
         self._running.pop(report.nodeid, None)
         self._searches.append(SearchSummary.from_plain(data))
 
-    def _take_replay(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_replay(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         from pytest_pafot.report.terminal import ReplaySummary  # noqa: PLC0415
 
         self._replays.append(ReplaySummary(node_id=report.nodeid, **data))
 
-    def _take_note(self, report: Any, data: dict[str, Any]) -> None:
+    def _take_note(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         self._notes[data["text"]] = None
 
     def _expand(self, search_id: str) -> None:
