@@ -13,7 +13,6 @@ towards few NPCs, short chains, "stay" and low round speeds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import (
@@ -42,8 +41,6 @@ from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
 __all__ = ["chromosomes", "position_instructions", "scenarios"]
-
-T = TypeVar("T")
 
 
 def position_instructions(
@@ -129,7 +126,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         )
 
     @st.composite
-    def build(draw: Callable[[SearchStrategy[Any]], Any]) -> Scenario:
+    def build(draw: st.DrawFn) -> Scenario:
         lane = draw(st.sampled_from(usable))
         chains = _chains(starts[lane], allowed, speeds)
         npcs = draw(counts.flatmap(lambda count: lengths.flatmap(lambda genes: chains(count, genes))))
@@ -145,7 +142,7 @@ def _chains(
     """(number of NPCs, genes) to chains that start in, and stay within, given cells."""
 
     @st.composite
-    def build(draw: Callable[[SearchStrategy[Any]], Any], npcs: int, genes: int) -> tuple[Chromosome, ...]:
+    def build(draw: st.DrawFn, npcs: int, genes: int) -> tuple[Chromosome, ...]:
         held: list[Cell] = []
         for _ in range(npcs):
             held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))

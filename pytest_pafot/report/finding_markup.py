@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import dedent
 from urllib.parse import quote
 
+from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.markup import columns, copyable, details, row, table, text
 from pytest_pafot.report.page_data import FindingView, InstructionView, ShrinkView
@@ -92,7 +93,7 @@ def finding_article(finding: FindingView, index: int) -> str:
         details("Instructions as a table", instruction_table(finding.instructions)),
         '<section class="keep"><h3>Run it again</h3>',
         copyable("Command", finding.command),
-        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + ".pafot.yaml")}</h4>',
+        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>',
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>',
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>',
         "</article>",
