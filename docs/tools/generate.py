@@ -21,8 +21,8 @@ from pytest_pafot.campaign.request import Request
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified
-from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.run import Moment, Run
@@ -288,7 +288,7 @@ def _example() -> Finding:
             fault="cut-in-unanswered",
         ),
         original=Scenario(npcs=(as_found,), seed=7),
-        shrunk=Simplified(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
+        shrunk=Shrunk(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
         found=Found(
             seed=1234,
             generation=17,

@@ -15,7 +15,7 @@ from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError
-from pytest_pafot.findings.finding import Expect, Finding, Simplified, of_failure
+from pytest_pafot.findings.finding import Expect, Finding, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
 from pytest_pafot.run import Run
@@ -65,21 +65,21 @@ class Simplification:
         """Shrink a find, run the result once more, try reference drivers, and tell."""
         __tracebackhide__ = True
         before = kept.finding
-        shrunk = self._shrunk(kept)
+        scenario, shrunk = self._shrunk(kept)
         self.runs += shrunk.rollouts
-        run, verdict = self._tried(shrunk.scenario, afresh=True)
+        run, verdict = self._tried(scenario, afresh=True)
         differs = self._difference(before, run, verdict)
-        if differs and shrunk.scenario != before.scenario:
+        if differs and scenario != before.scenario:
             # The simplification does not hold; what was found does, or is flaky itself.
-            shrunk = Shrunk(scenario=before.scenario, rollouts=shrunk.rollouts, is_minimal=False)
+            scenario, shrunk = before.scenario, Shrunk(rollouts=shrunk.rollouts, is_minimal=False)
             run, verdict = self._tried(before.scenario, afresh=True)
             differs = self._difference(before, run, verdict)
         if differs:
             self._call_flaky(kept, differs)
         else:
-            self._conclude(kept, shrunk, run, verdict)
+            self._conclude(kept, scenario, shrunk, run, verdict)
 
-    def _shrunk(self, kept: Kept) -> Shrunk:
+    def _shrunk(self, kept: Kept) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
         harness = self.simulation.harness
         rollouts, top_speed = harness.request.settings.shrink_rollouts, float(harness.world.speed_limit)
@@ -104,8 +104,8 @@ class Simplification:
             return scenario
 
         if rollouts == 0:
-            return Shrunk(scenario=kept.finding.scenario, rollouts=0, is_minimal=False)
-        shrunk = shrink(
+            return kept.finding.scenario, Shrunk(rollouts=0, is_minimal=False)
+        simplest, shrunk = shrink(
             kept.finding.scenario,
             attempt,
             rollouts=rollouts,
@@ -114,7 +114,7 @@ class Simplification:
             is_over=self.is_over,
         )
         self.is_cut = self.is_cut or (shrunk.rollouts < rollouts and self.is_over())
-        return shrunk
+        return simplest, shrunk
 
     def _tried(self, scenario: Scenario, *, afresh: bool = False) -> tuple[Run, Verdict]:
         __tracebackhide__ = True
@@ -131,24 +131,22 @@ class Simplification:
     def _call_flaky(self, kept: Kept, differs: str) -> None:
         self.recorder.kept[kept.find.id] = self.recorder.flaky(kept, differs)
 
-    def _conclude(self, kept: Kept, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
+    def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
         before, harness = kept.finding, self.simulation.harness
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         finding = replace(
             before,
-            scenario=shrunk.scenario,
+            scenario=scenario,
             expect=Expect.of(
                 run,
                 verdict.failure,
                 preventable_by=() if run.prevent is None else run.preventable_by,
                 root=str(harness.root),
             ),
-            original=before.scenario if shrunk.scenario != before.scenario else None,
-            shrunk=Simplified(rollouts=shrunk.rollouts, is_minimal=shrunk.is_minimal, speeds=shrunk.intervals)
-            if shrunk.rollouts
-            else None,
+            original=before.scenario if scenario != before.scenario else None,
+            shrunk=shrunk if shrunk.rollouts else None,
         )
         if finding == before:
             return

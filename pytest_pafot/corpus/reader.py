@@ -24,8 +24,8 @@ from pytest_pafot.corpus.schema import VERSION, VERSIONS
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import FieldError
-from pytest_pafot.findings.finding import Expect, Finding, Found, Simplified, check_plain, is_id
-from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.findings.finding import Expect, Finding, Found, check_plain, is_id
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
@@ -218,10 +218,10 @@ def _found(field: Field) -> Found:
     )
 
 
-def _shrunk(field: Field, scenario: Scenario) -> Simplified:
+def _shrunk(field: Field, scenario: Scenario) -> Shrunk:
     fields = field.mapping(schema.SHRUNK)
     speeds = tuple(_interval(inner, scenario) for inner in fields["speeds"].items())
-    return Simplified(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=speeds)
+    return Shrunk(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=speeds)
 
 
 def _interval(field: Field, scenario: Scenario) -> SpeedInterval:

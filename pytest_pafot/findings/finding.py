@@ -14,7 +14,7 @@ from typing import Any
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
@@ -135,21 +135,6 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Simplified:
-    """How the scenario of a finding became simpler than the one that was found.
-
-    Attributes:
-        rollouts: runs that it took.
-        is_minimal: whether no further simplification was found, rather than the budget or the time being spent.
-        speeds: the speeds of each instruction of the scenario at which it still fails.
-    """
-
-    rollouts: int
-    is_minimal: bool = True
-    speeds: tuple[SpeedInterval, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """One file of the corpus.
 
@@ -177,7 +162,7 @@ class Finding:
     expect: Expect
     found: Found
     original: Scenario | None = None
-    shrunk: Simplified | None = None
+    shrunk: Shrunk | None = None
     flaky: str | None = None
     xfail: str | None = None
 

@@ -64,19 +64,18 @@ class SpeedInterval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shrunk:
-    """What shrinking came to.
+    """How a scenario became simpler.
 
     Attributes:
-        scenario: the simplest that was found, as driven.
         rollouts: runs that it took.
-        is_minimal: whether no pass could simplify it any more, rather than the budget being spent.
-        intervals: of the speeds, in the order of NPCs and genes, as far as the budget reached.
+        is_minimal: whether no further simplification was found, rather than the budget or the time being spent.
+        speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails; as
+            far as the budget reached.
     """
 
-    scenario: Scenario
     rollouts: int
-    is_minimal: bool
-    intervals: tuple[SpeedInterval, ...] = ()
+    is_minimal: bool = True
+    speeds: tuple[SpeedInterval, ...] = ()
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is no error)
@@ -129,7 +128,7 @@ def shrink(
     top_speed: float = MAX_SPEED,
     starts: Starts = lambda scenario: (),
     is_over: Callable[[], bool] = lambda: False,
-) -> Shrunk:
+) -> tuple[Scenario, Shrunk]:
     """Simplify a failing scenario.
 
     Args:
@@ -139,6 +138,9 @@ def shrink(
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
         is_over: asked before each run; whether time is up.
+
+    Returns:
+        the simplest scenario that was found, as driven, and how it came about.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
@@ -153,7 +155,7 @@ def shrink(
         intervals.extend(_intervals(gate))
     except OutOfBudget:
         pass
-    return Shrunk(scenario=gate.best, rollouts=gate.spent, is_minimal=is_minimal, intervals=tuple(intervals))
+    return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
 
 @dataclass(slots=True, kw_only=True)

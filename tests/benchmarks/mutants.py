@@ -26,7 +26,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from pytest_pafot import Highway, World
-from pytest_pafot.campaign.replays import world_of
+from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.fields import CorpusError
 from pytest_pafot.corpus.reader import load, parsed
@@ -115,9 +115,10 @@ def limited(seconds: int) -> Iterator[None]:
 
 def run_of(finding: Finding, path: Path) -> None:
     """Build the world of a file and run its scenario once; refusals that name the file are as they should be."""
-    bench: Any = SimpleNamespace(world=Highway())
+    harness: Any = SimpleNamespace(world=Highway())
+    session: Any = None  # nothing here is replayed in a session of its own
     try:
-        world = world_of(bench, finding, Saved(path=path, finding=finding))
+        world = Replays(harness=harness, session=session).world_of(Saved(path=path, finding=finding))
     except RequestError as error:
         if not str(error).startswith(f"{path}:"):
             raise

@@ -18,30 +18,32 @@ from dataclasses import dataclass
 
 from example_ads import defects
 from pytest_pafot import Run, Scenario
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.simplification import driven, starts_of
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of
 from pytest_pafot.findings.signature import Signature
-from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, by_ego, searched
+from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, searched
 
 HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Row:
     """One finding."""
 
     policy: str
     signature: Signature
     found: Scenario
+    simplest: Scenario
     shrunk: Shrunk
 
     def __str__(self) -> str:
         minimal = "yes" if self.shrunk.is_minimal else "no"
-        chains = repr(self.shrunk.scenario).partition(": ")[2].rstrip(">")
+        chains = repr(self.simplest).partition(": ")[2].rstrip(">")
         return (
-            f"| {self.policy} | {self.signature.slug} | {size_of(self.found)} | {size_of(self.shrunk.scenario)} "
+            f"| {self.policy} | {self.signature.slug} | {size_of(self.found)} | {size_of(self.simplest)} "
             f"| {self.shrunk.rollouts} | {minimal} | `{chains}` |"
         )
 
@@ -57,9 +59,9 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
     def signature_of(scenario: Scenario) -> tuple[Run, Signature | None]:
         trace = setting.world.rollout(scenario, defects.make(policy))
         run = Run(trace)
-        return run, of_failure(run, NOT_RUN_COLLISION) if by_ego(trace) else None
+        return run, of_failure(run, NOT_RUN_COLLISION) if is_ego_responsible(trace) else None
 
-    def shrunk(signature: Signature, scenario: Scenario) -> Shrunk:
+    def shrunk(signature: Signature, scenario: Scenario) -> tuple[Scenario, Shrunk]:
         def attempt(candidate: Scenario) -> Scenario | None:
             run, observed = signature_of(candidate)
             if observed != signature:
@@ -70,25 +72,22 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
         starts: dict[Scenario, tuple[Start, ...]] = {}
         budget = BY_NAME["shrink_rollouts"].default
         assert isinstance(budget, int)
-        result = shrink(
+        simplest, how = shrink(
             scenario,
             attempt,
             rollouts=budget,
             top_speed=setting.world.speed_limit,
             starts=lambda scenario: starts.get(scenario, ()),
         )
-        assert signature_of(result.scenario)[1] == signature
-        return result
+        assert signature_of(simplest)[1] == signature
+        return simplest, how
 
-    return [
-        Row(policy=policy, signature=signature, found=scenario, shrunk=shrunk(signature, scenario))
-        for signature, scenario in firsts.items()
-    ]
+    return [Row(policy, signature, scenario, *shrunk(signature, scenario)) for signature, scenario in firsts.items()]
 
 
 def summary(found: Sequence[Row]) -> str:
     """The medians."""
-    scenarios = [row.shrunk.scenario for row in found]
+    scenarios = [row.simplest for row in found]
     npcs, counts = [len(each.npcs) for each in scenarios], [instructions(each) for each in scenarios]
     before = [row.found for row in found]
     return (

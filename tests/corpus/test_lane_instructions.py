@@ -33,10 +33,13 @@ def written(scenario):
 
 
 def minimal(given, fails):
-    result = shrink(given, lambda candidate: candidate if fails(candidate) else None, rollouts=3000, top_speed=26.8)
-    assert result.is_minimal
-    assert sort_key(result.scenario) <= sort_key(given)
-    return written(result.scenario)
+    def attempt(candidate):
+        return candidate if fails(candidate) else None
+
+    simplest, how = shrink(given, attempt, rollouts=3000, top_speed=26.8)
+    assert how.is_minimal
+    assert sort_key(simplest) <= sort_key(given)
+    return written(simplest)
 
 
 BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 left@26.8 keep@5")

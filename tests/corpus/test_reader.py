@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus.fields import CorpusError
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.findings.finding import Simplified
-from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
@@ -23,7 +22,7 @@ LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 SHRUNK = plain_finding(
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
-    shrunk=Simplified(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
     flaky="running it again gave another run",
 )
 

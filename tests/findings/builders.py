@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
-from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found, Simplified
-from pytest_pafot.findings.shrink import SpeedInterval
+from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
+from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
@@ -134,7 +134,7 @@ def simplifications(draw, scenario):
         for npc, gene in draw(st.lists(st.sampled_from(places), max_size=9))
         for low, high in [sorted((draw(st.floats(0, 1e3)), draw(st.floats(0, 1e3))))]
     ]
-    return Simplified(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
+    return Shrunk(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
 
 
 @st.composite

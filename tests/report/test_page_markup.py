@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 
 from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.findings.finding import Simplified
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.report.campaign_markup import campaign_article
 from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.finding_view import shrink_view
@@ -106,5 +106,5 @@ def test_the_file_of_a_finding_reads_so(snapshot):
 
 
 def test_the_file_of_a_flaky_finding_that_was_shrunk_and_accepted_reads_so(snapshot):
-    changes = {"shrunk": Simplified(rollouts=41), "flaky": "another run", "xfail": "known: no fix planned"}
+    changes = {"shrunk": Shrunk(rollouts=41), "flaky": "another run", "xfail": "known: no fix planned"}
     assert text_of(replace(finding_of(hand_made_trace()), original=CUT_IN, **changes)) == snapshot
