@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import strategies as strategies
+    from pytest_pafot.campaign.explore import Exploration as Exploration
+    from pytest_pafot.campaign.explore import explore as explore
     from pytest_pafot.corpus.reader import load as load
     from pytest_pafot.grid import Cell as Cell
     from pytest_pafot.plugin.marks import search as search
@@ -38,6 +40,7 @@ _HOMES = {
     "Cell": "grid",
     "Chromosome": "scenario",
     "Collision": "trace",
+    "Exploration": "campaign.explore",
     "Highway": "world",
     "LaneInstruction": "scenario",
     "NpcLimits": "world",
@@ -52,6 +55,7 @@ _HOMES = {
     "World": "world",
     "WorldError": "world",
     "WorldLike": "world",
+    "explore": "campaign.explore",
     "load": "corpus.reader",
     "reject": "rejection",
     "search": "plugin.marks",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
@@ -26,6 +26,7 @@ from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.summary import Progress, SearchSummary
+from pytest_pafot.campaign.time_limit import TimeLimit
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
@@ -42,18 +43,6 @@ from pytest_pafot.world.driving.failure import is_interruption
 
 DONE = "all generations done"
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
-
-
-class TimeLimit(NamedTuple):
-    """A moment, and the option that it comes from.
-
-    Attributes:
-        flag: of the option, for what is told of a search that this cuts.
-        until: the moment [s], by the clock of the search; infinite without a limit.
-    """
-
-    flag: str
-    until: float
 
 
 def search_seed(base_seed: int, node_id: str) -> int:

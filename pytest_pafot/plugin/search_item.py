@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -19,18 +20,19 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.time_limit import time_limit
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import folder_of_test
 from pytest_pafot.files import sweep
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
+from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.crash_folder import records_folder
 from pytest_pafot.plugin.failure_reports import SUMMARY, is_compact, summarise
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.time_limits import searches_left, time_limit
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.report.simplified import effort_lines, simplified_lines
@@ -132,6 +134,17 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, "the search tested nothing", summary.warnings)
     if summary.warnings and settings.strict_health:
         _fail(item, "health warnings (--pafot-strict-health)", summary.warnings)
+
+
+def searches_left(item: pytest.Item) -> int:
+    """Searches that this process has yet to run, that of the item included.
+
+    A worker of pytest-xdist does not know which searches the others run: it counts on as many as they.
+    """
+    searches = sum(map(is_search, item.session.items))
+    workers: int = getattr(item.config, "workerinput", {}).get("workercount", 1)
+    begun = item.config.stash[SHARED].begun - {item.nodeid}
+    return max(1, math.ceil(searches / workers) - len(begun))
 
 
 def shown(exception: BaseException) -> BaseException:

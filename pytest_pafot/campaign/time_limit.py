@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import math
-
-import pytest
+from typing import NamedTuple
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
-from pytest_pafot.campaign.search import TimeLimit
-from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.session import SHARED
+
+
+class TimeLimit(NamedTuple):
+    """A moment, and the option that it comes from.
+
+    Attributes:
+        flag: of the option, for what is told of a search that this cuts.
+        until: the moment [s], by the clock of the search; infinite without a limit.
+    """
+
+    flag: str
+    until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
@@ -26,14 +34,3 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
         return own
     share = max(0.0, began + settings.total_time - now) / left
     return min(own, TimeLimit(BY_NAME["total_time"].flag, now + share), key=lambda limit: limit.until)
-
-
-def searches_left(item: pytest.Item) -> int:
-    """Searches that this process has yet to run, that of the item included.
-
-    A worker of pytest-xdist does not know which searches the others run: it counts on as many as they.
-    """
-    searches = sum(map(is_search, item.session.items))
-    workers: int = getattr(item.config, "workerinput", {}).get("workercount", 1)
-    begun = item.config.stash[SHARED].begun - {item.nodeid}
-    return max(1, math.ceil(searches / workers) - len(begun))

@@ -1,0 +1,177 @@
+"""A search without pytest, for notebooks and scripts: the machinery of ``@pafot.search`` as one function."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
+from pytest_pafot.campaign.harness import Harness, check_world, source_file
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, Settings
+from pytest_pafot.campaign.replays import Replays
+from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
+from pytest_pafot.campaign.search import Search, SearchResult
+from pytest_pafot.campaign.summary import SearchSummary
+from pytest_pafot.campaign.time_limit import time_limit
+from pytest_pafot.corpus.layout import folder_of_test
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.run import Run
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.versions import installed_versions
+from pytest_pafot.world import Highway
+from pytest_pafot.world.driving.ads import AdsFactory
+
+PLACE = "pafot.explore"
+OF_TESTS = ("arg", "profile", "report", "save", "strict_drift", "strict_health")
+"""Arguments of the mark that mean nothing where no test passes or fails."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exploration:
+    """What a search found, and how it went.
+
+    Attributes:
+        findings: every distinct failure that is new, shrunk.
+        summary: how the search went: runs, coverage, warnings, notes.
+        events: what happened, in order, but for the single runs; of the algorithm and of the search.
+    """
+
+    findings: tuple[Finding, ...]
+    summary: SearchSummary
+    events: tuple[SearchEvent, ...] = field(repr=False)
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """A row for each scenario that was tried, ready for ``pandas.DataFrame(...)``.
+
+        Times are in seconds, speeds in m/s; ``reused`` marks scenarios whose run an earlier one had shown.
+        """
+        return [_row(event) for event in self.events if isinstance(event, Evaluated)]
+
+
+def explore(
+    ads: AdsFactory,
+    *,
+    holds: Callable[[Run], None],
+    world: Any = None,
+    generations: int = 10,
+    seed: int = 0,
+    node_id: str = "",
+    on_event: Listener | None = None,
+    **settings: Any,
+) -> Exploration:
+    """Search for scenarios that make a property fail, without pytest.
+
+    With the node id of a test, its base seed and its arguments this finds what the test finds, file for file.
+
+    Args:
+        ads: the factory, called once for each run, or a highway-env vehicle class.
+        holds: the property: a function of a :class:`~pytest_pafot.run.Run` that asserts, as a test function does.
+        world: such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
+        generations: of the search.
+        seed: base seed; that of the search follows from it and the node id.
+        node_id: of the test that is meant, free of ``[search]``; by default one that names ``holds``.
+        on_event: is told what happens as it happens; see :mod:`pytest_pafot.campaign.events`.
+        settings: further arguments of ``@pafot.search``. With ``corpus``, findings are saved below that folder and what
+            is saved there is known; without, nothing is written.
+
+    Raises:
+        RequestError: on a wrong argument, in words for the user.
+        Exception: where every run of the first generation ends in the same error, that error, with a note.
+    """
+    given = {"ads": ads, "world": world, "generations": generations, "seed": seed, **settings}
+    request = _request(given)
+    name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
+    events: list[SearchEvent] = []
+
+    def listen(event: SearchEvent) -> None:
+        if not isinstance(event, Judged):  # with its trace each would fill the memory
+            events.append(event)
+        if on_event is not None:
+            on_event(event)
+
+    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
+        result = _searched(request, holds, name, Path(scratch), listen)
+    if result.fault is not None:
+        raise result.fault
+    return Exploration(
+        findings=tuple(kept.finding for kept in result.kept), summary=result.summary, events=tuple(events)
+    )
+
+
+def _request(given: dict[str, Any]) -> Request:
+    for name in OF_TESTS:
+        if name in given:
+            raise RequestError(f"{PLACE}({name}=...): expected arguments of the search, received one of its test")
+    check_names(given, place=PLACE)
+    values: dict[str, Any] = {each.name: each.default for each in OPTIONS if each.name in Settings.__annotations__}
+    values |= {"profile": "", "corpus": "", "save": "new" if given.get("corpus") else "none"}
+    for name in sorted(given.keys() & values.keys()):
+        try:
+            values[name] = None if given[name] is None else BY_NAME[name].read(given[name])
+        except OptionError as error:
+            raise RequestError(f"{PLACE}({name}=...): {error}") from None
+    return checked_request(given, Settings(**values), place=PLACE)
+
+
+def _searched(
+    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, listener: Listener
+) -> SearchResult:
+    if isinstance(request.ads, str):
+        raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
+    world = build_world(request, Highway())
+    check_world(world, "world= to be")
+    settings, (module, _, test) = request.settings, node_id.partition("::")
+    corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
+    harness = Harness(
+        request=request,
+        world=world,
+        ads=request.ads,
+        test=holds,
+        test_file=source_file(holds),
+        node_id=node_id,
+        saved_node_id=lambda id_: f"{node_id.removesuffix(']')}{'-' if node_id.endswith(']') else '['}saved-{id_}]",
+        folder=folder_of_test(Path(module), test, str(corpus), Path()),
+        records=scratch / "records",
+        root=Path.cwd(),
+        versions=installed_versions(),
+    )
+    now = time.monotonic()
+    return Search(
+        node_id=node_id,
+        harness=harness,
+        listener=listener,
+        clock=time.monotonic,
+        limit=time_limit(settings, now=now, began=now, left=1),
+        replays=Replays(harness=harness, session=_no_session),
+        progress_seconds=0.5,
+    ).run()
+
+
+def _no_session(file: Path) -> NoReturn:
+    raise RequestError(
+        f"{file}: a process died in this scenario, and where processes cannot be forked only pytest can run it again "
+        f"without harm to this one; run `python -m pytest {file}`"
+    )
+
+
+def _row(event: Evaluated) -> dict[str, Any]:
+    evaluation, hit = event.evaluation, event.evaluation.collision
+    return {
+        "generation": event.generation,
+        "local_generation": event.local_generation,
+        "scenario": evaluation.scenario.id,
+        "reused": event.reused,
+        "outcome": str(evaluation.outcome),
+        "failing": evaluation.failing,
+        "fitness": evaluation.fitness,
+        "duration": evaluation.duration,
+        "collision_time": None if hit is None else hit.time,
+        "npc": None if hit is None else hit.npc,
+        "side": None if hit is None else hit.side,
+        "closing_speed": None if hit is None else hit.closing_speed,
+    }

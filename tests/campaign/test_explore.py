@@ -1,0 +1,107 @@
+"""A search without pytest."""
+
+import math
+
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.summary import SearchSummary
+
+SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
+
+
+def never_collides(run):
+    assert not run.collision
+
+
+@pytest.fixture(scope="module")
+def exploration():
+    return pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT)
+
+
+def test_its_findings_show_what_the_property_forbids(exploration):
+    assert exploration.findings
+    for finding in exploration.findings:
+        run = pafot.Run(pafot.Highway(duration=20.0).rollout(finding.scenario, constant_speed.make))
+        assert run.collision
+        assert run.outcome == finding.expect.outcome
+
+
+def test_its_table_has_a_row_for_each_scenario_that_was_tried(exploration):
+    assert len(exploration.runs) == exploration.summary.runs + exploration.summary.known_runs == 8
+    assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
+    for row in exploration.runs:
+        assert (row["outcome"] == "collision") == (row["collision_time"] is not None)
+        assert math.isfinite(row["fitness"])
+        assert row["duration"] <= 20.0
+
+
+def test_its_events_are_those_that_a_listener_hears_but_for_the_runs():
+    heard = []
+    exploration = pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT)
+    runs = [event for event in heard if isinstance(event, Judged)]
+    assert len(runs) == exploration.summary.runs
+    assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
+    assert isinstance(heard[0], SearchStarted)
+    assert isinstance(heard[-1], SearchSummary)
+    assert {told.kept.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
+        finding.id for finding in exploration.findings
+    }
+
+
+def test_without_a_corpus_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_corpus_holds_is_known_to_the_next_search(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
+    files = sorted(tmp_path.rglob("*.pafot.yaml"))
+    assert [pafot.load(file) for file in files] == sorted(first.findings, key=lambda finding: finding.id)
+    again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
+    assert again.findings == ()
+    assert sum(again.summary.known.values()) == again.summary.failing
+
+
+def test_the_property_may_reject_runs_and_the_search_says_so():
+    def judges_nothing(run):
+        pafot.reject()
+
+    summary = pafot.explore(constant_speed.make, holds=judges_nothing, seed=5, **SHORT).summary
+    assert summary.rejected == summary.runs
+    assert summary.warnings
+
+
+def test_an_error_of_the_set_up_is_raised_as_it_is():
+    def misspelt(run):
+        assert not run.colision
+
+    with pytest.raises(AttributeError, match=r"did you mean `run\.collision`") as raised:
+        pafot.explore(constant_speed.make, holds=misspelt, seed=5, **SHORT)
+    assert "no finding" in raised.value.__notes__[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
+        ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
+        ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected arguments of the search"),
+        ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway"),
+        ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
+        ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
+    ],
+)
+def test_a_wrong_argument_is_one_clear_error(arguments, message):
+    with pytest.raises(RequestError, match=message):
+        pafot.explore(constant_speed.make, holds=never_collides, **arguments)
+
+
+def test_the_name_of_a_fixture_is_no_factory():
+    with pytest.raises(RequestError, match=r"pafot\.explore\(ads\): expected a factory"):
+        pafot.explore("ads", holds=never_collides)

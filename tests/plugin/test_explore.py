@@ -1,0 +1,35 @@
+"""A search without pytest beside that of an item."""
+
+SOURCE = """
+from example_ads import blind_lane_change, constant_speed
+
+ARGUMENTS = dict(blame="ego", genes=3, npcs=3, shrink_rollouts=30)
+
+def holds(run):
+    assert not run.collision, run.explain()
+
+@pafot.search(ads=blind_lane_change.make, **ARGUMENTS)
+def test_drive(run):
+    holds(run)
+
+def test_explore():
+    assert pafot.explore(
+        blind_lane_change.make,
+        holds=holds,
+        generations=3,
+        seed=1,
+        node_id="test_it.py::test_drive",
+        corpus="elsewhere",
+        **ARGUMENTS,
+    ).findings
+"""
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.yaml")}
+
+
+def test_with_the_node_id_and_the_base_seed_of_a_test_it_finds_what_the_test_finds_file_for_file(project):
+    project.write(SOURCE)
+    project.run(generations=3)
+    assert contents(project.path / "elsewhere") == contents(project.path / "pafot_corpus") != {}
