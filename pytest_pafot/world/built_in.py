@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.first_decision import FirstDecision, first_decision
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.reference_drivers import REFERENCES
+from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.validation import number
+
+BOUNDS = {"clearance": (0.0, 50.0), "headway": (0.0, 10.0), "hang_limit": (0.01, 86400.0)}
+"""Smallest and largest value of fields that both worlds have."""
 
 
 class BuiltInWorld(ABC):
     """A world of this package: it has rules, and reference drivers can take the ego's place in it."""
 
+    clearance: float
+    headway: float
+    limits: NpcLimits
+    hang_limit: float
     engine: str = "auto"
     """What steps runs in SI units."""
 
@@ -35,6 +49,15 @@ class BuiltInWorld(ABC):
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario with a fresh ADS."""
+
+    @abstractmethod
+    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
+        """A run that is given its decisions."""
+
+    @property
+    def has_lock_step(self) -> bool:
+        """Whether runs can take place in lock step."""
+        return True
 
     @property
     def longest_run(self) -> float:
@@ -54,6 +77,27 @@ class BuiltInWorld(ABC):
             WorldError: when the environment cannot be used.
         """
         self.rules.check_fits(scenario)
+
+    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
+        """Simulate scenarios in lock step, where this world has that and the ADS has ``batch``; else one by one.
+
+        Args:
+            scenarios: to run; checked against this world.
+            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
+                promises.
+
+        Raises:
+            ScenarioError: when a scenario does not fit this world.
+            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
+                each observation.
+            WorldError: when the environment cannot be used.
+            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
+        """
+        for scenario in scenarios:
+            self.check_fits(scenario)
+        if not self.has_lock_step:
+            return [self.rollout(scenario, ads_factory) for scenario in scenarios]
+        return rollouts(scenarios, ads_factory, self._begin, self.rollout, self.hang_limit)
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.
@@ -83,3 +127,21 @@ class BuiltInWorld(ABC):
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """What an ADS is given at its first decision in a scenario; None where the run does not come so far."""
         return first_decision(self.rollout, scenario)
+
+    def _check_fields(self) -> None:
+        for name, (low, high) in BOUNDS.items():
+            object.__setattr__(self, name, number(name, getattr(self, name), low, high))
+        if not isinstance(self.limits, NpcLimits):
+            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
+
+    def _rules_on(self, road: StraightRoad | NetworkRoad, *, physics_hz: int, ads_hz: int, duration: float) -> Rules:
+        return Rules(
+            road=road,
+            physics_hz=physics_hz,
+            ads_hz=ads_hz,
+            duration=duration,
+            clearance=self.clearance,
+            headway=self.headway,
+            limits=self.limits,
+            hang_limit=self.hang_limit,
+        )

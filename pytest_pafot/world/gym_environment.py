@@ -17,11 +17,11 @@ from typing import Any
 import gymnasium
 import highway_env  # noqa: F401  (registers its environments)
 from gymnasium.envs.registration import load_env_creator
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from highway_env.envs.common import action, observation
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot.world import wrappers as wrapping
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.validation import plain, whole
@@ -54,6 +54,13 @@ NESTED = ("observation_config", "observation_configs", "action_config")
 MOST_CELLS = 250_000
 """Of an occupancy grid."""
 
+NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
+"""Wrappers that ``gymnasium.make`` itself puts around any environment.
+
+They check, or end an episode, and leave observations and actions as they are. How long a run lasts is for the world to
+say, as for the environment's own ``duration``.
+"""
+
 
 def make(env_id: str, config: dict[str, Any] | None, wrappers: Sequence[Callable[[Any], Any]] | None) -> Any:
     """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
@@ -82,9 +89,26 @@ def make(env_id: str, config: dict[str, Any] | None, wrappers: Sequence[Callable
         ) from error
     _check_base(env_id, type(env.unwrapped))
     _check_config(env_id, config or {}, env.unwrapped)
-    if wrappers is None:
-        wrapping.check_bare(env, env_id)
-    return wrapping.put_on(env, wrappers or ())
+    added = wrapper_names(env)
+    if wrappers is None and added:
+        raise WorldError(
+            field="env_id",
+            expected="an environment whose policies see it as it is",
+            received=f"{env_id!r}, which is registered with {' and '.join(added)} around it",
+            fix=f"use pafot.World({env_id!r}, wrappers=[]), which runs through env.step with what the registration "
+            "adds, and with further wrappers that the list gives",
+        )
+    return _wrapped(env, wrappers or ())
+
+
+def wrapper_names(env: Any) -> list[str]:
+    """The classes of all wrappers around an environment that are not neutral, from the inside out."""
+    found = []
+    while isinstance(env, gymnasium.Wrapper):
+        if type(env) not in NEUTRAL:
+            found.append(type(env).__name__)
+        env = env.env
+    return found[::-1]
 
 
 def given_config(env_id: str, config: dict[str, Any] | None) -> dict[str, Any]:
@@ -128,6 +152,22 @@ def vehicle_classes_kept() -> Iterator[None]:
             for name, value in constants.items():
                 if vars(cls)[name] is not value:
                     setattr(cls, name, value)
+
+
+def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
+    """An environment in further wrappers, the first one innermost."""
+    outer = env
+    for index, wrapper in enumerate(wrappers):
+        expected = f"wrappers[{index}]: expected a callable that takes an environment and returns it wrapped"
+        try:
+            outer = wrapper(outer)
+        except Exception as error:
+            raise WorldError(
+                f"{expected}, received {wrapper!r:.200}, which raised {type(error).__name__}: {error}"
+            ) from error
+        if not isinstance(outer, gymnasium.Env) or outer.unwrapped is not env.unwrapped:
+            raise WorldError(f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}")
+    return outer
 
 
 def _creator(env_id: str) -> Any:

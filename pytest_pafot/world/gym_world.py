@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
-from pytest_pafot.world.engines.lock_step import rollouts
+from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
@@ -66,14 +67,19 @@ class World(BuiltInWorld):
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(field="config", expected="a dict of the environment's options", received=repr(self.config))
         object.__setattr__(self, "config", plain("config", self.config))
-        for name, low, high in (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0)):
-            object.__setattr__(self, name, number(name, getattr(self, name), low, high))
+        self._check_fields()
         if self.duration is not None:
             object.__setattr__(self, "duration", number("duration", self.duration, 0.1, 3600.0))
-        if not isinstance(self.limits, NpcLimits):
-            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
         if self.wrappers is not None:
-            object.__setattr__(self, "wrappers", _callables(self.wrappers))
+            self._check_wrappers()
+            object.__setattr__(self, "wrappers", tuple(self.wrappers))
+
+    def _check_wrappers(self) -> None:
+        if not isinstance(self.wrappers, (list, tuple)):
+            raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
+        for index, each in enumerate(self.wrappers):
+            if not callable(each):
+                raise WorldError(field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}")
 
     def check(self) -> None:
         """Make the environment now, to see whether it can be used.
@@ -166,28 +172,10 @@ class World(BuiltInWorld):
 
         return replay_environment(self, scenario, ads_factory)
 
-    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step, where this world has that and the ADS has ``batch``; else one by one.
-
-        Args:
-            scenarios: to run; checked against this world.
-            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
-                promises.
-
-        Raises:
-            ScenarioError: when a scenario does not fit this world.
-            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
-                each observation.
-            WorldError: when the environment cannot be used.
-            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
-        """
+    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
         from pytest_pafot.world.engines.policy_engine import begin  # noqa: PLC0415  (imports highway-env)
 
-        for scenario in scenarios:
-            self.check_fits(scenario)
-        if not self.has_lock_step:
-            return [self.rollout(scenario, ads_factory) for scenario in scenarios]
-        return rollouts(scenarios, ads_factory, partial(begin, self), self.rollout, self.hang_limit)
+        return begin(self, scenario, guard)
 
     @property
     def has_lock_step(self) -> bool:
@@ -224,9 +212,9 @@ class World(BuiltInWorld):
     @property
     def wrapper_names(self) -> list[str]:
         """The classes of the wrappers, from the inside out, those of the registration included."""
-        from pytest_pafot.world.wrappers import names  # noqa: PLC0415  (imports gymnasium)
+        from pytest_pafot.world.gym_environment import wrapper_names  # noqa: PLC0415  (imports highway-env)
 
-        return names(self._outer)
+        return wrapper_names(self._outer)
 
     def make(self) -> Any:
         """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
@@ -269,16 +257,7 @@ class World(BuiltInWorld):
         road: StraightRoad | NetworkRoad | None = straight_road(self.env.road.network)
         if road is None:
             road, duration = self._way(duration)
-        return Rules(
-            road=road,
-            physics_hz=physics_hz,
-            ads_hz=ads_hz,
-            duration=duration,
-            clearance=self.clearance,
-            headway=self.headway,
-            limits=self.limits,
-            hang_limit=self.hang_limit,
-        )
+        return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration)
 
     @property
     def _wanted(self) -> float:
@@ -306,12 +285,3 @@ class World(BuiltInWorld):
         if road.ego_speed > 0:
             most = min(most, (road.end - road.start) / road.ego_speed)
         return road, most
-
-
-def _callables(wrappers: Any) -> tuple[Callable[[Any], Any], ...]:
-    if not isinstance(wrappers, (list, tuple)):
-        raise WorldError(field="wrappers", expected="a list of callables", received=f"{wrappers!r:.200}")
-    for index, each in enumerate(wrappers):
-        if not callable(each):
-            raise WorldError(field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}")
-    return tuple(wrappers)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines import selection
-from pytest_pafot.world.engines.lock_step import rollouts
+from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -64,17 +65,9 @@ class Highway(BuiltInWorld):
         whole("lanes", self.lanes, 3, 6)
         whole("physics_hz", self.physics_hz, 5, 1000)
         whole("ads_hz", self.ads_hz, 1, 1000)
-        bounds = {
-            "speed_limit": (5.0, TOP_SPEED),
-            "duration": (1 / self.physics_hz, 3600.0),
-            "clearance": (0.0, 50.0),
-            "headway": (0.0, 10.0),
-            "hang_limit": (0.01, 86400.0),
-        }
-        for name, (low, high) in bounds.items():
+        for name, low, high in (("speed_limit", 5.0, TOP_SPEED), ("duration", 1 / self.physics_hz, 3600.0)):
             object.__setattr__(self, name, number(name, getattr(self, name), low, high))
-        if not isinstance(self.limits, NpcLimits):
-            raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
+        self._check_fields()
         if self.engine not in ENGINES:
             raise WorldError(field="engine", expected=f"one of {', '.join(ENGINES)}", received=repr(self.engine))
         check_divides(("physics_hz", self.physics_hz), ("ads_hz", self.ads_hz))
@@ -103,7 +96,12 @@ class Highway(BuiltInWorld):
             WorldError: for decisions in the place of a vehicle class, which returns none.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        self._check(scenario, ads_factory)
+        self.check_fits(scenario)
+        if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
+            raise AdsFactoryError(
+                "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
+                'use world=pafot.World("highway-v0") for planners that simulate inside one'
+            )
         return selection.rollout(self, scenario, made(ads_factory), decisions)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -117,32 +115,8 @@ class Highway(BuiltInWorld):
 
         return replay_highway(self.rules, scenario, ads_factory)
 
-    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step, where the ADS has a method ``batch``; else one by one.
-
-        Args:
-            scenarios: to run; checked against this world.
-            ads_factory: gives the ADS; see :mod:`pytest_pafot.world.engines.lock_step` on what an ADS with ``batch``
-                promises.
-
-        Raises:
-            ScenarioError: when a scenario does not fit this world.
-            AdsFactoryError: when the factory gives nothing that can drive here, or ``batch`` not one action for
-                each observation.
-            Exception: whatever the factory itself raises. What the ADS raises ends its run as ``ads_error``.
-        """
-        for scenario in scenarios:
-            self._check(scenario, ads_factory)
-        return rollouts(scenarios, ads_factory, partial(selection.begin, self), self.rollout, self.hang_limit)
-
-    def _check(self, scenario: Scenario, ads_factory: AdsFactory) -> None:
-        """Refuse what cannot run here."""
-        self.check_fits(scenario)
-        if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
-            raise AdsFactoryError(
-                "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
-                'use world=pafot.World("highway-v0") for planners that simulate inside one'
-            )
+    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
+        return selection.begin(self, scenario, guard)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
@@ -161,13 +135,4 @@ class Highway(BuiltInWorld):
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        return Rules(
-            road=self.road,
-            physics_hz=self.physics_hz,
-            ads_hz=self.ads_hz,
-            duration=self.duration,
-            clearance=self.clearance,
-            headway=self.headway,
-            limits=self.limits,
-            hang_limit=self.hang_limit,
-        )
+        return self._rules_on(self.road, physics_hz=self.physics_hz, ads_hz=self.ads_hz, duration=self.duration)

@@ -26,9 +26,8 @@ from pytest_pafot.world.driving.policy import View, check_action_space, checked_
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import PolicyWorld, put_ego
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.gym_environment import vehicle_classes_kept
+from pytest_pafot.world.gym_environment import vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.wrappers import names
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """What highway-env's intersections call after each step."""
@@ -199,7 +198,7 @@ def replay_environment(world: PolicyWorld, scenario: Scenario, ads_factory: AdsF
         if world.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected none for a factory with a parameter `env`, received "
-                f"{', '.join(names(outer)) or 'an empty list'}; a planner that simulates inside of the "
+                f"{', '.join(wrapper_names(outer)) or 'an empty list'}; a planner that simulates inside of the "
                 f"environment knows it as it is, and decides in its own actions"
             )
         view = View(world.make().unwrapped, env)
@@ -318,9 +317,3 @@ class _Loop:
     @property
     def _is_over(self) -> bool:
         return self._ended is not None or self._left == 0
-
-
-def replay_in_gym(world: Any, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """A run of a world by ``env.step``."""
-    trace: Trace = world.rollout_in_gym(scenario, ads_factory)
-    return trace

@@ -33,25 +33,20 @@ def run(
     """Simulate one scenario.
 
     Args:
-        rules: of the world.
-        scenario: checked against the world.
-        road: fresh, without vehicles; they are added with the ego first.
-        make_ego: from the ego's start to its driver; called before the NPCs exist.
+        rules, scenario, road, make_ego: see :class:`ObjectRun`.
         decisions: the first ones of the run, which the driver, an :class:`AskedDriver`, is not asked for.
     """
-    traffic = _started(rules, scenario, road, make_ego(_ego_start(rules, scenario)))
     guard = HangGuard(rules.hang_limit)
+    under_way = ObjectRun(rules, scenario, road, make_ego, guard)
+    record, driver = under_way.traffic.record, under_way.traffic.driver
     for decision in decisions:
-        traffic.record.actions.append(cast("AskedDriver", traffic.driver).apply(decision))
-        ended = _driven(rules, scenario, traffic, guard)
-        if ended is not None:
-            return ended
+        if under_way.trace is None:
+            record.actions.append(cast("AskedDriver", driver).apply(decision))
+            under_way.go_on()
     with guard:
-        while True:
-            error = decide(traffic.driver, traffic.record.tick, traffic.record, guard)
-            trace = _driven(rules, scenario, traffic, guard, error)
-            if trace is not None:
-                return trace
+        while under_way.trace is None:
+            under_way.go_on(decide(driver, record.tick, record, guard))
+    return under_way.trace
 
 
 class ObjectRun:
@@ -60,8 +55,8 @@ class ObjectRun:
     Args:
         rules: of the world.
         scenario: checked against the world.
-        road: fresh, without vehicles.
-        make_ego: from the ego's start to what drives it.
+        road: fresh, without vehicles; they are added with the ego first.
+        make_ego: from the ego's start to its driver; called before the NPCs exist.
         guard: of the decisions.
     """
 
@@ -70,62 +65,47 @@ class ObjectRun:
         rules: Rules,
         scenario: Scenario,
         road: Road,
-        make_ego: Callable[[tuple[float, float, float]], AskedDriver],
+        make_ego: Callable[[tuple[float, float, float]], EgoDriver],
         guard: HangGuard,
     ) -> None:
         self.trace: Trace | None = None
-        self._rules = rules
-        self._scenario = scenario
+        driver = make_ego(rules.road.position(rules.ego_start, scenario.ego_lane))
+        self.traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
+        road.vehicles = self.traffic.vehicles
         self._guard = guard
-        self._driver = make_ego(_ego_start(rules, scenario))
-        self._traffic = _started(rules, scenario, road, self._driver)
+        self._dt, self._last = 1 / rules.physics_hz, rules.ticks(scenario)
 
     def observe(self) -> Any:
         """What the ADS sees now."""
-        return self._driver.observe(self._traffic.record.tick)
+        return cast("AskedDriver", self.traffic.driver).observe(self.traffic.record.tick)
 
     def take(self, action: Any, seconds: float) -> None:
         """Drive with a decision that took so long, up to the next one or the end."""
-        record, error = self._traffic.record, None
+        record, error = self.traffic.record, None
         try:
-            record.actions.append(self._driver.apply(action))
+            record.actions.append(cast("AskedDriver", self.traffic.driver).apply(action))
         except UNFIT as unfit:
             error = error_of(unfit, record.tick, self._guard)
         else:
             record.slowest = max(record.slowest, seconds)
-        self.trace = _driven(self._rules, self._scenario, self._traffic, self._guard, error)
+        self.go_on(error)
 
-
-def _ego_start(rules: Rules, scenario: Scenario) -> tuple[float, float, float]:
-    return rules.road.position(rules.ego_start, scenario.ego_lane)
-
-
-def _started(rules: Rules, scenario: Scenario, road: Road, driver: EgoDriver) -> Traffic:
-    """Everybody at the start."""
-    traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
-    road.vehicles = traffic.vehicles
-    return traffic
-
-
-def _driven(
-    rules: Rules, scenario: Scenario, traffic: Traffic, guard: HangGuard, error: AdsError | None = None
-) -> Trace | None:
-    """Drive up to the next decision; the trace, where the run is over by then or by an error before."""
-    if error is not None:
-        return traffic.record.trace(error=error)
-    driver, dt, last = traffic.driver, 1 / rules.physics_hz, rules.ticks(scenario)
-    for _ in range(min(driver.every, last - traffic.record.tick)):
-        driver.actuate()
-        traffic.command()
-        error = step_ego(traffic.record.tick, guard, lambda: driver.vehicle.step(dt))
-        if error is not None:
-            return traffic.record.trace(error=error)
-        for npc in traffic.vehicles[1:]:
-            npc.step(dt)
-        ended = traffic.note()
-        if ended is not None:
-            return ended
-    return traffic.record.trace() if traffic.record.tick == last else None
+    def go_on(self, error: AdsError | None = None) -> None:
+        """Drive up to the next decision; the trace is there once the run is over, as by an error of the ADS."""
+        traffic, record, driver = self.traffic, self.traffic.record, self.traffic.driver
+        for _ in range(min(driver.every, self._last - record.tick) if error is None else 0):
+            driver.actuate()
+            traffic.command()
+            error = step_ego(record.tick, self._guard, lambda: driver.vehicle.step(self._dt))
+            if error is not None:
+                break
+            for npc in traffic.vehicles[1:]:
+                npc.step(self._dt)
+            self.trace = traffic.note()
+            if self.trace is not None:
+                return
+        if error is not None or record.tick == self._last:
+            self.trace = record.trace(error=error)
 
 
 def decide(driver: EgoDriver, tick: int, record: Record, guard: HangGuard) -> AdsError | None:
