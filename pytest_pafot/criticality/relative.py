@@ -10,14 +10,18 @@ Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sectio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.grid import Cell, cell_at
 from pytest_pafot.trace import ACROSS, ALONG, LANE, STRETCH, FloatArray, Lane, X, Y
+
+Number = TypeVar("Number", float, FloatArray)
 
 
 class RelativePositions:
@@ -64,33 +68,22 @@ class RelativePositions:
             heading = np.array(headings)[self.column(LANE)[:1].astype(np.intp)]
         return np.cos(heading), np.sin(heading)
 
-    @cached_property
+    @property
     def ahead(self) -> FloatArray:
         """How far each NPC's centre is ahead of the ego's [m], negative behind it.
 
         Along the straight road; on one that bends, the difference of the places on the ego's way times the mean of the
         metres that the two drive per metre of it. In a circle that is the arc halfway between theirs.
         """
-        if self._track is not None:
-            along, stretch = self._track[:, :, ALONG].T, self._track[:, :, STRETCH].T
-            driven: FloatArray = (along[1:] - along[:1]) * (stretch[1:] + stretch[:1]) / 2
-            return driven
-        (cos, sin), (x, y) = self.road, self._offset
-        straight: FloatArray = x * cos + y * sin
-        return straight
+        return self._offset[0]
 
-    @cached_property
+    @property
     def right(self) -> FloatArray:
         """How far each NPC's centre is to the right of the ego's, across the road [m], negative to the left.
 
         On a road that bends, the difference of the distances to the ego's way, each taken where the vehicle is itself.
         """
-        if self._track is not None:
-            across = self._track[:, :, ACROSS].T
-            return across[1:] - across[:1]
-        (cos, sin), (x, y) = self.road, self._offset
-        right: FloatArray = y * cos - x * sin
-        return right
+        return self._offset[1]
 
     @cached_property
     def same_lane(self) -> npt.NDArray[np.bool_]:
@@ -104,8 +97,14 @@ class RelativePositions:
 
         A column is as wide as the ego's lane then, or as the first lane where the ego is on none.
         """
-        width = self._lanes[max(int(self._states[tick, 0, LANE]), 0)].width
-        return cell_at(float(self.ahead[npc, tick]), float(self.right[npc, tick]), float(self._sizes[0, 0]), width)
+        ego, npc_now = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
+        lane = int(ego[LANE])
+        if self._track is None:
+            heading = self._lanes[lane].heading
+            ahead, right = _on_road(ego, npc_now, math.cos(heading), math.sin(heading))
+        else:
+            ahead, right = _on_way(self._track[tick, 0].tolist(), self._track[tick, npc + 1].tolist())
+        return cell_at(ahead, right, float(self._sizes[0, 0]), self._lanes[max(lane, 0)].width)
 
     def last_cell(self, npc: int, tick: int) -> Cell | None:
         """The last cell up to a tick that an NPC's centre was in beside the ego's own; None if there was none."""
@@ -114,5 +113,19 @@ class RelativePositions:
 
     @cached_property
     def _offset(self) -> tuple[FloatArray, FloatArray]:
-        """From the ego's centre to each NPC's, along the world's x and y [m]."""
-        return self.x[1:] - self.x[:1], self.y[1:] - self.y[:1]
+        if self._track is None:
+            x, y = self.x, self.y
+            return _on_road({X: x[:1], Y: y[:1]}, {X: x[1:], Y: y[1:]}, *self.road)
+        columns = self._track.transpose(2, 1, 0)
+        return _on_way(columns[:, :1], columns[:, 1:])
+
+
+def _on_road(ego: Any, npc: Any, cos: Number, sin: Number) -> tuple[Number, Number]:
+    """Ahead and right [m] of states, floats or arrays, on a straight road."""
+    x, y = npc[X] - ego[X], npc[Y] - ego[Y]
+    return x * cos + y * sin, y * cos - x * sin
+
+
+def _on_way(ego: Any, npc: Any) -> tuple[Any, Any]:
+    """Ahead and right [m] of rows of a track, floats or arrays."""
+    return (npc[ALONG] - ego[ALONG]) * (npc[STRETCH] + ego[STRETCH]) / 2, npc[ACROSS] - ego[ACROSS]

@@ -16,7 +16,7 @@ from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.loop import GivenPilot, Loop, PlannerPilot, SelfPilot
-from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Scene
+from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Observer
 from pytest_pafot.world.run_config import Rules, start_positions
 
 
@@ -32,10 +32,10 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], dec
     ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
     ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
-    scene = _scene(rules, record)
+    observer = _observer(rules, record)
     every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
     with HangGuard(rules.hang_limit) as guard:
-        pilot = PlannerPilot(ads, ego, scene, guard, every=every, dt=dt, decisions=decisions)
+        pilot = PlannerPilot(ads, ego, observer, guard, every=every, dt=dt, decisions=decisions)
         error = loop.run(pilot, rules.ticks(scenario))
     record.actions, record.slowest = pilot.actions, pilot.slowest
     return _finished(record, loop, error)
@@ -55,14 +55,14 @@ class KernelRun:
         ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
         self.trace: Trace | None = None
         self._record, self._loop = _prepared(rules, scenario, ego)
-        self._scene = _scene(rules, self._record)
+        self._observer = _observer(rules, self._record)
         self._pilot = GivenPilot(ego, every=rules.physics_hz // rules.ads_hz, dt=1 / rules.physics_hz)
         self._ticks = rules.ticks(scenario)
         self._guard = guard
 
     def observe(self) -> Observation:
         """What the ADS sees now."""
-        return self._scene.observation(self._loop.tick)
+        return self._observer.observation(self._loop.tick)
 
     def take(self, action: Any, seconds: float) -> None:
         """Drive with a decision that took so long, up to the next one or the end."""
@@ -107,8 +107,8 @@ def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop
     return record, Loop(ego, director, rules.straight.grid, rows, 1 / rules.physics_hz)
 
 
-def _scene(rules: Rules, record: Record) -> Scene:
-    return Scene(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
+def _observer(rules: Rules, record: Record) -> Observer:
+    return Observer(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
 
 
 def _finished(record: Record, loop: Loop, error: Any) -> Trace:

@@ -9,9 +9,9 @@ from typing import Any
 EGO_ACCELERATION = 6.0
 """Strongest acceleration that a planner's action has an effect up to [m/s^2]."""
 EGO_BRAKING = 9.81
-"""Strongest deceleration, likewise: full braking on a dry road [m/s^2]."""
+"""Strongest deceleration that a planner's action has an effect up to: full braking on a dry road [m/s^2]."""
 EGO_STEERING = math.pi / 4
-"""Largest steering angle, likewise [rad]."""
+"""Largest steering angle that a planner's action has an effect up to [rad]."""
 
 
 class BadAction(Exception):  # noqa: N818  (named in findings as the fault it is)
@@ -39,7 +39,7 @@ def possible_acceleration(wanted: float) -> float:
 
 
 def possible_steering(wanted: float) -> float:
-    """A wanted steering angle, likewise [rad]."""
+    """A wanted steering angle, cut to what has an effect [rad]."""
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
 
 

@@ -6,7 +6,6 @@ and lets NPCs give way to each other. It sees road coordinates only.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.grid import Cell, longitudinal_target, repair_gene, toss
@@ -221,7 +220,7 @@ class Director:
             if self._positions
             else [Cell(start) for start in LANE_STARTS[: len(active)]],
             existing,
-            partial(_toss, self._scenario.seed, gene, active),
+            lambda position: toss(self._scenario.seed, active[position], gene),
             skipping=self.skips,
         )
 
@@ -309,7 +308,3 @@ class Director:
                 safe = following_speed(gap, theirs.speed, mine.speed)
                 speed = safe if safe < speed else speed
         return speed
-
-
-def _toss(seed: int, gene: int, active: list[int], position: int) -> bool:
-    return toss(seed, active[position], gene)

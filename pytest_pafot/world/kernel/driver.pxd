@@ -22,9 +22,6 @@ cdef class NpcDriver:
     @cython.locals(release=double)
     cdef double _released(self, double acceleration, double speed) except? -1
 
-    @cython.locals(acceleration=double)
-    cdef double _to_standstill(self, double speed) except? -1
-
     cpdef double steering(self, double offset, double heading, double course, double speed) except? -1
 
     @cython.locals(distance=double, aside=double, spare=double, planned=double, lateral_speed=double, bound=double,

@@ -122,9 +122,11 @@ class NpcDriver:
         acceleration = highest if acceleration > highest else acceleration
         if acceleration > 0.0:
             return self._released(acceleration, speed)
-        if speed + acceleration * self._dt >= 0.0:
-            return acceleration
-        return self._to_standstill(speed)
+        if speed + acceleration * self._dt < 0.0:
+            acceleration = -speed / self._dt
+            while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
+                acceleration = math.nextafter(acceleration, 0.0)
+        return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:
         """What of an acceleration the own limit and the top speed allow [m/s^2]."""
@@ -134,13 +136,6 @@ class NpcDriver:
             release = max(release, 0.0)
         acceleration = min(acceleration, self._acceleration)
         return release if acceleration > release else acceleration
-
-    def _to_standstill(self, speed: float) -> float:
-        """The deceleration that ends in this tick [m/s^2]."""
-        acceleration = -speed / self._dt
-        while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
-            acceleration = math.nextafter(acceleration, 0.0)
-        return acceleration
 
     def steering(self, offset: float, heading: float, course: float, speed: float) -> float:
         """The angle that steers to the centre of a lane [rad], for highway-env's bicycle model.
@@ -162,7 +157,7 @@ class NpcDriver:
     def steering_in_bend(
         self, offset: float, heading: float, course: float, speed: float, lean: float, turn: float, sharpest: float
     ) -> float:
-        """The same where the lane turns.
+        """The angle that steers to the centre of a lane that turns [rad], for highway-env's bicycle model.
 
         The heading of a vehicle that keeps its angle to a lane that turns differs from its course by the lean. The
         course is bounded by what that leaves of the largest angle: in a bend the wheel comes back only slowly, with

@@ -7,7 +7,7 @@ from pytest_pafot.world.kernel.contact cimport overlap
 from pytest_pafot.world.kernel.director cimport Director
 from pytest_pafot.world.kernel.idm cimport IdmEgo
 from pytest_pafot.world.kernel.lanes cimport Lanes
-from pytest_pafot.world.kernel.observation cimport Scene
+from pytest_pafot.world.kernel.observation cimport Observer
 
 cdef class Pilot:
     cdef readonly int every
@@ -34,7 +34,7 @@ cdef class GivenPilot(Pilot):
 
 cdef class PlannerPilot(GivenPilot):
     cdef object _ads, _guard, _clock
-    cdef Scene _scene
+    cdef Observer _observer
     cdef tuple _decisions
     cdef Py_ssize_t _given
 
@@ -60,7 +60,5 @@ cdef class Loop:
     cdef void _note(self) except *
 
     @cython.locals(record="double[::1]", columns=Py_ssize_t, reach=double, first=Py_ssize_t, second=Py_ssize_t,
-                   count=Py_ssize_t, start=Py_ssize_t, x=double)
+                   count=Py_ssize_t, start=Py_ssize_t, x=double, is_near=bint)
     cdef bint _contact(self) except -1
-
-    cdef bint _touches(self, Py_ssize_t first, Py_ssize_t second) except -1

@@ -21,7 +21,7 @@ from pytest_pafot.world.kernel.contact import overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+from pytest_pafot.world.kernel.observation import COLUMNS, Observer
 
 
 class Pilot:
@@ -87,8 +87,7 @@ class GivenPilot(Pilot):
         Raises:
             BadAction: when it is none.
         """
-        pair = checked_si_action(action)
-        acceleration, steering = pair
+        pair = acceleration, steering = checked_si_action(action)
         self.actions.append(pair)
         self.slowest = max(self.slowest, seconds)
         self._wanted = possible_acceleration(acceleration)
@@ -105,7 +104,7 @@ class PlannerPilot(GivenPilot):
     Args:
         ads: the callable.
         ego: it drives.
-        scene: it sees.
+        observer: it sees.
         guard: of its decisions.
         every: physics ticks from one decision to the next.
         dt: physics tick [s].
@@ -116,7 +115,7 @@ class PlannerPilot(GivenPilot):
         self,
         ads: Callable[[Any], Any],
         ego: Body,
-        scene: Scene,
+        observer: Observer,
         guard: HangGuard,
         *,
         every: int,
@@ -127,7 +126,7 @@ class PlannerPilot(GivenPilot):
         self._decisions = tuple(decisions)
         self._given = len(self._decisions)
         self._ads = ads
-        self._scene = scene
+        self._observer = observer
         self._guard = guard
         self._clock = guard.clock
 
@@ -146,7 +145,7 @@ class PlannerPilot(GivenPilot):
         try:
             try:
                 guard.started = started
-                action = self._ads(self._scene.observation(tick))
+                action = self._ads(self._observer.observation(tick))
             finally:
                 guard.started = None  # before the clock is read, see HangGuard
                 seconds = self._clock() - started
@@ -229,13 +228,9 @@ class Loop:
         for first in range(count - 1):
             x = record[start + first * columns]
             for second in range(first + 1, count):
-                if -reach < record[start + second * columns] - x < reach and self._touches(first, second):
+                is_near = -reach < record[start + second * columns] - x < reach
+                if is_near and overlap(self._bodies[first], self._bodies[second]):
+                    self.ego_touched = first == 0
+                    self.npcs_touched = first > 0
                     return True
         return False
-
-    def _touches(self, first: int, second: int) -> bool:
-        if not overlap(self._bodies[first], self._bodies[second]):
-            return False
-        self.ego_touched = first == 0
-        self.npcs_touched = first > 0
-        return True

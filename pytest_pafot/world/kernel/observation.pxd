@@ -2,7 +2,7 @@ cimport cython
 from pytest_pafot.world.kernel.lanes cimport Lanes
 
 @cython.final
-cdef class Scene:
+cdef class Observer:
     cdef readonly double[::1] record
     cdef readonly list sizes
     cdef readonly Lanes lanes
@@ -17,6 +17,6 @@ cdef class Scene:
 
 cdef class Observation:
     cdef object _ego, _others
-    cdef Scene _scene
+    cdef Observer _observer
     cdef int _tick, _lanes
     cdef double _time, _lane_width, _speed_limit

@@ -34,8 +34,8 @@ class VehicleState(NamedTuple):
     width: float
 
 
-class Scene:
-    """A run as far as it has come, of which observations are made.
+class Observer:
+    """Makes observations of a run as far as it has come.
 
     Args:
         record: rows of :data:`COLUMNS` numbers for each vehicle at each tick.
@@ -69,7 +69,7 @@ class Scene:
     def observation(self, tick: int) -> Observation:
         """What there is to see at a tick, put together where it is looked at."""
         seen = Observation.__new__(Observation)
-        seen._scene = self
+        seen._observer = self
         seen._tick = tick
         seen._time = tick / self.physics_hz
         seen._ego = seen._others = None
@@ -91,7 +91,7 @@ class Observation:
         speed_limit: [m/s].
     """
 
-    __slots__ = ("_ego", "_lane_width", "_lanes", "_others", "_scene", "_speed_limit", "_tick", "_time")
+    __slots__ = ("_ego", "_lane_width", "_lanes", "_observer", "_others", "_speed_limit", "_tick", "_time")
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class Observation:
         self._lanes = lanes
         self._lane_width = float(lane_width)
         self._speed_limit = float(speed_limit)
-        self._scene: Any = None  # everything is here
+        self._observer: Any = None  # everything is here
         self._tick = 0
 
     @property
@@ -120,15 +120,15 @@ class Observation:
     def ego(self) -> VehicleState:
         """The vehicle that the ADS drives."""
         if self._ego is None:
-            self._ego = self._scene.vehicle(self._tick, 0)
+            self._ego = self._observer.vehicle(self._tick, 0)
         return self._ego
 
     @property
     def others(self) -> tuple[VehicleState, ...]:
         """All other vehicles, the NPCs."""
         if self._others is None:
-            scene = self._scene
-            self._others = tuple([scene.vehicle(self._tick, index) for index in range(1, len(scene.sizes))])
+            count = len(self._observer.sizes)
+            self._others = tuple([self._observer.vehicle(self._tick, index) for index in range(1, count)])
         return self._others
 
     @property
@@ -138,12 +138,12 @@ class Observation:
 
     @property
     def lane_width(self) -> float:
-        """[m]."""
+        """Of every lane [m]."""
         return self._lane_width
 
     @property
     def speed_limit(self) -> float:
-        """[m/s]."""
+        """Of the fastest lane [m/s]."""
         return self._speed_limit
 
     @property
