@@ -12,7 +12,7 @@ from typing import Any
 from pytest_pafot.campaign.request import Request, RequestError, hint_at_world
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.corpus import layout
-from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, Leftover, leftovers
+from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError
@@ -125,10 +125,7 @@ class Harness:
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
         """The records of processes that died in runs of this test, or of another owner of crash records."""
-        try:
-            return [each for each in leftovers(self.records) if each.owner == (owner or self.node_id)]
-        except InFlightError:
-            return []  # Writing a record into the same folder fails as well, and says so.
+        return left_by(owner or self.node_id, self.records)
 
     def relative(self, path: Path) -> str:
         """A path as people read it."""

@@ -159,7 +159,7 @@ class Recorder:
             scenario: that it ran.
             again: what became of the process that ran it again; None where none could tell.
         """
-        others = " and others in lock step" if leftover.together else ""
+        others = " and others in lock step" if leftover.is_lock_step else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
         if leftover.is_tried:
             text += (

@@ -72,7 +72,7 @@ class Simulation:
         """Run by itself what was in lock step when a process died, so that a second death has one name."""
         __tracebackhide__ = True
         leftover.discard()  # before another death, of which it would otherwise be the cause for ever
-        for scenario in leftover.together:
+        for scenario in leftover.scenarios:
             self.rerun(scenario)
 
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:

@@ -5,42 +5,31 @@ pytest gathers all three in memory of the process that runs the item, where noth
 
 from __future__ import annotations
 
-import contextlib
 import io
 import logging
 import sys
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from logging.handlers import QueueHandler
 from queue import SimpleQueue
-from typing import Any
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Warned:
-    """A warning without the objects that it may hold on to."""
-
-    text: str
-    category: type[Warning]
-    file: str
-    line: int
 
 
 @dataclass(slots=True, kw_only=True)
-class Echo:
-    """What was said, in the order in which it was said, each kind for itself.
+class CapturedOutput:
+    """What was said, each kind in the order in which it was said.
 
     Attributes:
         out, err: text for the standard streams.
         records: for the handlers of the root logger.
-        warned: warnings that the filters let pass.
+        warned: text, category, file and line of warnings that the filters let pass, without objects they hold on to.
     """
 
     out: str = ""
     err: str = ""
     records: list[logging.LogRecord] = field(default_factory=list)
-    warned: list[Warned] = field(default_factory=list)
+    warned: list[tuple[str, type[Warning], str, int]] = field(default_factory=list)
 
     def repeat(self) -> None:
         """Say it in this process."""
@@ -52,17 +41,23 @@ class Echo:
         with warnings.catch_warnings():
             warnings.simplefilter("always")  # The filters have had their say where the warning arose.
             for each in self.warned:
-                warnings.warn_explicit(each.text, each.category, each.file, each.line)
+                warnings.warn_explicit(*each)
 
 
-@contextlib.contextmanager
-def listening() -> Iterator[Echo]:
-    """Gather what is said inside; it is complete at the end."""
-    echo = Echo()
-    out, err = _Stream(), _Stream()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), _records(echo), _warnings(echo):
-        yield echo
-    echo.out, echo.err = out.text, err.text
+@contextmanager
+def capture_output() -> Iterator[CapturedOutput]:
+    """Capture what is said inside; it is complete at the end."""
+    captured, out, err = CapturedOutput(), _Stream(), _Stream()
+    root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
+    handlers, root.handlers = root.handlers, [QueueHandler(queue)]
+    try:
+        with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings(record=True) as warned:
+            yield captured
+    finally:
+        root.handlers = handlers
+    captured.out, captured.err = out.text, err.text
+    captured.records = [queue.get() for _ in range(queue.qsize())]
+    captured.warned = [(str(each.message), each.category, each.filename, each.lineno) for each in warned]
 
 
 class _Stream(io.TextIOWrapper):
@@ -78,27 +73,3 @@ class _Stream(io.TextIOWrapper):
     @property
     def text(self) -> str:
         return self._bytes.getvalue().decode("utf-8", "replace")
-
-
-@contextlib.contextmanager
-def _records(echo: Echo) -> Iterator[None]:
-    root, queue = logging.getLogger(), SimpleQueue[logging.LogRecord]()
-    before, root.handlers = root.handlers, [QueueHandler(queue)]
-    try:
-        yield
-    finally:
-        root.handlers = before
-        while not queue.empty():
-            echo.records.append(queue.get())
-
-
-@contextlib.contextmanager
-def _warnings(echo: Echo) -> Iterator[None]:
-    def note(
-        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
-    ) -> None:
-        echo.warned.append(Warned(text=str(message), category=category, file=filename, line=lineno))
-
-    with warnings.catch_warnings():
-        warnings.showwarning = note
-        yield

@@ -7,16 +7,15 @@ session may have the same one.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from pytest_pafot.locks import hold, is_held, pid_of
 from pytest_pafot.scenario import Scenario, ScenarioError
@@ -27,8 +26,19 @@ TRIED = ".tried"
 MAX_BYTES = 1 << 20
 
 
-class InFlightError(Exception):
+class CrashRecordError(Exception):
     """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
+
+    @classmethod
+    def of(cls, folder: Path, error: OSError) -> CrashRecordError:
+        """What to tell of an error of the system."""
+        way_out = "make the folder readable and writable"
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            way_out = "close the files that the ADS and the tests open"
+        return cls(
+            f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
+            f"crash of this process will not name the scenario that caused it; {way_out}"
+        )
 
 
 class CrashRecord:
@@ -39,17 +49,17 @@ class CrashRecord:
     """
 
     def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
-        """Nothing is written before the first record.
+        """Nothing is on disk before the first scenario, so that another process may be given the record until then.
 
         Args:
             folder: where the records of all processes lie; made when it is missing.
             owner: node id of the test.
             world: that the scenarios run in, as plain data.
         """
-        self.error: InFlightError | None = None
-        self._folder = Path(folder)
+        self.error: CrashRecordError | None = None
+        self._folder = folder
         self._descriptor: int | None = None
-        self._path: Path | None = None
+        self._path = folder
         self._owner = json.dumps(owner)
         self._world = json.dumps(dict(world) if world is not None else None)
 
@@ -57,12 +67,8 @@ class CrashRecord:
         """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them."""
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
-        process = (
-            f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'  # perhaps one forked meanwhile
-        )
+        process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
         self._put(f'{{{process}, "scenario": {alone}{together}}}\n'.encode())
-
-    record = write
 
     def clear(self) -> None:
         """Nothing is in flight."""
@@ -71,21 +77,19 @@ class CrashRecord:
 
     def close(self) -> None:
         """Remove the record; a later :meth:`write` begins a new one."""
-        if self._descriptor is None or self._path is None:
+        if self._descriptor is None:
             return
         descriptor, self._descriptor = self._descriptor, None
         try:
             os.close(descriptor)
             self._path.unlink(missing_ok=True)
         except OSError as error:
-            self.error = _error(self._folder, error)
+            self.error = CrashRecordError.of(self._folder, error)
 
-    def __enter__(self) -> CrashRecord:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def _put(self, line: bytes) -> None:
@@ -97,67 +101,7 @@ class CrashRecord:
             os.lseek(self._descriptor, 0, os.SEEK_SET)
             os.write(self._descriptor, line)  # the first line counts; longer ones before it need no truncation
         except OSError as error:
-            self.error = _error(self._folder, error)
-
-
-InFlight = CrashRecord
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Leftover:
-    """What a process that ended without a word was running.
-
-    Attributes:
-        path: of the record.
-        pid: of the process.
-        owner: node id of the test; empty where the record cannot be read.
-        scenario: in flight; None where the record cannot be read, or where several were.
-        world: that it ran in, or None.
-        together: scenarios that were in flight at once, one of which it was.
-    """
-
-    path: Path
-    pid: int
-    owner: str
-    scenario: Scenario | None
-    world: Mapping[str, Any] | None = field(default=None)
-    together: tuple[Scenario, ...] = ()
-
-    @property
-    def is_tried(self) -> bool:
-        """Whether an earlier session ran it again without harm, and died as well before it was through."""
-        return self.path.name.endswith(TRIED + SUFFIX)
-
-    def tried(self) -> Leftover:
-        """Mark the record until the session that ran it again is through with its search; returns the marked one."""
-        marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
-        with contextlib.suppress(OSError):  # a record that keeps its name is run again, which loses nothing
-            self.path.rename(marked)
-            return replace(self, path=marked)
-        return self
-
-    def discard(self) -> None:
-        """Remove the record once it is reported; another process may have done so already."""
-        with contextlib.suppress(OSError):  # a record that stays is reported again, which loses nothing
-            self.path.unlink(missing_ok=True)
-
-
-def leftovers(folder: Path) -> tuple[Leftover, ...]:
-    """The records of processes that are gone, by name; those of live ones, this one included, are left alone.
-
-    Records of processes that ended between two scenarios are removed. A folder that is not there has none.
-
-    Raises:
-        InFlightError: when the folder cannot be read.
-    """
-    try:
-        paths = sorted(path for path in Path(folder).iterdir() if path.name.endswith(SUFFIX))
-    except FileNotFoundError:
-        return ()
-    except OSError as error:
-        raise _error(Path(folder), error) from error
-    found = [_leftover(path) for path in paths]
-    return tuple(leftover for leftover in found if leftover is not None)
+            self.error = CrashRecordError.of(self._folder, error)
 
 
 def _create(folder: Path) -> tuple[int, Path]:
@@ -170,6 +114,78 @@ def _create(folder: Path) -> tuple[int, Path]:
         Path(name).unlink(missing_ok=True)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leftover:
+    """What a process that ended without a word was running.
+
+    Attributes:
+        path: of the record.
+        pid: of the process.
+        owner: node id of the test; empty where the record cannot be read.
+        scenarios: in flight: one, or several in lock step, one of which it was; none where the record cannot be read.
+        world: that they ran in, or None.
+    """
+
+    path: Path
+    pid: int
+    owner: str = ""
+    scenarios: tuple[Scenario, ...] = ()
+    world: Mapping[str, Any] | None = None
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """That in flight by itself, or None."""
+        return self.scenarios[0] if len(self.scenarios) == 1 else None
+
+    @property
+    def is_lock_step(self) -> bool:
+        """Whether several scenarios were in flight at once."""
+        return len(self.scenarios) > 1
+
+    @property
+    def is_tried(self) -> bool:
+        """Whether an earlier session ran it again without harm, and died as well before it was through."""
+        return self.path.name.endswith(TRIED + SUFFIX)
+
+    def tried(self) -> Leftover:
+        """Mark the record until the session that ran it again is through with its search; returns the marked one."""
+        marked = self.path.with_name(self.path.name.removesuffix(SUFFIX) + TRIED + SUFFIX)
+        with suppress(OSError):  # a record that keeps its name is run again, which loses nothing
+            self.path.rename(marked)
+            return replace(self, path=marked)
+        return self
+
+    def discard(self) -> None:
+        """Remove the record once it is reported; another process may have done so already."""
+        with suppress(OSError):  # a record that stays is reported again, which loses nothing
+            self.path.unlink(missing_ok=True)
+
+
+def leftovers(folder: Path) -> tuple[Leftover, ...]:
+    """The records of processes that are gone, by name; those of live ones, this one included, are left alone.
+
+    Records of processes that ended between two scenarios are removed. A folder that is not there has none.
+
+    Raises:
+        CrashRecordError: when the folder cannot be read.
+    """
+    try:
+        found = [_leftover(path) for path in sorted(folder.iterdir()) if path.name.endswith(SUFFIX)]
+    except FileNotFoundError:
+        return ()
+    except OSError as error:
+        raise CrashRecordError.of(folder, error) from error
+    return tuple(leftover for leftover in found if leftover is not None)
+
+
+def left_by(owner: str, folder: Path) -> list[Leftover]:
+    """The leftovers of one owner; none in a folder that cannot be read: writing there fails as well, and says so."""
+    try:
+        return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
+    except CrashRecordError:
+        return []
+
+
 def _leftover(path: Path) -> Leftover | None:
     try:
         with path.open("r+b") as file:
@@ -179,29 +195,14 @@ def _leftover(path: Path) -> Leftover | None:
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
         return None  # it has gone meanwhile, or belongs to somebody else
-    if line.strip():
-        return _parsed(path, line)
-    with contextlib.suppress(OSError):  # an empty record tells nothing, whether it stays or goes
-        path.unlink(missing_ok=True)
-    return None
-
-
-def _parsed(path: Path, line: bytes) -> Leftover:
+    leftover = Leftover(path=path, pid=pid_of(path))
+    if not line.strip():
+        leftover.discard()  # it tells nothing
+        return None
     try:
         record = json.loads(line)
-        owner, world = str(record["owner"]), dict(record["world"]) if record["world"] is not None else None
-        together = tuple(Scenario.from_canonical(each) for each in record.get("together", ()))
-        scenario = None if together else Scenario.from_canonical(record["scenario"])
-    except (ValueError, KeyError, TypeError, ScenarioError, RecursionError):
-        return Leftover(path=path, pid=pid_of(path), owner="", scenario=None)
-    return Leftover(path=path, pid=pid_of(path), owner=owner, scenario=scenario, world=world, together=together)
-
-
-def _error(folder: Path, error: OSError) -> InFlightError:
-    reason = error.strerror or str(error)
-    is_full = error.errno in (errno.EMFILE, errno.ENFILE)
-    way_out = "close the files that the ADS and the tests open" if is_full else "make the folder readable and writable"
-    return InFlightError(
-        f"{folder}: expected a folder that can be read and written, received: {reason}; a hard crash of this process "
-        f"will not name the scenario that caused it; {way_out}"
-    )
+        scenarios = tuple(map(Scenario.from_canonical, record.get("together") or [record["scenario"]]))
+        world = dict(record["world"]) if record["world"] is not None else None
+        return replace(leftover, owner=str(record["owner"]), scenarios=scenarios, world=world)
+    except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
+        return leftover

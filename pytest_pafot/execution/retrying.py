@@ -54,42 +54,35 @@ def retry(
         keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
         run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
     """
-    scenarios = leftover.together or ((leftover.scenario,) if leftover.scenario else ())
     answers: dict[Scenario, Answer] | None = None
     if job is not None and not leftover.is_tried:
-        answers = answers_apart(job, scenarios, judge, isolate=isolate)
-    if answers is None and leftover.together:
+        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
+    if answers is None and leftover.is_lock_step:
         run_here(leftover)
         return Retried()
-    is_innocent = True
-    for scenario in scenarios:
+    guilty = [each for each in leftover.scenarios if answers is None or not _came_to_its_end(answers[each])]
+    for scenario in guilty:
         answer = None if answers is None else answers[scenario]
-        if _came_to_its_end(answer):
-            continue
-        is_innocent = False
         if isinstance(answer, Lost):
             keep(leftover, scenario, answer)
-        elif not leftover.together:
+        elif not leftover.is_lock_step:
             keep(leftover, scenario, None)
-    if not is_innocent:
+    if guilty:
         leftover.discard()
         return Retried()
-    return Retried(notes=(_recovery(leftover),), pending=leftover.tried())
-
-
-def _came_to_its_end(answer: Answer | None) -> bool:
-    """Whether a run did. One in which the ADS failed may have failed since it was another process."""
-    if answer is None or isinstance(answer, (Lost, Raised)):
-        return False
-    trace, _ = answer
-    return trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
-
-
-def _recovery(leftover: Leftover) -> str:
     ran = f"{leftover.scenario!r},"
-    if leftover.together:
-        ran = f"{len(leftover.together)} scenarios in lock step, each of"
-    return (
+    if leftover.is_lock_step:
+        ran = f"{len(leftover.scenarios)} scenarios in lock step, each of"
+    note = (
         f"a process (pid {leftover.pid}) died while it ran {ran} which ran to its end when it was tried again: the "
         "process was killed from outside, or there was too little memory"
     )
+    return Retried(notes=(note,), pending=leftover.tried())
+
+
+def _came_to_its_end(answer: Answer) -> bool:
+    """Whether a run did. One in which the ADS failed may have failed since it was another process."""
+    if isinstance(answer, (Lost, Raised)):
+        return False
+    trace, _ = answer
+    return trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)

@@ -5,28 +5,28 @@ from __future__ import annotations
 import pickle
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
-from pytest_pafot.execution.captured_output import Echo, listening
-from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, leftovers
+from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
+from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import GRACE, Lost, Raised, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.world import protocol
 
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """Forked processes have the factory and the fixtures that it uses. Elsewhere the systems' own libraries do not survive
 it, and the factory must be one that can be pickled."""
 
 LostRun: TypeAlias = Lost[Scenario]
-ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, Echo]]
-Answer: TypeAlias = tuple[Trace, Echo] | Raised | LostRun
+Answer: TypeAlias = tuple[Trace, CapturedOutput] | Raised | LostRun
 """A run and what was said in it; or only a run in the session's own process can show what happens; or neither."""
+ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, CapturedOutput]]
 
 
 class ExecutionError(Exception):
@@ -56,7 +56,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 "where processes cannot be forked, the ADS factory must be one that can be pickled, such as a class of "
                 f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
             ) from None
-    patience = float(getattr(job.world, "hang_limit", 30.0)) + GRACE
+    patience = protocol.hang_limit(job.world) + GRACE
     return WorkerPool(work, size, method=METHOD, patience=patience, grace=GRACE, ended=partial(_forget, job))
 
 
@@ -67,22 +67,18 @@ class _Rollouts:
     job: Job
     record: CrashRecord
 
-    def __call__(self, scenario: Scenario, tell: Callable[[float], None]) -> tuple[Trace, Echo]:
-        self.record.write(scenario)
-        try:
-            with listening() as echo:
-                trace = self.job.rollout(scenario)
-        finally:
-            self.record.close()  # Nobody would when the session dies, whose processes then end.
-        return trace, echo
+    def __call__(self, scenario: Scenario, tell: Callable[[float], None]) -> tuple[Trace, CapturedOutput]:
+        with self.record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
+            self.record.write(scenario)
+            trace = self.job.rollout(scenario)
+        return trace, output
 
 
 def _forget(job: Job, pid: int) -> None:
     """Remove the record of a process that has ended: this session is told otherwise."""
-    with suppress(InFlightError):  # A folder that cannot be read holds no records of this session.
-        for leftover in leftovers(job.records):
-            if (leftover.pid, leftover.owner) == (pid, job.owner):
-                leftover.discard()
+    for leftover in left_by(job.owner, job.records):
+        if leftover.pid == pid:
+            leftover.discard()
 
 
 def trace_from(answer: Answer) -> Trace | None:
@@ -96,8 +92,8 @@ def trace_from(answer: Answer) -> Trace | None:
         raise ProcessLostError(answer)
     if isinstance(answer, Raised):
         return None
-    trace, echo = answer
-    echo.repeat()
+    trace, output = answer
+    output.repeat()
     return trace
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.captured_output import listening
-from pytest_pafot.execution.crash_records import CrashRecord, InFlightError, leftovers
+from pytest_pafot.execution.captured_output import capture_output
+from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import Lost, ending
 from pytest_pafot.execution.runner import runner_for
@@ -77,7 +77,7 @@ def answers_apart(
 
     def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
         trace: Trace = job.world.rollout(scenario, ads)
-        with listening():
+        with capture_output():
             judge(trace)
         return trace
 
@@ -158,7 +158,7 @@ def _try_in_session(job: Job, scenario: Scenario, session: Session) -> None:
             code = process.wait()
         finally:
             process.kill()  # after an interrupt; it has ended by itself otherwise
-    if code < 0 or _has_left_a_record(job, process.pid):
+    if code < 0 or any(each.pid == process.pid for each in left_by(job.owner, job.records)):
         lost = Lost(task=scenario, pid=process.pid, how=ending(code), is_hang=code == HUNG)
         raise ProcessLostError(lost)
     if code not in REPLAYED:
@@ -166,10 +166,3 @@ def _try_in_session(job: Job, scenario: Scenario, session: Session) -> None:
             f"{session.file}: expected a session of its own to replay what a process died in, received {ending(code)} "
             f"of: {shlex.join(session.command)}; run that to see why"
         )
-
-
-def _has_left_a_record(job: Job, pid: int) -> bool:
-    try:
-        return any((each.pid, each.owner) == (pid, job.owner) for each in leftovers(job.records))
-    except InFlightError:
-        return False  # writing a record into the same folder fails as well, and says so

@@ -29,11 +29,11 @@ def unclaimed(config: pytest.Config) -> list[str]:
     folder = _cached_folder(config)
     if folder is None or _is_empty(folder):
         return []
-    from pytest_pafot.execution.crash_records import InFlightError, leftovers  # noqa: PLC0415
+    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers  # noqa: PLC0415
 
     try:
         found = leftovers(folder)
-    except InFlightError as error:
+    except CrashRecordError as error:
         return [str(error)]
     return [
         f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
@@ -53,13 +53,9 @@ def left_behind(item: pytest.Item, request: Request, owner: str = "") -> list[Le
     folder = records_folder(item, request)
     if _is_empty(folder):
         return []
-    from pytest_pafot.execution.crash_records import InFlightError, leftovers  # noqa: PLC0415
+    from pytest_pafot.execution.crash_records import left_by  # noqa: PLC0415
 
-    owner = owner or owner_of(item)
-    try:
-        return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
-    except InFlightError:
-        return []  # Writing a record into the same folder fails as well, and says so.
+    return left_by(owner or owner_of(item), folder)
 
 
 def _is_empty(folder: Path) -> bool:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus.fields import CorpusError
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.execution.crash_records import InFlight, leftovers
+from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
@@ -54,8 +54,8 @@ def test_what_is_written_is_read(npcs):
 @given(chains)
 def test_what_was_in_flight_when_a_process_died_is_named(tmp_path_factory, npcs):
     folder = tmp_path_factory.mktemp("inflight")
-    with InFlight(folder, "test_it.py::test_it") as record:
-        record.record(Scenario(npcs=npcs, seed=3))
+    with CrashRecord(folder, "test_it.py::test_it") as record:
+        record.write(Scenario(npcs=npcs, seed=3))
         (path,) = folder.iterdir()
         content = path.read_bytes()
     path.write_bytes(content)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 from pytest_pafot import locks
-from pytest_pafot.execution import crash_records as inflight
-from pytest_pafot.execution.crash_records import InFlight, InFlightError, leftovers
+from pytest_pafot.execution import crash_records
+from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, leftovers
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import scenarios
 
@@ -21,11 +21,11 @@ WORLD = {"kind": "highway", "lanes": 4}
 
 CHILD = f"""
 import os, sys, pathlib
-from pytest_pafot.execution.crash_records import InFlight
+from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.scenario import PositionInstruction, Scenario
-record = InFlight(pathlib.Path(sys.argv[1]), {OWNER!r}, world={WORLD!r})
-record.record(Scenario(npcs=[[PositionInstruction(5, 1.5)] * 40]))
-record.record(Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5))
+record = CrashRecord(pathlib.Path(sys.argv[1]), {OWNER!r}, world={WORLD!r})
+record.write(Scenario(npcs=[[PositionInstruction(5, 1.5)] * 40]))
+record.write(Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5))
 """
 
 
@@ -42,7 +42,7 @@ def test_a_crash_of_the_process_names_its_scenario_in_the_next_session(tmp_path)
     with child(tmp_path, "os._exit(139)") as process:
         assert process.wait() == 139
     (left,) = leftovers(tmp_path)
-    assert (left.owner, left.scenario, left.world) == (OWNER, SCENARIO, WORLD)
+    assert (left.owner, left.scenarios, left.world) == (OWNER, (SCENARIO,), WORLD)
     assert left.path.name.startswith(f"{left.pid}-")
 
 
@@ -56,7 +56,7 @@ def test_the_record_of_a_live_process_is_left_alone_until_it_is_killed(tmp_path)
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-    assert [left.scenario for left in leftovers(tmp_path)] == [SCENARIO]
+    assert [left.scenarios for left in leftovers(tmp_path)] == [(SCENARIO,)]
 
 
 def test_a_reported_leftover_is_discarded_once(tmp_path):
@@ -73,32 +73,32 @@ def test_a_leftover_stays_until_it_is_discarded(tmp_path):
 
 
 def test_the_process_itself_is_alive_also_after_a_crash_with_its_process_id(tmp_path):
-    with InFlight(tmp_path, OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path, OWNER) as record:
+        record.write(SCENARIO)
         content = next(tmp_path.iterdir()).read_bytes()
         abandoned(tmp_path, f"{os.getpid()}-before.inflight", content)
         assert [left.path.name for left in leftovers(tmp_path)] == [f"{os.getpid()}-before.inflight"]
 
 
 def test_two_searches_of_one_process_do_not_disturb_each_other(tmp_path):
-    with InFlight(tmp_path, "a") as one, InFlight(tmp_path, "b") as other:
-        one.record(SCENARIO)
-        other.record(SCENARIO)
+    with CrashRecord(tmp_path, "a") as one, CrashRecord(tmp_path, "b") as other:
+        one.write(SCENARIO)
+        other.write(SCENARIO)
         other.close()
         assert len(list(tmp_path.iterdir())) == 1
         assert leftovers(tmp_path) == ()
 
 
 def test_after_a_search_nothing_is_left(tmp_path):
-    with InFlight(tmp_path, OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path, OWNER) as record:
+        record.write(SCENARIO)
         record.clear()
     assert list(tmp_path.iterdir()) == []
     assert record.error is None
 
 
 def test_without_a_scenario_nothing_is_written(tmp_path):
-    with InFlight(tmp_path / "none", OWNER) as record:
+    with CrashRecord(tmp_path / "none", OWNER) as record:
         record.clear()
     assert not (tmp_path / "none").exists()
 
@@ -111,9 +111,9 @@ def test_between_two_scenarios_nobody_is_to_blame(tmp_path):
 
 
 def test_a_record_can_be_used_again_after_it_is_closed(tmp_path):
-    record = InFlight(tmp_path, OWNER)
+    record = CrashRecord(tmp_path, OWNER)
     for _ in range(2):
-        record.record(SCENARIO)
+        record.write(SCENARIO)
         assert len(list(tmp_path.iterdir())) == 1
         record.close()
         record.close()
@@ -123,14 +123,14 @@ def test_a_record_can_be_used_again_after_it_is_closed(tmp_path):
 @given(one=scenarios(), other=scenarios())
 def test_every_scenario_comes_back_also_after_a_longer_one(tmp_path_factory, one, other):
     folder = tmp_path_factory.mktemp("inflight")
-    record = InFlight(folder, 'nasty "owner"\n\ud800')
-    record.record(one)
-    record.record(other)
+    record = CrashRecord(folder, 'nasty "owner"\n\ud800')
+    record.write(one)
+    record.write(other)
     (path,) = folder.iterdir()
     abandoned(folder, "0-copy.inflight", path.read_bytes())
     record.close()
     (left,) = leftovers(folder)
-    assert (left.owner, left.scenario) == ('nasty "owner"\n\ud800', other)
+    assert (left.owner, left.scenarios) == ('nasty "owner"\n\ud800', (other,))
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_every_scenario_comes_back_also_after_a_longer_one(tmp_path_factory, one
 def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     abandoned(tmp_path, "77-x.inflight", content)
     (left,) = leftovers(tmp_path)
-    assert (left.pid, left.owner, left.scenario) == (77, "", None)
+    assert (left.pid, left.owner, left.scenarios) == (77, "", ())
 
 
 def test_only_records_are_looked_at(tmp_path):
@@ -162,31 +162,31 @@ def test_only_records_are_looked_at(tmp_path):
 
 def test_a_folder_that_cannot_be_read_is_a_typed_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InFlightError, match="expected a folder"):
+    with pytest.raises(CrashRecordError, match="expected a folder"):
         leftovers(tmp_path / "file")
 
 
 def test_a_folder_that_cannot_be_written_never_stops_the_search(tmp_path):
     (tmp_path / "file").write_text("")
-    with InFlight(tmp_path / "file" / "inflight", OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path / "file" / "inflight", OWNER) as record:
+        record.write(SCENARIO)
         error = record.error
-        record.record(SCENARIO)
+        record.write(SCENARIO)
         record.clear()
-    assert isinstance(error, InFlightError)
+    assert isinstance(error, CrashRecordError)
     assert record.error is error
     assert "a hard crash of this process will not name the scenario" in str(error)
 
 
 def test_a_disk_that_is_full_never_stops_the_search(tmp_path, monkeypatch):
-    record = InFlight(tmp_path, OWNER)
-    record.record(SCENARIO)
+    record = CrashRecord(tmp_path, OWNER)
+    record.write(SCENARIO)
 
     def full(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(inflight.os, "write", full)
-    record.record(SCENARIO)
+    monkeypatch.setattr(crash_records.os, "write", full)
+    record.write(SCENARIO)
     monkeypatch.undo()
     assert "No space left on device" in str(record.error)
     record.close()
@@ -201,8 +201,8 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
     monkeypatch.setattr(locks, "_lock", unsupported)
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    with InFlight(tmp_path, OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path, OWNER) as record:
+        record.write(SCENARIO)
         assert record.error is None
         abandoned(tmp_path, f"{gone.pid}-x.inflight", b"garbled")
         assert [left.pid for left in leftovers(tmp_path)] == [gone.pid]
@@ -218,18 +218,18 @@ def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monk
         lock(descriptor)
 
     monkeypatch.setattr(locks, "_lock", interrupted)
-    with InFlight(tmp_path, OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path, OWNER) as record:
+        record.write(SCENARIO)
         assert len(list(tmp_path.iterdir())) == 1
         assert next(tmp_path.iterdir()) != taken[0]
 
 
 def test_recording_is_cheap_beside_any_run(tmp_path):
-    with InFlight(tmp_path, OWNER) as record:
-        record.record(SCENARIO)
+    with CrashRecord(tmp_path, OWNER) as record:
+        record.write(SCENARIO)
         start = time.perf_counter()
         for _ in range(200):
-            record.record(SCENARIO)
+            record.write(SCENARIO)
             record.clear()
         assert (time.perf_counter() - start) / 200 < 1e-3
 
@@ -237,11 +237,11 @@ def test_recording_is_cheap_beside_any_run(tmp_path):
 def test_of_scenarios_that_ran_at_once_none_is_named_but_all_are_known(tmp_path):
     rest = """
 several = [Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3)]
-record.record(*several)
+record.write(*several)
 os._exit(139)
 """
     with child(tmp_path, rest) as process:
         assert process.wait() == 139
     (left,) = leftovers(tmp_path)
-    assert (left.owner, left.scenario, left.world) == (OWNER, None, WORLD)
-    assert left.together == tuple(Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3))
+    assert (left.owner, left.is_lock_step, left.world) == (OWNER, True, WORLD)
+    assert left.scenarios == tuple(Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.execution import prefetching
-from pytest_pafot.execution.captured_output import Echo
+from pytest_pafot.execution.captured_output import CapturedOutput
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import Lost, Raised
 from pytest_pafot.execution.runner import runner_for
@@ -33,7 +33,7 @@ class Pool:
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
-        return self.answers.get(scenario.seed) or (trace_of(scenario), Echo())
+        return self.answers.get(scenario.seed) or (trace_of(scenario), CapturedOutput())
 
     def close(self, *, at_once):
         self.expected, self.closed = [], at_once
@@ -148,7 +148,7 @@ class TestProcesses:
         assert world.ran == [0, 1, 2, 4]
 
     def test_what_was_said_in_them_is_said_here_in_the_order_of_the_scenarios(self, runner_of, capsys):
-        answers = {n: (trace_of(scenario(n)), Echo(out=f"run {n}\n")) for n in range(3, 8)}
+        answers = {n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n")) for n in range(3, 8)}
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 

@@ -155,3 +155,14 @@ def test_decisions_of_a_pure_ads_are_taken_from_earlier_runs_unless_it_is_asked_
     third = runner.run(SCENARIOS[0], afresh=True)
     assert (again, len(callers)) == (asked, 2 * asked)
     assert first.states.tobytes() == second.states.tobytes() == third.states.tobytes()
+
+
+@pytest.mark.parametrize("pure", [1, "yes", False, None])
+def test_anything_but_true_is_no_declaration(runner_of, monkeypatch, pure):
+    monkeypatch.setattr(Pure, "pure", pure)
+    runner = runner_of(Pure, can_resume=True)
+    runner.run(SCENARIOS[0])
+    asked = len(callers)
+    monkeypatch.setattr(Pure, "pure", True)
+    runner.run(SCENARIOS[0])
+    assert len(callers) == 2 * asked

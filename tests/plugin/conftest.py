@@ -10,7 +10,7 @@ import pytest_pafot.campaign.replays
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.object_engine
-from pytest_pafot.execution.crash_records import InFlight
+from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
@@ -73,9 +73,9 @@ class Project:
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
         """What a process leaves behind that died while a test ran a scenario, or several at once."""
         folder = self.path / ".pytest_cache" / "d" / "pafot"
-        flight = InFlight(folder, owner, world=world or Highway(duration=10.0).to_dict())
+        flight = CrashRecord(folder, owner, world=world or Highway(duration=10.0).to_dict())
         chains = [(PositionInstruction(cell, 20.0),) * 2 for cell in cells]
-        flight.record(*(Scenario(npcs=(chain,), gene_seconds=5) for chain in chains))
+        flight.write(*(Scenario(npcs=(chain,), gene_seconds=5) for chain in chains))
         os.close(flight._descriptor)
 
     def leave_crash(self, owner):

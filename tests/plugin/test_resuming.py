@@ -5,8 +5,6 @@ import sys
 
 import pytest
 
-from pytest_pafot.execution.known_decisions import KnownDecisions
-
 PLANNERS = """
 class Planner:
     def __init__(self):
@@ -94,14 +92,6 @@ def test_drives(run):
     assert "flaky" not in project.only_file.read_text()
     result = project.run(generations=0)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-
-
-@pytest.mark.parametrize("pure", [1, "yes", False, None])
-def test_anything_but_true_is_no_declaration(pure):
-    known = KnownDecisions()
-    known.saw(type("Planner", (), {"pure": pure})())
-    known.saw(type("Planner", (), {"pure": True})())
-    assert known.is_wanted is False
 
 
 OWN_WORLD = """
