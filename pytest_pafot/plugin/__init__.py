@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from pytest_pafot.plugin import fixtures, messages, xdist
+from pytest_pafot.plugin import fixtures, messages
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.options import add_options
@@ -25,21 +25,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marks and one plugin object per feature."""
+    """Register the marks and one plugin per feature that is on."""
     for line in (
         f"{ANY_MARK}: every test that belongs to pytest-pafot, to select or deselect all of them",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
-    is_worker = xdist.is_worker(config)
-    config.stash[SHARED] = xdist.shared_by_controller(config) if is_worker else begin()
-    features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
     config.stash[SUMMARY_LINES] = SummaryLines()
-    if is_worker:
-        features |= {"worker": xdist.Worker(config)}
+    features = {"fixtures": fixtures, "collection": Collection(config), "messages": messages}
+    if hasattr(config, "workerinput"):
+        from pytest_pafot.plugin.xdist import Worker, shared_by_controller  # noqa: PLC0415
+
+        config.stash[SHARED] = shared_by_controller(config)
+        features["worker"] = Worker(config)
     else:
-        features |= {"reporting": Reporter(config), "pages": Pages(config), "controller": xdist.Controller(config)}
+        config.stash[SHARED] = begin()
+        features |= {"reporting": Reporter(config), "pages": Pages(config)}
+    if config.getoption("dist", "no") != "no":
+        from pytest_pafot.plugin.xdist import Controller  # noqa: PLC0415
+
+        features["controller"] = Controller(config)
     if config.get_verbosity() > 0:
         from pytest_pafot.plugin import header  # noqa: PLC0415
 

@@ -97,22 +97,20 @@ class Pages:
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
         from pytest_pafot.report.draft import write_report  # noqa: PLC0415
 
+        errors = tuple(
+            (node_id, text)
+            for (node_id, when), text in sorted(self._failures.items())
+            # In items of this page, or in those that never came to name one, and shown by no finding.
+            if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
+        )
         report = draft.report(
             project=self._config.rootpath.name,
             command=shlex.join(["pytest", *map(str, self._config.invocation_params.args)]),
             findings=map(self._completed, draft.findings.values()),
-            errors=self._errors(path),
+            errors=errors,
             is_interrupted=is_interrupted,
         )
         return write_report(draft.target, path, report)
-
-    def _errors(self, path: Path) -> tuple[tuple[str, str], ...]:
-        """What failed in items of a page, or in items that never came to name one, and is shown by no finding."""
-        return tuple(
-            (node_id, text)
-            for (node_id, when), text in sorted(self._failures.items())
-            if self._targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
-        )
 
     def _add_row(self, report: pytest.TestReport, finding: FindingView) -> None:
         from pytest_html import extras  # noqa: PLC0415

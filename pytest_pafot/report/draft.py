@@ -70,7 +70,9 @@ class Draft:
             errors: node ids of what failed by no finding, and what pytest shows of it.
             is_interrupted: whether the session was.
         """
-        ordered = _by_test(findings)
+        ranked = sorted(findings, key=_rank)
+        tests = list(dict.fromkeys(finding.test for finding in ranked))
+        ordered = tuple(sorted(ranked, key=lambda finding: tests.index(finding.test)))  # those of a test together
         return Report(
             title=f"{project}: {_counts(ordered, errors)}",
             facts=tuple(self._facts(is_interrupted=is_interrupted)),
@@ -123,13 +125,6 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
     more = f", {plural(pictures, 'moving picture')}" if pictures else ""
     problem = f"--pafot-report={target}: the page is there, pictures are not{missing}" if missing else ""
     return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
-
-
-def _by_test(findings: Iterable[FindingView]) -> tuple[FindingView, ...]:
-    """Those of a test together; the test whose first finding comes first is the first."""
-    ordered = sorted(findings, key=_rank)
-    tests = list(dict.fromkeys(finding.test for finding in ordered))
-    return tuple(sorted(ordered, key=lambda finding: tests.index(finding.test)))
 
 
 def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
