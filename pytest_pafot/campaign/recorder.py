@@ -18,7 +18,8 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, wri
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, portable
+from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario

@@ -10,7 +10,7 @@ from typing import Any
 
 from pytest_pafot.corpus.errors import RESTORE, CorpusError
 from pytest_pafot.corpus.schema import VERSION, Keys
-from pytest_pafot.corpus.yaml_document import Document, Place
+from pytest_pafot.corpus.yaml_document import Lines, Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +18,7 @@ class Field:
     """A value of a document with its place; every accessor checks the type or raises the error of that place."""
 
     path: Path
-    document: Document
+    lines: Lines
     place: Place
     value: Any
 
@@ -29,14 +29,14 @@ class Field:
 
     def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
         """What is wrong with the value, at the nearest line that is known."""
-        lines = self.document.lines
-        line = next(lines[place] for end in range(len(self.place), -1, -1) if (place := self.place[:end]) in lines)
+        places = (self.place[:end] for end in range(len(self.place), -1, -1))
+        line = next(self.lines[place] for place in places if place in self.lines)
         received = received or f"{self.value!r:.80}"
         return CorpusError(self.path, line=line, field=self.name, expected=expected, received=received, fix=fix)
 
     def at(self, part: str | int) -> Field:
         """The value under a key, or at an index, of this one."""
-        return Field(self.path, self.document, (*self.place, part), self.value[part])
+        return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
     def mapping(self, keys: Keys) -> dict[str, Field]:
         """The values of a mapping that has all required keys and no unknown ones."""

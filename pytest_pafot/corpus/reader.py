@@ -97,8 +97,8 @@ def _content(path: Path) -> bytes:
 
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
     """The document in the content of a file, as one of the version that is written."""
-    document = parse(path, content, loader)
-    top = Field(path, document, (), document.value)
+    value, lines = parse(path, content, loader)
+    top = Field(path, lines, (), value)
     fields = top.any_mapping()
     if "pafot" not in fields:  # it comes first: of a newer version, nothing else can be judged
         raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")

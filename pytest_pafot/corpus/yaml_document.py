@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +29,12 @@ _WORD = re.compile(r"true|false|null|")
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-@dataclass(frozen=True, slots=True)
-class Document:
-    """A parsed document.
-
-    Attributes:
-        value: None, bool, int, float, str, and lists and dicts of these.
-        lines: the line of every place in it, counted from 1.
-    """
-
-    value: Any
-    lines: dict[Place, int]
+Lines = dict[Place, int]
+"""The line of every place of a document, counted from 1."""
 
 
-def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Document:
-    """The YAML document in the content of a file.
+def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[Any, Lines]:
+    """The YAML document in the content of a file: None, bool, int, float, str, and lists and dicts of these.
 
     Args:
         path: of the file, for errors.
@@ -101,15 +91,15 @@ class _Builder:
     def __init__(self, path: Path, loader: Any) -> None:
         self.path = path
         self.loader = loader
-        self.lines: dict[Place, int] = {}
+        self.lines: Lines = {}
 
-    def document(self) -> Document:
+    def document(self) -> tuple[Any, Lines]:
         self._next(yaml.StreamStartEvent)
         self._next(yaml.DocumentStartEvent)
         value = self._value((), self.loader.get_event())
         self._next(yaml.DocumentEndEvent)
         self._next(yaml.StreamEndEvent)
-        return Document(value, self.lines)
+        return value, self.lines
 
     def _error(self, event: Any, expected: str, received: str, fix: str) -> CorpusError:
         return CorpusError(self.path, line=_line(event), expected=expected, received=received, fix=fix)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import linecache
 import math
-import os
 import re
 import traceback
 from collections.abc import Iterator, Mapping
@@ -14,6 +13,7 @@ from typing import Any
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
@@ -26,18 +26,6 @@ MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
 
-_ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
-_PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
-_FOLDERS = r"(?:[^\s\"'<>|*?:\\/]+[\\/])*"
-_TO_PACKAGES = re.compile(
-    # A path is tried from its first character alone, or a long one would take time by its length squared.
-    rf"(?<![\w.])(?:[A-Za-z]:)?[\\/]{_FOLDERS}(?=(?:site|dist)-packages[\\/]|python3\.\d+[\\/](?!site|dist))"
-)
-_TEMPORARY = re.compile(
-    r"(?<![\w.])(?:(?:/private)?/(?:var/)?tmp|(?:/private)?/var/folders/\w+/\w+/T"
-    rf"|[A-Za-z]:\\Users\\\w+\\AppData\\Local\\Temp)[\\/]{_FOLDERS}(?P<name>[^\s\"'<>|*?:\\/]*)"
-)
-_RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]pytest-\d+)")
 _TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
@@ -270,19 +258,6 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
             f"{name}: expected plain data (null, true/false, numbers, text, lists, mappings), "
             f"received {type(value).__name__} {value!r:.60}; convert it"
         )
-
-
-def portable(text: str, root: str = "") -> str:
-    """A text without what differs from process to process, and from checkout to checkout.
-
-    ``ADDRESS`` stands for memory addresses, ``N`` for ids of processes and threads, ``TMP`` for temporary folders.
-    Paths begin at the project's folder, or where packages are installed.
-    """
-    if root:
-        text = text.replace(root.rstrip("\\/") + os.sep, "")
-    text = _TO_PACKAGES.sub("", text)
-    text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
-    return _PROCESS_ID.sub(r"\g<1>N", _ADDRESS.sub("ADDRESS", text))
 
 
 def _portable_line(failure: Failure, root: str) -> str:

@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
+from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, raised_failure
+from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
