@@ -1,1 +1,1 @@
-"""Findings: what a failing run means, what makes two the same, and the files in which they are kept."""
+"""Findings as values: what a failing run means, what makes two the same, what a replay says, and how one is shrunk."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
-from pytest_pafot.grid import is_adjacent
 from pytest_pafot.scenario import (
     MAX_SPEED,
     SPEED_STEPS_PER_MPS,
@@ -23,7 +22,6 @@ from pytest_pafot.scenario import (
     PositionInstruction,
     Scenario,
     ScenarioError,
-    positions_of,
 )
 
 Attempt = Callable[[Scenario], Scenario | None]
@@ -264,8 +262,7 @@ def _staying(scenario: Scenario) -> Candidates:
 
 def _rounder(scenario: Scenario) -> Candidates:
     """The multiples of 5 m/s, then of 1 m/s, next to a speed."""
-    for npc, start, end in _all_blocks(scenario):
-        speed = _tenths(scenario.npcs[npc][start])
+    for npc, start, end, speed in _all_blocks(scenario):
         for unit in (FIVE, ONE):
             below = speed // unit * unit
             yield _with_speed(scenario, npc, start, end, below)
@@ -274,8 +271,7 @@ def _rounder(scenario: Scenario) -> Candidates:
 
 def _slower(scenario: Scenario) -> Candidates:
     """To a standstill, or down by 5, 1 or 0.1 m/s; the pass is repeated as long as that helps."""
-    for npc, start, end in _all_blocks(scenario):
-        speed = _tenths(scenario.npcs[npc][start])
+    for npc, start, end, speed in _all_blocks(scenario):
         for lower in (speed, FIVE, ONE, TENTH):
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
@@ -301,8 +297,7 @@ PASSES: tuple[Pass, ...] = (
 def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:
     """For every instruction, how far its speed can go down and up while the scenario fails."""
     scenario = gate.best
-    for npc, start, end in _all_blocks(scenario):
-        speed = _tenths(scenario.npcs[npc][start])
+    for npc, start, end, speed in _all_blocks(scenario):
 
         def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> bool:
             candidate = _with_speed(scenario, npc, start, end, speed + change)
@@ -334,11 +329,11 @@ def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
         most //= 2
 
 
-def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int]]:
-    """NPC, and [start, end) of each of its blocks."""
+def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
+    """NPC, [start, end) and speed of each block."""
     for npc, chain in enumerate(scenario.npcs):
         for start, end in _blocks(chain):
-            yield npc, start, end
+            yield npc, start, end, _tenths(chain[start])
 
 
 def _blocks(chain: Chromosome) -> list[tuple[int, int]]:
@@ -361,13 +356,9 @@ def _with_chain(scenario: Scenario, npc: int, chain: Chromosome) -> Scenario | N
 
 def _valid(scenario: Scenario, npcs: tuple[Chromosome, ...]) -> Scenario | None:
     """The scenario with other chains, or None where these break a rule."""
-    if not all(npcs) or not all(
-        is_adjacent(a.cell, b.cell) for chain in positions_of(npcs) for a, b in pairwise(chain)
-    ):
-        return None
     try:
         return replace(scenario, npcs=npcs)
-    except ScenarioError:  # Two NPCs would hold the same cell.
+    except ScenarioError:  # An empty chain, a leap across the ring, or two NPCs in one cell.
         return None
 
 
