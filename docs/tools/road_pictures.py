@@ -70,7 +70,7 @@ def picture(env_id: str) -> Image.Image:
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     origin = Found(seed=1, generation=0, algorithm="random", versions={})
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
-    view = finding_view(trace, finding, node_id="", yaml="")
+    view = finding_view(trace, finding, node_id="")
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
     return draw_picture(view, picture_at(view, trace.duration - BEFORE_IMPACT))
 

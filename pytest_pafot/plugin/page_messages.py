@@ -16,26 +16,16 @@ from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
-from pytest_pafot.report.finding_view import finding_view, shrink_view
+from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import NEW, FindingView, ShrinkView
-from pytest_pafot.report.simplified import speed_sentences
+from pytest_pafot.report.page_data import NEW, FindingView
 from pytest_pafot.run import Run
 from pytest_pafot.searching.events import Event
 from pytest_pafot.trace import Trace
-
-
-def shrink_of(finding: Finding) -> ShrinkView | None:
-    """What shrinking came to; None for a finding that was not shrunk."""
-    if finding.shrunk is None:
-        return None
-    first = finding.original or finding.scenario
-    return shrink_view(first, finding.scenario, rollouts=finding.shrunk.rollouts, notes=speed_sentences(finding))
 
 
 def label_of(find: Find) -> str:
@@ -82,10 +72,8 @@ class PageMessages:
             None if told.run is None else told.run.trace,
             finding,
             node_id=find.node_id,
-            yaml=text_of(finding),
             headline=find.headline,
             preventable_tried=told.tried,
-            shrink=shrink_of(finding),
         )
         command = view.command if find.path else self._search_command()
         self._show(replace(view, label=label_of(find), path=find.path, command=command))
@@ -120,14 +108,7 @@ class PageMessages:
 
     def _show_replay(self, finding: Finding, trace: Trace | None, headline: str, label: str, path: str) -> None:
         self._tell(replayed=label)
-        view = finding_view(
-            trace,
-            finding,
-            node_id=self.item.nodeid,
-            yaml=text_of(finding),
-            headline=headline,
-            shrink=shrink_of(finding),
-        )
+        view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline)
         accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
         self._show(replace(view, label=f"{label}{accepted}", path=path))
 

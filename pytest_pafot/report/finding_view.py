@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.report.page_data import (
@@ -21,6 +22,7 @@ from pytest_pafot.report.page_data import (
     VehicleView,
 )
 from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
+from pytest_pafot.report.simplified import speed_sentences
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
@@ -35,10 +37,8 @@ def finding_view(
     finding: Finding,
     *,
     node_id: str,
-    yaml: str,
     headline: str = "",
     preventable_tried: Sequence[str] = (),
-    shrink: ShrinkView | None = None,
 ) -> FindingView:
     """The view of a finding.
 
@@ -49,10 +49,8 @@ def finding_view(
         trace: of the run that shows it, of the scenario in its file; None where nobody saw how it ended.
         finding: as it is kept.
         node_id: of the item that replays it.
-        yaml: the text of its file.
         headline: unless given, that of the run.
         preventable_tried: reference drivers that were tried, beside those in the finding that survived.
-        shrink: see :func:`shrink_view`.
     """
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
@@ -73,12 +71,15 @@ def finding_view(
         times=(),
         instructions=_instructions(trace, finding),
         event=EventView(kind=str(expect.outcome), time=expect.time),
-        yaml=yaml,
+        yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
         preventable_by=expect.preventable_by,
         preventable_tried=tuple(dict.fromkeys((*expect.preventable_by, *preventable_tried))),
-        shrink=shrink,
     )
+    if finding.shrunk is not None:
+        rollouts, notes = finding.shrunk.rollouts, speed_sentences(finding)
+        shrink = shrink_view(finding.original or finding.scenario, finding.scenario, rollouts=rollouts, notes=notes)
+        view = replace(view, shrink=shrink)
     return view if trace is None else _with_run(view, trace, clearance)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.scenario import PositionInstruction
+from pytest_pafot.text import plural
 
 
 def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
@@ -30,8 +31,10 @@ def effort_lines(finding: Finding) -> list[str]:
     """How many runs shrinking took, and the speeds that still fail."""
     if finding.shrunk is None:
         return []
-    runs = f"{finding.shrunk.rollouts} run{'' if finding.shrunk.rollouts == 1 else 's'}"
-    return [f"shrunk in  {runs}", *(f"still      {sentence}" for sentence in speed_sentences(finding))]
+    return [
+        f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}",
+        *(f"still      {sentence}" for sentence in speed_sentences(finding)),
+    ]
 
 
 def speed_sentences(finding: Finding) -> list[str]:

@@ -8,8 +8,7 @@ import sys
 import pytest
 
 import pytest_pafot.plugin.page_messages
-import pytest_pafot.report.folder
-import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
+import pytest_pafot.report.session_report  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world.reference_drivers import REFERENCES
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot.report.draft  # noqa: F401  pytester forgets modules that a run imports; this one is patched
+import pytest_pafot.report.session_report  # noqa: F401  pytester forgets modules that a run imports; this one is patched
 
 FAILS = """
 @pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
@@ -43,7 +43,7 @@ def is_whole(result):
     [
         ("plugin.crash_folder.unclaimed", "problem: records of processes that died: ValueError: a fault"),
         ("plugin.orphans.prune", "problem: --pafot-prune: ValueError: a fault"),
-        ("report.draft.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        ("report.session_report.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
     ids=["records", "prune", "report", "summary"],
@@ -123,7 +123,7 @@ def test_an_interrupt_while_the_report_is_written_costs_the_report_alone(project
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.report.draft.write_report", interrupted)
+    monkeypatch.setattr("pytest_pafot.report.session_report.write_report", interrupted)
     result = project.run("--pafot-report=x/")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x/: not written: KeyboardInterrupt*"])

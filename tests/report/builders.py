@@ -9,7 +9,6 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.report.campaign_view import campaign_view
@@ -59,7 +58,7 @@ def finding_of(trace, **more):
 
 def view_of(trace, **more):
     finding = finding_of(trace)
-    fields = {"node_id": f"{TEST}[saved-{finding.id}]", "yaml": text_of(finding)} | more
+    fields = {"node_id": f"{TEST}[saved-{finding.id}]"} | more
     return finding_view(trace, finding, **fields)
 
 

@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
@@ -123,7 +122,7 @@ def test_reference_drivers_that_survived_count_as_tried():
     trace = cut_in_trace()
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, preventable_by=("idm-aeb",)))
-    view = finding_view(trace, finding, node_id="n", yaml="", preventable_tried=("careful-human", "idm-aeb"))
+    view = finding_view(trace, finding, node_id="n", preventable_tried=("careful-human", "idm-aeb"))
     assert view.preventable_by == ("idm-aeb",)
     assert view.preventable_tried == ("idm-aeb", "careful-human")
 
@@ -134,7 +133,7 @@ def test_the_command_survives_a_shell():
 
 def test_a_finding_that_nobody_saw_has_instructions_and_no_frames():
     finding = finding_of(cut_in_trace())
-    view = finding_view(None, finding, node_id="n", yaml=text_of(finding))
+    view = finding_view(None, finding, node_id="n")
     assert view.times == view.vehicles == ()
     assert view.duration == 0
     assert view.headline
@@ -172,5 +171,5 @@ def test_accelerations_are_those_of_the_record_and_the_jerk_is_the_largest_since
 def test_a_view_says_what_failed(failure, shown):
     finding = finding_of(cut_in_trace())
     expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)
-    view = finding_view(cut_in_trace(), replace(finding, expect=expect), node_id="n", yaml="")
+    view = finding_view(cut_in_trace(), replace(finding, expect=expect), node_id="n")
     assert view.assertion == shown

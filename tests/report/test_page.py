@@ -208,7 +208,7 @@ def test_every_kind_of_view_renders_whatever_it_holds():
 
 def test_a_finding_that_nothing_could_simplify_says_so_without_a_table():
     same = shrink_view(CUT_IN, CUT_IN, rollouts=41, notes=["any speed from 3 to 11 m/s still fails"])
-    page = render_page(Report(title="t", findings=(view_of(cut_in_trace(), shrink=same),)))
+    page = render_page(Report(title="t", findings=(replace(view_of(cut_in_trace()), shrink=same),)))
     assert "Nothing simpler found in 41 runs" in page
     assert "any speed from 3 to 11 m/s still fails" in page
     assert "as found" not in page

@@ -29,7 +29,7 @@ def hand_made_trace():
 
 
 def hand_made_finding():
-    return view_of(hand_made_trace(), yaml="test: '<its>' file\n", preventable_tried=("idm-aeb",))
+    return replace(view_of(hand_made_trace(), preventable_tried=("idm-aeb",)), yaml="test: '<its>' file\n")
 
 
 def hand_made_campaign():

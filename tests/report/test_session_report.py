@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.report.folder import report_files
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.session_report import report_files
 from tests.report.builders import real_report
 
 pytest.importorskip("PIL.Image", reason="Pillow draws the animations")

@@ -1,8 +1,9 @@
-"""A report in the making: what a session has told so far, the order in which it is shown, and how it is written."""
+"""The report of a session: what it has told so far, in which order that is shown, and in which files it is written."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,13 +14,14 @@ from typing import Any
 
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.files import write_whole
-from pytest_pafot.report.animation import AnimationError
-from pytest_pafot.report.folder import PAGE, report_files
+from pytest_pafot.report.animation import AnimationError, animate
+from pytest_pafot.report.finding_markup import finding_keys
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import NEW, CampaignView, FindingView, Report
 from pytest_pafot.text import plural
 from pytest_pafot.versions import installed_versions
 
+PAGE = "index.html"
 ORDER = ("ego", "both", "npc", "none")
 """Of findings by responsibility: what the policy answers for comes first."""
 
@@ -125,6 +127,18 @@ def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
     more = f", {plural(pictures, 'moving picture')}" if pictures else ""
     problem = f"--pafot-report={target}: the page is there, pictures are not{missing}" if missing else ""
     return f"report: {shown} ({_counts(report.findings, report.errors)}{more})", problem
+
+
+def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each file of a folder: the page, then a moving picture of each finding that somebody saw.
+
+    Raises:
+        AnimationError: when a picture is due and Pillow is missing; the page has been given by then.
+    """
+    yield PAGE, render_page(report).encode()
+    for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
+        if finding.times:
+            yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
 
 
 def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
