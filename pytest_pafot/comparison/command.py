@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.options import cores
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
 from pytest_pafot.comparison.resumable_runs import WorkerDied, run_all
 from pytest_pafot.files import write_whole
@@ -94,10 +94,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
     try:
         plan = checked(plan_of(arguments))
-        workers = _workers(arguments.workers)
+        if arguments.workers is not None and arguments.workers < 1:
+            raise PlanError(f"--workers: expected at least 1, received {arguments.workers}")
         _check_libraries()  # What is wrong on the command line is told before anything is installed for it.
         folder = Path(arguments.out)
-        results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+        results = run_all(plan, folder, workers=arguments.workers or cores(), told=sys.stderr, clock=time.monotonic)
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, WorkerDied) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
@@ -163,14 +164,6 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
     world = replace(World(arguments.env), **given)
     world.check()
     return world
-
-
-def _workers(given: int | None) -> int:
-    if given is not None and given < 1:
-        raise PlanError(f"--workers: expected at least 1, received {given}")
-    if given is not None:
-        return given
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_libraries() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -18,9 +18,9 @@ from matplotlib.ticker import MaxNLocator
 from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.markdown import BIN_SECONDS
 from pytest_pafot.comparison.paper import PAPER, PAPER_GENERATIONS, Reported
+from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of
 from pytest_pafot.files import write_whole
-from pytest_pafot.trace import FloatArray
 
 SETTINGS: Any = {
     "font.size": 9.5,
@@ -38,14 +38,23 @@ POINTS = 300
 """On a curve over time."""
 
 
-@dataclass(frozen=True, slots=True)
-class Style:
+class Style(NamedTuple):
     """How an algorithm looks; colours differ in lightness, and everything else differs too."""
 
     colour: str
-    line: str
+    line: Any
     marker: str
     hatch: str
+
+    @property
+    def bar(self) -> dict[str, Any]:
+        """Of bars."""
+        return {"color": self.colour, "hatch": self.hatch, "edgecolor": "white", "linewidth": 0}
+
+    @property
+    def curve(self) -> dict[str, Any]:
+        """Of lines with markers."""
+        return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
 STYLES = (
@@ -53,21 +62,21 @@ STYLES = (
     Style("#c8622c", "--", "s", "///"),
     Style("#8fae91", "-.", "^", "..."),
     Style("#6b4c9a", ":", "D", "xxx"),
-    Style("#d9b310", (0, (5, 1, 1, 1, 1, 1)), "v", "\\\\\\"),  # type: ignore[arg-type]
-    Style("#3f9a9a", (0, (1, 1)), "P", "+++"),  # type: ignore[arg-type]
-    Style("#808080", (0, (8, 3)), "X", "---"),  # type: ignore[arg-type]
-    Style("#b8325a", (0, (3, 1)), "*", "ooo"),  # type: ignore[arg-type]
+    Style("#d9b310", (0, (5, 1, 1, 1, 1, 1)), "v", "\\\\\\"),
+    Style("#3f9a9a", (0, (1, 1)), "P", "+++"),
+    Style("#808080", (0, (8, 3)), "X", "---"),
+    Style("#b8325a", (0, (3, 1)), "*", "ooo"),
 )
 
 
-def style_of(results: Results, algorithm: str) -> Style:
-    """How an algorithm looks, by its place."""
-    return STYLES[results.plan.names.index(algorithm) % len(STYLES)]
+def _each(results: Results) -> Iterator[tuple[int, str, Style, pd.DataFrame]]:
+    """Place, name and looks of every algorithm, and the measures of its runs."""
+    for place, name in enumerate(results.plan.names):
+        yield place, name, STYLES[place % len(STYLES)], of(name, results.whole)
 
 
-def simulated(results: Results, algorithm: str) -> pd.DataFrame:
-    """The rows of its unique scenarios."""
-    return of(algorithm, results.frame[~results.frame["duplicate"]])
+def _unique(results: Results) -> pd.DataFrame:
+    return results.frame[~results.frame["duplicate"]]
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
@@ -92,172 +101,102 @@ def draw_all(results: Results, folder: Path) -> dict[str, str]:
 def _totals(axes: Axes, results: Results) -> None:
     """All scenarios, in total over all runs, and the paper's beside them."""
     width, reported = 0.36, [name for name in results.plan.names if name in PAPER]
-    for place, name in enumerate(results.plan.names):
-        style, runs = style_of(results, name), of(name, results.whole)
+    for place, name, style, runs in _each(results):
         counts = int(runs["collisions"].sum()), int(runs["scenarios"].sum())
-        offset = -width / 2 - 0.02 if name in reported else 0.0
-        _stacked(axes, place + offset, width, counts[0], counts[1], style, is_paper=False)
+        _stacked(axes, place - (width / 2 + 0.02 if name in reported else 0.0), width, counts, style, alpha=1.0)
         if name in reported:
-            told, beside = PAPER[name], place + width / 2 + 0.02
-            _stacked(axes, beside, width, told.collisions, told.scenarios, style, is_paper=True)
+            told = PAPER[name].collisions, PAPER[name].scenarios
+            _stacked(axes, place + width / 2 + 0.02, width, told, style, alpha=0.35)
     axes.set_xticks(range(len(results.plan.names)), results.plan.names)
     axes.set_ylabel("scenarios in all runs")
     axes.grid(visible=False, axis="x")
     axes.margins(y=0.12)
-    note = "filled: collision, white: none"
-    axes.set_title(note + ("; pale: the paper's, on CARLA" if reported else ""), fontsize=9, loc="left")
+    paler = "; pale: the paper's, on CARLA" if reported else ""
+    axes.set_title(f"filled: collision, white: none{paler}", fontsize=9, loc="left")
 
 
-def _stacked(axes: Axes, x: float, width: float, hits: int, total: int, style: Style, *, is_paper: bool) -> None:
-    alpha = 0.35 if is_paper else 1.0
-    edge = "#444444"
-    axes.bar(x, hits, width, color=style.colour, alpha=alpha, hatch=style.hatch, edgecolor="white", linewidth=0)
-    axes.bar(x, hits, width, facecolor="none", edgecolor=edge, linewidth=0.8)
-    axes.bar(x, total - hits, width, bottom=hits, facecolor="white", edgecolor=edge, linewidth=0.8)
-    share = f"{hits / total:.0%}".replace("%", " %") if total else ""
-    axes.annotate(
-        f"{hits} of\n{total}\n{share}", (x, total), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7.5
-    )
+def _stacked(axes: Axes, x: float, width: float, counts: tuple[int, int], style: Style, *, alpha: float) -> None:
+    hits, total = counts
+    edge: Any = {"edgecolor": "#444444", "linewidth": 0.8}
+    axes.bar(x, hits, width, alpha=alpha, **style.bar)
+    axes.bar(x, hits, width, facecolor="none", **edge)
+    axes.bar(x, total - hits, width, bottom=hits, facecolor="white", **edge)
+    text = f"{hits} of\n{total}\n" + (f"{hits / total:.0%}".replace("%", " %") if total else "")
+    axes.annotate(text, (x, total), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7.5)
 
 
-def _collisions_over_time(axes: Axes, results: Results) -> None:
-    _curves(axes, results, lambda frame: frame["outcome"] == "collision", "unique collisions of a run")
-
-
-def _discoveries(axes: Axes, results: Results) -> None:
-    _curves(
-        axes,
-        results,
-        lambda frame: (
-            frame["is_ego_failure"]
-            & ~frame.loc[frame["is_ego_failure"], "signature"].duplicated().reindex(frame.index, fill_value=False)
-        ),
-        "distinct ego-responsible failures of a run",
-    )
-
-
-def _curves(axes: Axes, results: Results, counts: Callable[[pd.DataFrame], Any], label: str) -> None:
+def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.DataFrame], pd.Series[bool]]) -> None:
     """Means over the runs as far as all of them reach, and the range of their middle half."""
-    for name in results.plan.names:
-        runs, style = of(name, results.whole), style_of(results, name)
+    rows = _unique(results)
+    rows = rows[counts(rows)]
+    for _, name, style, runs in _each(results):
         times = np.linspace(0.0, runs["seconds"].min(), POINTS)
-        rows = np.stack([_cumulated(run, counts, times) for _, run in simulated(results, name).groupby("run")])
+        of_runs = [of(name, rows[rows["run"] == run])["clock"].sort_values() for run in runs["run"]]
+        cumulated = np.stack([np.searchsorted(at, times, side="right") for at in of_runs]).astype(np.float64)
         hours = times / SECONDS_PER_HOUR
-        low, high = np.quantile(rows, [0.25, 0.75], axis=0)
-        axes.fill_between(hours, low, high, color=style.colour, alpha=0.15, linewidth=0)
-        axes.plot(
-            hours,
-            rows.mean(axis=0),
-            color=style.colour,
-            linestyle=style.line,
-            marker=style.marker,
-            markevery=(POINTS // 12, POINTS // 6),
-            markersize=4.5,
-            label=name,
+        axes.fill_between(
+            hours, *np.quantile(cumulated, [0.25, 0.75], axis=0), color=style.colour, alpha=0.15, linewidth=0
         )
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("simulated time of a run [h]")
-    axes.set_ylabel(label)
+        markers: Any = {"markevery": (POINTS // 12, POINTS // 6), "markersize": 4.5}
+        axes.plot(hours, cumulated.mean(axis=0), label=name, **style.curve, **markers)
+    axes.set(xlim=(0, None), ylim=(0, None), xlabel="simulated time of a run [h]", ylabel=label)
     axes.set_title("mean of the runs; band: their middle half", fontsize=9, loc="left")
     axes.legend(loc="upper left")
 
 
-def _cumulated(frame: pd.DataFrame, counts: Callable[[pd.DataFrame], Any], times: FloatArray) -> FloatArray:
-    """How many rows count until each time."""
-    at = np.sort(frame["clock"].to_numpy(dtype=float)[np.asarray(counts(frame), dtype=bool)])
-    return np.searchsorted(at, times, side="right").astype(np.float64)
+def _is_collision(rows: pd.DataFrame) -> pd.Series[bool]:
+    return rows["outcome"] == "collision"
 
 
-def _unsafe_per_run(axes: Axes, results: Results) -> None:
-    reported = (lambda told: float(told.per_run[0])) if results.plan.generations == PAPER_GENERATIONS else None
-    _grouped(axes, results, "collisions", "colliding scenarios of a run", reported)
-
-
-def _time_to_collision(axes: Axes, results: Results) -> None:
-    _grouped(
-        axes,
-        results,
-        "collision_time",
-        "mean time to a collision, where there is one [s]",
-        lambda told: told.time_to_collision[0],
-    )
+def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
+    """Whether a failure is the first of its signature in its run."""
+    known = rows[rows["is_ego_failure"]].duplicated(["algorithm", "run", "signature"])
+    return rows["is_ego_failure"] & ~known.reindex(rows.index, fill_value=False)
 
 
 def _grouped(
-    axes: Axes, results: Results, column: str, label: str, reported: Callable[[Reported], float] | None
+    axes: Axes, results: Results, *, column: str, label: str, reported: Callable[[Plan, Reported], float | None]
 ) -> None:
     """A bar for every run of every algorithm, and the paper's mean as a line where it can be compared."""
     width = 0.8 / len(results.plan.names)
-    for place, name in enumerate(results.plan.names):
-        runs, style = of(name, results.whole), style_of(results, name)
+    for place, name, style, runs in _each(results):
         x = runs["run"] + 1 + (place - (len(results.plan.names) - 1) / 2) * width
-        axes.bar(
-            x,
-            runs[column],
-            width * 0.92,
-            color=style.colour,
-            hatch=style.hatch,
-            edgecolor="white",
-            linewidth=0,
-            label=name,
-        )
-        if name in PAPER and reported is not None:
-            height = reported(PAPER[name])
+        axes.bar(x, runs[column], width * 0.92, label=name, **style.bar)
+        height = reported(results.plan, PAPER[name]) if name in PAPER else None
+        if height is not None:
             axes.axhline(height, color=style.colour, linestyle=style.line, linewidth=1.1)
             axes.annotate(
-                f"paper: {name}",
-                (1.0, height),
-                xycoords=("axes fraction", "data"),
-                xytext=(3, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=7.5,
-                color="#333333",
-                annotation_clip=False,
-            )
+                f"paper: {name}", (1.0, height), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                textcoords="offset points", va="center", fontsize=7.5, color="#333333", annotation_clip=False,
+            )  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xticks(range(1, results.plan.runs + 1))
     axes.grid(visible=False, axis="x")
-    axes.set_xlabel("run")
-    axes.set_ylabel(label)
+    axes.set(xlabel="run", ylabel=label)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(results.plan.names))
 
 
 def _collision_times(axes: Axes, results: Results) -> None:
     edges = np.arange(0.0, np.ceil(results.longest / BIN_SECONDS) + 1) * BIN_SECONDS
     width = BIN_SECONDS * 0.84 / len(results.plan.names)
-    for place, name in enumerate(results.plan.names):
-        style = style_of(results, name)
-        times = simulated(results, name)["collision_time"].dropna().to_numpy(dtype=float)
-        counts, _ = np.histogram(times, edges)
-        shares = 100 * counts / max(counts.sum(), 1)
+    for place, name, style, _ in _each(results):
+        counts, _ = np.histogram(of(name, _unique(results))["collision_time"].dropna(), edges)
         x = edges[:-1] + BIN_SECONDS / 2 + (place - (len(results.plan.names) - 1) / 2) * width
-        axes.bar(
-            x, shares, width * 0.94, color=style.colour, hatch=style.hatch, edgecolor="white", linewidth=0,
-            label=f"{name} ({counts.sum()})",
-        )  # fmt: skip
+        shares = 100 * counts / max(counts.sum(), 1)
+        axes.bar(x, shares, width * 0.94, label=f"{name} ({counts.sum()})", **style.bar)
     axes.set_xticks(edges)
     axes.grid(visible=False, axis="x")
-    axes.set_xlabel("time of the collision in its scenario [s]")
-    axes.set_ylabel("share of an algorithm's unique collisions [%]")
+    axes.set(xlabel="time of the collision in its scenario [s]", ylabel="share of an algorithm's unique collisions [%]")
     axes.legend(loc="upper right")
 
 
 def _first_failure(axes: Axes, results: Results) -> None:
-    for name in results.plan.names:
-        style = style_of(results, name)
-        estimate = statistics.survival(*first_failures(of(name, results.whole)))
+    for _, name, style, runs in _each(results):
+        estimate = statistics.survival(*first_failures(runs))
         hours = np.array([0.0, *estimate.times]) / SECONDS_PER_HOUR
-        shares = 100 * np.array([1.0, *estimate.shares])
-        axes.step(
-            hours, shares, where="post", color=style.colour, linestyle=style.line, marker=style.marker, markersize=4,
-            label=name,
-        )  # fmt: skip
-    axes.set_xlim(left=0)
-    axes.set_ylim(0, 103)
-    axes.set_xlabel("simulated time of a run [h]")
-    axes.set_ylabel("runs without an ego-responsible failure [%]")
+        axes.step(hours, 100 * np.array([1.0, *estimate.shares]), where="post", markersize=4, label=name, **style.curve)
+    axes.set(xlim=(0, None), ylim=(0, 103))
+    axes.set(xlabel="simulated time of a run [h]", ylabel="runs without an ego-responsible failure [%]")
     axes.legend(loc="upper right")
 
 
@@ -265,11 +204,37 @@ Draw = Callable[[Axes, Results], None]
 
 FIGURES: Mapping[str, tuple[str, Draw, tuple[float, float]]] = {
     "totals": ("Scenarios and collisions in total, beside the paper's", _totals, (7.0, 3.8)),
-    "collisions-over-time": ("Collisions over simulated time", _collisions_over_time, (6.0, 3.6)),
-    "unsafe-per-run": ("Colliding scenarios of each run", _unsafe_per_run, (7.4, 3.4)),
-    "time-to-collision": ("Mean time to a collision of each run", _time_to_collision, (7.4, 3.4)),
+    "collisions-over-time": (
+        "Collisions over simulated time",
+        partial(_curves, label="unique collisions of a run", counts=_is_collision),
+        (6.0, 3.6),
+    ),
+    "unsafe-per-run": (
+        "Colliding scenarios of each run",
+        partial(
+            _grouped,
+            column="collisions",
+            label="colliding scenarios of a run",
+            reported=lambda plan, told: told.per_run[0] if plan.generations == PAPER_GENERATIONS else None,
+        ),
+        (7.4, 3.4),
+    ),
+    "time-to-collision": (
+        "Mean time to a collision of each run",
+        partial(
+            _grouped,
+            column="collision_time",
+            label="mean time to a collision, where there is one [s]",
+            reported=lambda plan, told: told.time_to_collision[0],
+        ),
+        (7.4, 3.4),
+    ),
     "collision-times": ("When collisions happen", _collision_times, (7.0, 3.6)),
-    "discoveries": ("Distinct ego-responsible failures over simulated time", _discoveries, (6.0, 3.6)),
+    "discoveries": (
+        "Distinct ego-responsible failures over simulated time",
+        partial(_curves, label="distinct ego-responsible failures of a run", counts=_is_discovery),
+        (6.0, 3.6),
+    ),
     "first-failure": ("Until the first ego-responsible failure (Kaplan-Meier)", _first_failure, (6.0, 3.6)),
 }
 """Title, function and size [inches] by the name of the file."""

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TextIO
 
@@ -134,7 +135,7 @@ class Progress:
 
 def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:
     """Each task when its results are written."""
-    work = TaskRunner(plan, folder)
+    work = partial(_run_task, plan, folder)
     if workers == 1:
         for task in tasks:
             work(task, progress.tick)
@@ -155,27 +156,20 @@ def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, w
             yield task
 
 
-@dataclass(frozen=True, slots=True)
-class TaskRunner:
-    """Runs one task and writes its results; a value, so that it travels to workers."""
+def _run_task(plan: Plan, folder: Path, task: Task, tick: Tick) -> None:
+    """Simulate a run, then write all its rows at once, and beside them the wall-clock time."""
+    started, told = time.perf_counter(), -1.0
 
-    plan: Plan
-    folder: Path
+    def tick_sparsely(share: float) -> None:  # every hundredth, so that telling costs nothing
+        nonlocal told
+        if share - told >= 0.01:
+            told = share
+            tick(share)
 
-    def __call__(self, task: Task, tick: Tick) -> None:
-        """Simulate, then write all rows at once, and beside them the wall-clock time."""
-        started, told = time.perf_counter(), -1.0
-
-        def tick_sparsely(share: float) -> None:  # every hundredth, so that telling costs nothing
-            nonlocal told
-            if share - told >= 0.01:
-                told = share
-                tick(share)
-
-        path = self.folder / file_name(*task)
-        text = text_of(run_rows(self.plan, *task, tick_sparsely))
-        write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.1f}\n")
-        write_whole(path, text)
+    path = folder / file_name(*task)
+    text = text_of(run_rows(plan, *task, tick_sparsely))
+    write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.1f}\n")
+    write_whole(path, text)
 
 
 def _duration(seconds: float) -> str:

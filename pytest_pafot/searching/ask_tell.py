@@ -17,7 +17,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
 from pytest_pafot.searching.operators import best_of, improves
-from pytest_pafot.searching.parameters import check_counts
+from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import SearchSpace
 
 
@@ -55,13 +55,22 @@ class Algorithm(Protocol[StateT]):
         ...
 
     def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next; none where a generation brings nothing new."""
+        """The scenarios to evaluate next; none where a generation brings nothing new.
+
+        Raises:
+            RuntimeError: when the last ask has not been told.
+        """
         ...
 
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
-        """Finish the generation that was asked for."""
+        """Finish the generation that was asked for, with its evaluations in the same order.
+
+        Raises:
+            RuntimeError: without an ask before.
+            ValueError: when the evaluations are not those of the scenarios asked for.
+        """
         ...
 
 
@@ -100,7 +109,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     population: int = field(default=4, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_counts(self, population=1)
+        check_parameters(self, population=1)
 
     @abstractmethod
     def start(self, rng: np.random.Generator) -> GenerationStateT:
@@ -117,11 +126,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         return state
 
     def ask(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
-        """The scenarios of the next generation.
-
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
+        """The scenarios of the next generation."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
         return replace(state, asked=tuple(proposed)), tuple(proposed)
@@ -129,12 +134,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     def tell(
         self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
+        """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(state.asked, evaluations)
         kept = self.kept(state)
         finished = GenerationFinished(

@@ -24,7 +24,8 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
+from pytest_pafot.searching.operators import with_chain
+from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.trace import FloatArray
 
@@ -106,9 +107,9 @@ class AvFuzzerSearch:
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
-        check_counts(self, slices=1, local_generations=0, local_after=0, restart_after=1)
-        check_rates(self, "crossover_rate", "mutation_rate")
-        check_factor(self, "local_mutation_factor")
+        rates, factors = ("crossover_rate", "mutation_rate"), ("local_mutation_factor",)
+        counts = {"slices": 1, "local_generations": 0, "local_after": 0, "restart_after": 1}
+        check_parameters(self, rates=rates, factors=factors, **counts)
 
     @property
     def sliced(self) -> SearchSpace:
@@ -120,11 +121,7 @@ class AvFuzzerSearch:
         return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
 
     def ask(self, state: AvFuzzerState, rng: np.random.Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
-        """The scenarios of the next generation that crossover or mutation touched; there may be none.
-
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
+        """The scenarios of the next generation that crossover or mutation touched; there may be none."""
         check_ask(state.asked)
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
@@ -132,12 +129,7 @@ class AvFuzzerSearch:
     def tell(
         self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: np.random.Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
+        """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
         population = list(state.local_population if state.local_generation else state.population)
         is_random = not population
@@ -154,7 +146,9 @@ class AvFuzzerSearch:
         selected = tuple(population)
         if not is_random and state.local_generation != 1:
             selected = roulette(selected, rng)
-        state = replace(state, checkpoints=(*state.checkpoints, _features(selected)))
+        state = replace(
+            state, checkpoints=(*state.checkpoints, np.stack([features(member.scenario) for member in selected]))
+        )
         step = self._after_local_generation if state.local_generation else self._after_generation
         state, events = step(state, selected, rng)
         return state, (finished, *events)
@@ -224,7 +218,7 @@ class AvFuzzerSearch:
     def _after_local_generation(
         self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: np.random.Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
-        best = max((*selected, *_some(state.local_best)), key=_weight)
+        best = max((*selected, *([] if state.local_best is None else [state.local_best])), key=_weight)
         state = replace(state, local_population=selected, local_best=best)
         if state.local_generation <= self.local_generations:
             return replace(state, local_generation=state.local_generation + 1), ()
@@ -258,8 +252,7 @@ class AvFuzzerSearch:
 def swapped(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:
     """Two scenarios that have exchanged the NPC of one random index, the same in both."""
     npc = int(rng.integers(len(a.npcs)))
-    first = (*a.npcs[:npc], b.npcs[npc], *a.npcs[npc + 1 :])
-    second = (*b.npcs[:npc], a.npcs[npc], *b.npcs[npc + 1 :])
+    first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
     return replace(a, npcs=first), replace(b, npcs=second)
 
 
@@ -282,8 +275,7 @@ def mutated(scenario: Scenario, top_step: int, rng: np.random.Generator) -> Scen
         after = replace(before, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
     elif kind == 1:
         after = replace(before, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
-    changed = (*chain[:gene], after, *chain[gene + 1 :])
-    return replace(scenario, npcs=(*scenario.npcs[:npc], changed, *scenario.npcs[npc + 1 :]))
+    return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:gene], after, *chain[gene + 1 :])))
 
 
 def roulette(population: Sequence[Evaluation], rng: np.random.Generator) -> tuple[Evaluation, ...]:
@@ -332,13 +324,5 @@ def distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return mean
 
 
-def _features(population: Sequence[Evaluation]) -> FloatArray:
-    return np.stack([features(member.scenario) for member in population])
-
-
 def _weight(evaluation: Evaluation) -> float:
     return evaluation.fitness if evaluation.eligible else -math.inf
-
-
-def _some(best: Evaluation | None) -> tuple[Evaluation, ...]:
-    return () if best is None else (best,)

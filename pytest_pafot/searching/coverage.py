@@ -45,14 +45,6 @@ class Coverage:
     driven: Counter[Key] = field(default_factory=Counter)
     reached: Counter[Key] = field(default_factory=Counter)
 
-    @classmethod
-    def of(cls, simulated: Iterable[Evaluation]) -> Coverage:
-        """Counted over simulated runs."""
-        coverage = cls()
-        for evaluation in simulated:
-            coverage = coverage.counted(evaluation)
-        return coverage
-
     def counted(self, evaluation: Evaluation) -> Coverage:
         """With one more run."""
         depth = evaluation.depth if evaluation.genes_started else 0

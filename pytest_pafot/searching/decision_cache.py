@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.evaluation_cache import Chains, plain_chains
 from pytest_pafot.trace import Trace
 
 DECISIONS = 100_000
@@ -13,7 +14,6 @@ DECISIONS = 100_000
 
 _Key = tuple[object, ...]
 _Actions = tuple[Any, ...]
-_Chains = tuple[tuple[tuple[object, float], ...], ...]
 
 
 class DecisionCache:
@@ -39,65 +39,40 @@ class DecisionCache:
 
     def remember(self, trace: Trace) -> None:
         """Keep the decisions of a run, in the place of older ones that were the same."""
-        actions = trace.actions
+        actions, scenario = trace.actions, trace.scenario
         if not actions or len(actions) > self._room:
             return
-        gene_ticks, every = round(trace.scenario.gene_seconds * trace.physics_hz), trace.physics_hz // trace.ads_hz
-        asked = driven = _chains(trace.scenario)
-        if trace.executed is not trace.scenario:
-            driven = _chains(trace.executed)
+        gene_ticks, every = round(scenario.gene_seconds * trace.physics_hz), trace.physics_hz // trace.ads_hz
+        asked, driven = plain_chains(scenario), plain_chains(trace.executed)
         keys = []
-        for genes in range(1, _genes_begun(trace, gene_ticks) + 1):
+        for genes in range(1, min(-(-trace.ticks // max(gene_ticks, 1)), scenario.genes) + 1):
             count = min(genes * gene_ticks // every + 1, len(actions))
-            for key in _keys_of_run(trace.scenario, _cut(asked, genes), _cut(driven, genes)):
+            by_chains, by_seed = _key(scenario, driven, genes, None), _key(scenario, asked, genes, scenario.seed)
+            by_both = [by_chains] if by_chains[-1] == by_seed[-1] else [by_chains, by_seed]
+            for key in by_both if scenario.positions else [by_seed]:
                 self._known[key] = (actions, count)
                 keys.append(key)
         self._runs.append((actions, keys))
         self._kept += len(actions)
         while self._kept > self._room:
-            self._forget_oldest()
-
-    def _forget_oldest(self) -> None:
-        actions, keys = self._runs.popleft()
-        self._kept -= len(actions)
-        for key in keys:
-            if key in self._known and self._known[key][0] is actions:  # else a later run has taken its place
-                del self._known[key]
+            oldest, keys = self._runs.popleft()
+            self._kept -= len(oldest)
+            for key in keys:
+                if key in self._known and self._known[key][0] is oldest:  # else a later run has taken its place
+                    del self._known[key]
 
     def recall(self, scenario: Scenario) -> _Actions:
         """The first decisions in a run of the scenario, as far as earlier runs tell; often none."""
-        chains = _chains(scenario)
+        chains = plain_chains(scenario)
         for genes in range(scenario.genes, 0, -1):
-            shared = _cut(chains, genes)
             for seed in (None, scenario.seed):
-                known = self._known.get(_key(scenario, shared, seed))
+                known = self._known.get(_key(scenario, chains, genes, seed))
                 if known is not None:
                     actions, count = known
                     return actions[:count]
         return ()
 
 
-def _genes_begun(trace: Trace, gene_ticks: int) -> int:
-    return min(-(-trace.ticks // max(gene_ticks, 1)), trace.scenario.genes)
-
-
-def _keys_of_run(scenario: Scenario, asked: _Chains, driven: _Chains) -> list[_Key]:
-    """By the chains as driven whatever the seed, and by those asked for with the seed, where these are others."""
-    by_seed = _key(scenario, asked, scenario.seed)
-    if not scenario.positions:
-        return [by_seed]
-    by_chains = _key(scenario, driven, None)
-    return [by_chains] if asked == driven else [by_chains, by_seed]
-
-
-def _chains(scenario: Scenario) -> _Chains:
-    """The genes as plain values, which are hashed and compared sooner."""
-    return tuple([tuple([(gene.target, gene.speed) for gene in chain]) for chain in scenario.npcs])
-
-
-def _cut(chains: _Chains, genes: int) -> _Chains:
-    return tuple([chain[:genes] for chain in chains])
-
-
-def _key(scenario: Scenario, chains: _Chains, seed: int | None) -> _Key:
-    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, seed, chains
+def _key(scenario: Scenario, chains: Chains, genes: int, seed: int | None) -> _Key:
+    shared = tuple([chain[:genes] for chain in chains])
+    return scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, seed, shared

@@ -23,7 +23,7 @@ from pytest_pafot.searching.ask_tell import GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
-from pytest_pafot.searching.parameters import check_counts
+from pytest_pafot.searching.parameters import check_parameters
 
 SPEED_NICHE = 5.0
 """Width of a niche in closing speed [m/s]."""
@@ -87,7 +87,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     def __post_init__(self) -> None:
         NicheSearch.__post_init__(self)
-        check_counts(self, most_mutations=1)
+        check_parameters(self, most_mutations=1)
 
     def start(self, rng: np.random.Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""

@@ -9,7 +9,9 @@ from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
-_Chains = tuple[tuple[float, ...], ...]
+Chains = tuple[tuple[float, ...], ...]
+"""One number for each gene."""
+
 _Key = tuple[object, ...]
 
 
@@ -22,7 +24,7 @@ class EvaluationCache:
     """
 
     def __init__(self) -> None:
-        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}
+        self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
         self._depths: list[int] = []
 
     @classmethod
@@ -38,25 +40,21 @@ class EvaluationCache:
         depth = evaluation.depth
         if depth not in self._depths:
             self._depths = sorted([*self._depths, depth])
-        asked = driven = _chains(evaluation.scenario)
+        asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
-            driven = _chains(evaluation.executed)
+            driven = plain_chains(evaluation.executed)
         # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
         seed = None if evaluation.scenario.positions else evaluation.scenario.seed
-        self._runs(_key(evaluation.scenario, driven, depth)).setdefault(seed, evaluation)
-        if asked != driven:
-            self._runs(_key(evaluation.scenario, asked, depth)).setdefault(evaluation.scenario.seed, evaluation)
-
-    def _runs(self, key: _Key) -> dict[int | None, Evaluation]:
-        """Those with a key, by the seed that they depend on, if they do."""
-        return self._evaluations.setdefault(key, {})
+        keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
+        for chains, needed in keys:
+            self._evaluations.setdefault(_key(evaluation.scenario, chains, depth), {}).setdefault(needed, evaluation)
 
     def recall(self, scenario: Scenario) -> Evaluation | None:
         """The evaluation that a run of the scenario would have, or None when no earlier run tells.
 
         Its genes that no run came to are the scenario's own, so that the search can still use them.
         """
-        chains = _chains(scenario)
+        chains = plain_chains(scenario)
         for depth in self._depths:
             runs = self._evaluations.get(_key(scenario, chains, depth))
             if runs is None:
@@ -78,7 +76,7 @@ def _driven(known: Evaluation, scenario: Scenario, depth: int) -> Scenario:
     return repaired(chains, scenario.seed, scenario)
 
 
-def _chains(scenario: Scenario) -> _Chains:
+def plain_chains(scenario: Scenario) -> Chains:
     """One number for each gene, which is hashed and compared sooner than the gene; speeds are at most 1000 m/s."""
     return tuple([tuple([10_000 * _code(gene) + gene.speed for gene in chain]) for chain in scenario.npcs])
 
@@ -87,6 +85,6 @@ def _code(gene: Gene) -> int:
     return gene.cell if isinstance(gene, PositionInstruction) else 9 + SHIFTS.index(gene.lane)
 
 
-def _key(scenario: Scenario, chains: _Chains, depth: int) -> _Key:
+def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
     start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds)
     return (*start, depth, *[chain[:depth] for chain in chains])

@@ -15,6 +15,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from numbers import Real
 from types import MappingProxyType
 
@@ -128,7 +129,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
             a function of a Trace that returns a number, higher = worse for the ego, or ``module:function``.
         responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
-            then :func:`steered` by it.
+            then :class:`Steered` by it.
 
     Returns:
         a function that maps invalid runs and NaN to minus infinity, and that raises a :class:`FitnessError`
@@ -138,10 +139,11 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
         FitnessError: for anything else.
     """
     checked = _Checked(_function(fitness))
-    return checked if responsible is None else steered(checked, responsible)
+    return checked if responsible is None else Steered(checked, responsible)
 
 
-def steered(fitness: Fitness, responsible: Responsible) -> Fitness:
+@dataclass(frozen=True, slots=True)
+class Steered:
     """The fitness of a search for collisions that the ego is responsible for (``blame="ego"``).
 
     Two rules, which hold whatever the fitness is:
@@ -152,7 +154,17 @@ def steered(fitness: Fitness, responsible: Responsible) -> Fitness:
        a collision, until 3 s before the impact (the paper's time to manoeuvre). An NPC that rams the ego gains
        nothing by it; a near-miss of the ego earlier in the run keeps its worth.
     """
-    return _Steered(fitness, responsible)
+
+    fitness: Fitness
+    responsible: Responsible
+
+    def __call__(self, trace: Trace) -> float:
+        """The fitness of a run."""
+        if trace.outcome != Outcome.COLLISION:
+            return _bounded(self.fitness(trace))
+        if self.responsible(trace):
+            return 3.0 + _bounded(self.fitness(trace))
+        return _bounded(self.fitness(before_impact(trace)))
 
 
 def before_impact(trace: Trace, seconds: float = MANOEUVRE_SECONDS) -> Trace:
@@ -185,14 +197,6 @@ def before_impact(trace: Trace, seconds: float = MANOEUVRE_SECONDS) -> Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class _Weighted:
-    weights: Weights
-
-    def __call__(self, trace: Trace) -> float:
-        return weighted(trace, self.weights)
-
-
-@dataclass(frozen=True, slots=True)
 class _Checked:
     """A fitness that keeps the module's promises; a value and not a closure, so that it travels to workers."""
 
@@ -216,22 +220,9 @@ class _Checked:
         return _never_nan(float(value))
 
 
-@dataclass(frozen=True, slots=True)
-class _Steered:
-    fitness: Fitness
-    responsible: Responsible
-
-    def __call__(self, trace: Trace) -> float:
-        if trace.outcome != Outcome.COLLISION:
-            return _bounded(self.fitness(trace))
-        if self.responsible(trace):
-            return 3.0 + _bounded(self.fitness(trace))
-        return _bounded(self.fitness(before_impact(trace)))
-
-
 def _function(fitness: object) -> Fitness:
     if isinstance(fitness, Weights):
-        return _Weighted(fitness)
+        return partial(weighted, weights=fitness)
     if isinstance(fitness, str) and fitness in FITNESSES:
         return FITNESSES[fitness]
     names = ", ".join(map(repr, FITNESSES))
@@ -246,22 +237,18 @@ def _function(fitness: object) -> Fitness:
         raise FitnessError(f"fitness: expected {names} or a function of a Trace, received {fitness!r}{hint}")
     if not callable(fitness):
         raise FitnessError(f"fitness: expected {names}, Weights(...) or a function of a Trace, received {fitness!r}")
-    _check_signature(fitness)
-    return fitness
-
-
-def _check_signature(function: Callable[..., object]) -> None:
     try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):
-        return  # builtins without a signature: the first call tells
+        signature = inspect.signature(fitness)
+    except ValueError:  # builtins without a signature: the first call tells
+        return fitness
     try:
         signature.bind(None)
     except TypeError as error:
         raise FitnessError(
-            f"fitness: expected a function that can be called with one Trace, received {_name(function)}{signature} "
+            f"fitness: expected a function that can be called with one Trace, received {_name(fitness)}{signature} "
             f"({error}); take the trace as the first parameter and give the others defaults"
         ) from error
+    return fitness
 
 
 def _name(function: object) -> str:

@@ -15,6 +15,26 @@ MIN_REACHED_SHARE = 0.3
 MAX_USELESS_SHARE = 0.5
 """Of the valid runs, for each kind of run that tests nothing."""
 
+USELESS = (
+    (
+        "never brought an NPC near the ego in its lane",
+        "raise the number of NPCs or genes, or check that the ego drives on the lanes that the NPCs can use",
+    ),
+    (
+        "left all NPCs more than 100 m behind the ego for half of the run or longer",
+        "raise speed_limit to the ego's speed, or check that the ADS keeps the limit",
+    ),
+    (
+        f"had an ego with a mean speed below {BARELY_MOVING:g} m/s",
+        "check that the ADS returns accelerations in m/s^2 and that the factory makes a fresh one",
+    ),
+    (
+        "collided within the first second, before an NPC can have caused it",
+        "check that the ego starts on a free lane and that the ADS steers in rad",
+    ),
+)
+"""What runs that test nothing did, and what to do: without interaction, outran, barely moved, immediate collision."""
+
 IMMEDIATE = 1.0
 """A collision before this time was hardly caused by driving [s]."""
 
@@ -89,11 +109,6 @@ class Health:
         )
 
     @property
-    def unique(self) -> int:
-        """Scenarios that differ in something that a run executed; a campaign simulates no others."""
-        return self.simulated
-
-    @property
     def reused(self) -> int:
         """Scenarios that were not simulated, since an earlier run showed what they do."""
         return self.evaluated - self.simulated
@@ -108,69 +123,32 @@ class Health:
         """Of the genes started, those whose cell was reached; 0 when none was started."""
         return _share(self.genes_reached, self.genes_started)
 
-    @property
-    def invalid_share(self) -> float:
-        """Of the simulated scenarios."""
-        return _share(self.invalid, self.simulated)
-
     def warnings(self) -> list[str]:
         """What makes the search doubtful, in sentences that say what to do; empty when it is well."""
         if self.simulated == 0:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
-        found = [self._warning_of_no_valid_run(), self._warning_of_invalid_runs(), self._warning_of_unreached_genes()]
-        useless = (
-            (
-                self.no_interaction,
-                "never brought an NPC near the ego in its lane",
-                "raise the number of NPCs or genes, or check that the ego drives on the lanes that the NPCs can use",
-            ),
-            (
-                self.outran,
-                "left all NPCs more than 100 m behind the ego for half of the run or longer",
-                "raise speed_limit to the ego's speed, or check that the ADS keeps the limit",
-            ),
-            (
-                self.barely_moved,
-                f"had an ego with a mean speed below {BARELY_MOVING:g} m/s",
-                "check that the ADS returns accelerations in m/s^2 and that the factory makes a fresh one",
-            ),
-            (
-                self.immediate,
-                "collided within the first second, before an NPC can have caused it",
-                "check that the ego starts on a free lane and that the ADS steers in rad",
-            ),
-        )
-        found += [self._warning_of_useless_runs(*kind) for kind in useless]
-        return [warning for warning in found if warning]
-
-    def _warning_of_no_valid_run(self) -> str:
-        if not self.vacuous:
-            return ""
-        return (
-            f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash between "
-            f"NPCs, {self.discarded} were discarded), so nothing was tested; use fewer NPCs, or reject less"
-        )
-
-    def _warning_of_invalid_runs(self) -> str:
-        if self.invalid_share <= MAX_INVALID_SHARE:
-            return ""
-        return (
-            f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and tested "
-            "nothing, which should be at most 25 %; use fewer NPCs or more lanes"
-        )
-
-    def _warning_of_unreached_genes(self) -> str:
-        if self.genes_started == 0 or self.reached_share >= MIN_REACHED_SHARE:
-            return ""
-        return (
-            f"NPCs reached the cell of only {_percent(self.genes_reached, self.genes_started)} Position-Instructions "
-            "that they began; give them more time (gene_seconds) or a higher speed_limit than the ego's speed"
-        )
-
-    def _warning_of_useless_runs(self, count: int, what: str, remedy: str) -> str:
-        if _share(count, self.valid) <= MAX_USELESS_SHARE:
-            return ""
-        return f"{_percent(count, self.valid)} valid runs {what}; {remedy}"
+        found = []
+        if self.vacuous:
+            found.append(
+                f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
+                f"between NPCs, {self.discarded} were discarded), so nothing was tested; use fewer NPCs, or reject less"
+            )
+        if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
+            found.append(
+                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
+                "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
+            )
+        if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
+            found.append(
+                f"NPCs reached the cell of only {_percent(self.genes_reached, self.genes_started)} "
+                "Position-Instructions that they began; give them more time (gene_seconds) or a higher speed_limit "
+                "than the ego's speed"
+            )
+        useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
+        for count, (what, remedy) in zip(useless, USELESS, strict=True):
+            if _share(count, self.valid) > MAX_USELESS_SHARE:
+                found.append(f"{_percent(count, self.valid)} valid runs {what}; {remedy}")
+        return found
 
 
 def _share(part: int, whole: int) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationStateT
-from pytest_pafot.searching.parameters import check_counts, check_rates
+from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import sample
 
 
@@ -30,8 +30,7 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
     crossover_rate: float = field(default=0.5, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_counts(self, population=1, random_generations=1)
-        check_rates(self, "crossover_rate")
+        check_parameters(self, rates=("crossover_rate",), population=1, random_generations=1)
 
     def propose(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
         """Random scenarios at first and while there is no parent; then children."""

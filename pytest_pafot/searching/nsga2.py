@@ -17,7 +17,7 @@ from pytest_pafot.scenario import Scenario, positions_of
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import crossover, mutate
-from pytest_pafot.searching.parameters import check_rates
+from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import FloatArray
 
@@ -56,7 +56,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
-        check_rates(self, "crossover_rate", "mutation_rate")
+        check_parameters(self, rates=("crossover_rate", "mutation_rate"))
 
     def start(self, rng: np.random.Generator) -> Nsga2State:
         """The state before the first generation; it needs no draw."""

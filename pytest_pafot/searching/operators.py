@@ -22,8 +22,8 @@ def crossover(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scena
     """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1)."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     return (
-        _child(a, _with_chain(a.npcs, in_a, b.npcs[in_b]), rng),
-        _child(b, _with_chain(b.npcs, in_b, a.npcs[in_a]), rng),
+        _child(a, with_chain(a.npcs, in_a, b.npcs[in_b]), rng),
+        _child(b, with_chain(b.npcs, in_b, a.npcs[in_a]), rng),
     )
 
 
@@ -40,7 +40,7 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: np.random.Generator) -> 
     new = chain[gene]
     while new == chain[gene]:
         new = _fitted(chains, npc, gene, random_instruction(space, rng), bool(rng.integers(2)))
-    return _child(scenario, _with_chain(chains, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
+    return _child(scenario, with_chain(chains, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
 
 
 def _fitted(
@@ -103,7 +103,8 @@ def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
     return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
 
 
-def _with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
+def with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
+    """The chains with another one for an NPC."""
     return (*chains[:npc], chain, *chains[npc + 1 :])
 
 

@@ -26,7 +26,7 @@ from pytest_pafot.searching.events import (
     Restarted,
 )
 from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
-from pytest_pafot.searching.parameters import check_counts, check_factor, check_rates
+from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import SearchSpace, sample
 
 
@@ -96,30 +96,21 @@ class PafotSearch:
     def __post_init__(self) -> None:
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, an elite and a child, received {self.population!r}")
-        check_rates(self, "crossover_rate", "mutation_rate", "elite_share")
+        rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
+        counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
+        check_parameters(self, rates=rates, factors=factors, **counts)
         if self.elite_share * self.population > self.population - 1:
             raise ValueError(
                 f"elite_share: expected room for a child in a population of {self.population}, received "
                 f"{self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
             )
-        check_counts(self, local_generations=0, local_after=0, restart_after=1, breeding_attempts=0)
-        check_factor(self, "local_mutation_factor")
-
-    @property
-    def local_mutation_rate(self) -> float:
-        """The mutation rate in a local search."""
-        return min(1.0, self.mutation_rate * self.local_mutation_factor)
 
     def start(self, rng: np.random.Generator) -> PafotState:
         """The state before the first generation, whose population is random and valid (section 3.2)."""
         return PafotState(fresh=self._random_population(rng))
 
     def ask(self, state: PafotState, rng: np.random.Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
-        """The scenarios to evaluate next: those of a generation that are not known already.
-
-        Raises:
-            RuntimeError: when the last ask has not been told.
-        """
+        """The scenarios to evaluate next: those of a generation that are not known already."""
         check_ask(state.asked)
         if not state.fresh:
             state = self._bred(state, rng)
@@ -128,12 +119,7 @@ class PafotSearch:
     def tell(
         self, state: PafotState, evaluations: Sequence[Evaluation], rng: np.random.Generator
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        """Finish a generation with the evaluations of what was asked for, in the same order.
-
-        Raises:
-            RuntimeError: without an ask before.
-            ValueError: when the evaluations are not those of the scenarios asked for.
-        """
+        """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(state.asked, evaluations)
         finished = GenerationFinished(
             generation=state.generation,
@@ -172,9 +158,9 @@ class PafotSearch:
         self, population: tuple[Evaluation, ...], rng: np.random.Generator, *, local: bool
     ) -> tuple[Scenario, Scenario]:
         """Two children of two parents, varied at the rates of the search."""
-        crossover_rate, mutation_rate = (
-            (0.0, self.local_mutation_rate) if local else (self.crossover_rate, self.mutation_rate)
-        )
+        crossover_rate, mutation_rate = self.crossover_rate, self.mutation_rate
+        if local:
+            crossover_rate, mutation_rate = 0.0, min(1.0, mutation_rate * self.local_mutation_factor)
         a, b = (parent.executed for parent in parents(population, rng))
         if rng.random() < crossover_rate:
             a, b = crossover(a, b, rng)
@@ -183,12 +169,11 @@ class PafotSearch:
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: np.random.Generator) -> Scenario:
         """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""
-        mutant = mutate(incumbent.executed, self.space, rng)
         for _ in range(self.breeding_attempts):
-            if known.recall(mutant) is None:
-                break
             mutant = mutate(incumbent.executed, self.space, rng)
-        return mutant
+            if known.recall(mutant) is None:
+                return mutant
+        return mutate(incumbent.executed, self.space, rng)
 
     def _after_generation(
         self, state: PafotState, population: tuple[Evaluation, ...], rng: np.random.Generator
@@ -200,40 +185,23 @@ class PafotSearch:
             state = replace(state, best=candidate, improved_at=generation)
             if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
                 return replace(state, generation=generation + 1), (best,)
-            return self._local_search(state, candidate, rng), (
-                best,
-                LocalSearchStarted(generation=generation, incumbent=candidate),
-            )
+            # A fresh population: the incumbent, and mutants of it that each differ from it by one mutation.
+            known = EvaluationCache.of([candidate])
+            mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
+            state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
+            return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))
         if generation - state.improved_at >= self.restart_after:
             restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
-            return self._restarted(generation + 1, rng), (restarted,)
+            fresh, after = self._random_population(rng), generation + 1
+            return PafotState(generation=after, restarted_at=after, improved_at=after, fresh=fresh), (restarted,)
         return replace(state, generation=generation + 1), ()
-
-    def _restarted(self, generation: int, rng: np.random.Generator) -> PafotState:
-        return PafotState(
-            generation=generation,
-            restarted_at=generation,
-            improved_at=generation,
-            fresh=self._random_population(rng),
-        )
-
-    def _local_search(self, state: PafotState, incumbent: Evaluation, rng: np.random.Generator) -> PafotState:
-        """A fresh population: the incumbent, and mutants of it that each differ from it by one mutation."""
-        known = EvaluationCache.of([incumbent])
-        mutants = tuple(self._mutant(incumbent, known, rng) for _ in range(self.population - 1))
-        return replace(state, local_generation=1, kept=(incumbent,), fresh=mutants)
 
     def _after_local_generation(
         self, state: PafotState, population: tuple[Evaluation, ...]
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         if state.local_generation <= self.local_generations:
             return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
-        return self._local_search_finished(state, population)
-
-    def _local_search_finished(
-        self, state: PafotState, population: tuple[Evaluation, ...]
-    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
-        """Put the best of the local search in the incumbent's place in the main population (section 3.6)."""
+        # The best of the local search takes the incumbent's place in the main population (section 3.6).
         incumbent, candidate = state.best, best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
         replaced = candidate is not None and improves(candidate, incumbent)

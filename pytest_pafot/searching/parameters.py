@@ -6,37 +6,21 @@ import math
 from typing import Any
 
 
-def check_counts(search: Any, **least: int) -> None:
-    """Refuse counts that are too small.
+def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
+    """Refuse numbers that are too small or too large.
 
     Args:
-        search: with attributes of these names.
-        least: the smallest value of each.
+        search: with attributes of all names.
+        rates: names of probabilities and shares.
+        factors: names of factors, finite and at least 0.
+        least: names of counts, and the smallest value of each.
 
     Raises:
-        ValueError: naming the first that is smaller.
+        ValueError: naming the first that is wrong.
     """
-    for name, bound in least.items():
-        if getattr(search, name) < bound:
-            raise ValueError(f"{name}: expected a count of at least {bound}, received {getattr(search, name)!r}")
-
-
-def check_rates(search: Any, *names: str) -> None:
-    """Refuse attributes of these names that are no probabilities and no shares.
-
-    Raises:
-        ValueError: naming the first that is not.
-    """
-    for name in names:
-        if not 0 <= getattr(search, name) <= 1:
-            raise ValueError(f"{name}: expected a number from 0 to 1, received {getattr(search, name)!r}")
-
-
-def check_factor(search: Any, name: str) -> None:
-    """Refuse a factor that is negative, infinite or no number.
-
-    Raises:
-        ValueError: naming it.
-    """
-    if not 0 <= getattr(search, name) < math.inf:
-        raise ValueError(f"{name}: expected a finite number, at least 0, received {getattr(search, name)!r}")
+    limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
+    limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
+    limits |= {name: (bound, math.inf, f"a count of at least {bound}") for name, bound in least.items()}
+    for name, (low, high, expected) in limits.items():
+        if not low <= getattr(search, name) <= high:
+            raise ValueError(f"{name}: expected {expected}, received {getattr(search, name)!r}")

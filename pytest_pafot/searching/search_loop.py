@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, StateT, check_order
-from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
@@ -25,57 +25,6 @@ from pytest_pafot.searching.operators import improves
 
 Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
 """Simulates scenarios and judges them; the results are in the order of the scenarios."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Limits:
-    """What ends a campaign before its generations are finished."""
-
-    max_seconds: float | None
-    clock: Callable[[], float]
-    stop: Callable[[], bool] | None
-
-    def exceeded(self, started: float) -> EndReason | None:
-        if self.stop is not None and self.stop():
-            return "stopped"
-        if self.max_seconds is not None and self.clock() - started >= self.max_seconds:
-            return "time"
-        return None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Tally:
-    """What the finishing event sums up."""
-
-    generations: int = 0
-    evaluated: int = 0
-    simulated: int = 0
-    best: Evaluation | None = None
-    coverage: Coverage = field(default_factory=Coverage)
-
-    def counted(self, event: Event) -> _Tally:
-        if isinstance(event, GenerationFinished) and event.local_generation == 0:
-            return replace(self, generations=self.generations + 1)
-        if not isinstance(event, Evaluated):
-            return self
-        return _Tally(
-            generations=self.generations,
-            evaluated=self.evaluated + 1,
-            simulated=self.simulated + (not event.reused),
-            best=event.evaluation if improves(event.evaluation, self.best) else self.best,
-            coverage=self.coverage if event.reused else self.coverage.counted(event.evaluation),
-        )
-
-    def finished(self, reason: EndReason, seconds: float) -> CampaignFinished:
-        return CampaignFinished(
-            reason=reason,
-            generations=self.generations,
-            evaluated=self.evaluated,
-            simulated=self.simulated,
-            best=self.best,
-            coverage=self.coverage,
-            seconds=seconds,
-        )
 
 
 def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
@@ -123,12 +72,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
     if max_seconds is not None and clock is None:
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
-    limits = _Limits(max_seconds=max_seconds, clock=clock or _timeless, stop=stop)
+    limits = _Limits(max_seconds, clock or (lambda: 0.0), stop)
     return _campaign(algorithm, _Evaluator(evaluate, batch, foresee), limits, generations=generations, seed=seed)
-
-
-def _timeless() -> float:
-    return 0.0
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -136,10 +81,26 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
+class _Limits(NamedTuple):
+    """What ends a campaign before its generations are finished."""
+
+    max_seconds: float | None
+    clock: Callable[[], float]
+    stop: Callable[[], bool] | None
+
+    def exceeded(self, started: float) -> EndReason | None:
+        if self.stop is not None and self.stop():
+            return "stopped"
+        if self.max_seconds is not None and self.clock() - started >= self.max_seconds:
+            return "time"
+        return None
+
+
 def _campaign(
     algorithm: Algorithm[StateT], evaluator: _Evaluator, limits: _Limits, *, generations: int, seed: int
 ) -> Generator[Event, None, None]:
-    tally, started = _Tally(), limits.clock()
+    started = limits.clock()
+    end = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
     yield CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
     state = algorithm.start(generation_rng(seed))
     while state.generation < generations:
@@ -148,9 +109,9 @@ def _campaign(
         evaluations: list[Evaluation] = []
         evaluator.foresee(scenarios)
         for batch in evaluator.batches(scenarios):
-            reason = limits.exceeded(started) if tally.evaluated else None
+            reason = limits.exceeded(started) if end.evaluated else None
             if reason is not None:
-                yield tally.finished(reason, limits.clock() - started)
+                yield replace(end, reason=reason, seconds=limits.clock() - started)
                 return
             for evaluation, reused in evaluator.evaluated(batch):
                 event = Evaluated(
@@ -161,32 +122,42 @@ def _campaign(
                     reused=reused,
                 )
                 evaluations.append(evaluation)
-                tally = tally.counted(event)
+                end = _with_one_more(end, event)
                 yield event
         state, events = algorithm.tell(state, evaluations, rng)
         for told in events:
             # A restart that no generation follows does not take place.
             if not (isinstance(told, Restarted) and told.generation >= generations):
-                tally = tally.counted(told)
+                if isinstance(told, GenerationFinished) and told.local_generation == 0:
+                    end = replace(end, generations=end.generations + 1)
                 yield told
-    yield tally.finished("generations", limits.clock() - started)
+    yield replace(end, seconds=limits.clock() - started)
+
+
+def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
+    """The sums of a campaign after one more evaluation."""
+    return replace(
+        end,
+        evaluated=end.evaluated + 1,
+        simulated=end.simulated + (not event.reused),
+        best=event.evaluation if improves(event.evaluation, end.best) else end.best,
+        coverage=end.coverage if event.reused else end.coverage.counted(event.evaluation),
+    )
 
 
 class _Evaluator:
     """The one gate before each simulation."""
 
-    def __init__(
-        self, evaluate: Evaluate, batch: int, foresee: Callable[[Sequence[Scenario]], None] | None = None
-    ) -> None:
+    def __init__(self, evaluate: Evaluate, batch: int, foresee: Callable[[Sequence[Scenario]], None] | None) -> None:
         self._evaluate = evaluate
         self._batch = batch
         self._foresee = foresee
-        self._memory = EvaluationCache()
+        self._cache = EvaluationCache()
 
     def foresee(self, scenarios: Sequence[Scenario]) -> None:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
         if self._foresee is not None:
-            self._foresee(self._unknown(scenarios))
+            self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None]))
 
     def batches(self, scenarios: Sequence[Scenario]) -> Iterator[Sequence[Scenario]]:
         for first in range(0, len(scenarios), self._batch):
@@ -198,20 +169,17 @@ class _Evaluator:
         Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
         though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
         """
-        recalled = [self._memory.recall(scenario) for scenario in batch]
+        recalled = [self._cache.recall(scenario) for scenario in batch]
         unknown = _distinct([scenario for scenario, known in zip(batch, recalled, strict=True) if known is None])
         results = self._evaluate(unknown) if unknown else ()
         check_order("evaluate", unknown, results)
         for index, scenario in enumerate(batch):
             # What the batch has shown up to here may tell as well.
-            known = self._memory.recall(scenario) if index else recalled[0]
+            known = self._cache.recall(scenario) if index else recalled[0]
             if known is None:
                 new = results[unknown.index(scenario)]
-                self._memory.add(new)
+                self._cache.add(new)
             yield (new, False) if known is None else (known, True)
-
-    def _unknown(self, scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
-        return _distinct([scenario for scenario in scenarios if self._memory.recall(scenario) is None])
 
 
 def _distinct(scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:

@@ -15,6 +15,13 @@ def keys(counter, kind):
     return {key[1:] for key in counter if key[0] == kind}
 
 
+def counted(runs):
+    coverage = Coverage()
+    for run in runs:
+        coverage = coverage.counted(run)
+    return coverage
+
+
 def test_all_that_there_is_to_cover_is_listed_once():
     assert [key[1] for key in CELLS] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert len(set(STEPS)) == len(STEPS) == 24
@@ -26,7 +33,7 @@ def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluati
     run = make_evaluation(
         Scenario(npcs=CHAINS), genes_started=4, genes_reached=2, arrived=((True, False), (True, False))
     )
-    coverage = Coverage.of([run])
+    coverage = counted([run])
     assert keys(coverage.requested, "cell") == {(8,), (1,), (2,), (4,)}
     assert keys(coverage.driven, "cell") == {(8,), (1,), (4,)}
     assert keys(coverage.reached, "cell") == {(8,), (4,)}
@@ -39,7 +46,7 @@ def test_genes_that_the_run_never_came_to_count_as_requested_alone(make_evaluati
 def test_cells_that_were_skipped_to_count_as_driven_instead_of_those_that_no_road_has(make_evaluation):
     chain = (PositionInstruction(2, 8.0), PositionInstruction(3, 8.0))
     run = make_evaluation(Scenario(npcs=(chain,)), driven=((Cell(2), Cell(6)),), arrived=((True, True),))
-    coverage = Coverage.of([run])
+    coverage = counted([run])
     assert keys(coverage.requested, "cell") == {(2,), (3,)}
     assert keys(coverage.driven, "cell") == keys(coverage.reached, "cell") == {(2,), (6,)}
     assert keys(coverage.driven, "bin") == {(1,)}
@@ -47,12 +54,12 @@ def test_cells_that_were_skipped_to_count_as_driven_instead_of_those_that_no_roa
 
 def test_every_run_counts(make_evaluation):
     run = make_evaluation(Scenario(npcs=CHAINS), arrived=((True,) * 3, (True,) * 2))
-    assert Coverage.of([run, run, run]).driven["cell", 4] == 6
+    assert counted([run, run, run]).driven["cell", 4] == 6
 
 
 def test_lane_instructions_cover_speeds_and_no_cells(make_evaluation):
     run = make_evaluation(Scenario(npcs=((LaneInstruction("left", 12.0), LaneInstruction("keep", 3.0)),)))
-    coverage = Coverage.of([run])
+    coverage = counted([run])
     assert set(coverage.requested) == {("bin", 2), ("bin", 0)} == set(coverage.driven)
 
 

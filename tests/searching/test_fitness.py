@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
-from pytest_pafot.searching.fitness import FitnessError, Weights, before_impact, paper, resolve, steered, weighted
+from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
 from pytest_pafot.trace import SPEED, Outcome
 from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
 
@@ -275,11 +275,11 @@ class TestSteeredDefault:
         assert self.rank(alone) < self.rank(miss) <= self.rank(both)
 
     def test_a_fitness_that_is_minus_infinity_stays_so(self):
-        assert steered(lambda trace: -math.inf, front_is_to_blame)(crash()) == -math.inf
+        assert Steered(lambda trace: -math.inf, front_is_to_blame)(crash()) == -math.inf
 
     def test_a_fitness_that_is_infinite_keeps_its_shelf(self):
-        assert steered(lambda trace: math.inf, front_is_to_blame)(crash()) == 4
-        assert steered(lambda trace: math.inf, front_is_to_blame)(harmless()) == 1
+        assert Steered(lambda trace: math.inf, front_is_to_blame)(crash()) == 4
+        assert Steered(lambda trace: math.inf, front_is_to_blame)(harmless()) == 1
 
 
 class TestBeforeImpact:

@@ -55,7 +55,7 @@ def kinds(events):
 def test_the_defaults_are_the_papers_numbers():
     search = PafotSearch()
     assert (search.population, search.crossover_rate, search.mutation_rate, search.elite_share) == (4, 0.5, 0.5, 0.25)
-    assert (search.local_generations, search.local_mutation_rate, search.restart_after) == (1, 0.75, 5)
+    assert (search.local_generations, search.local_mutation_factor, search.restart_after) == (1, 1.5, 5)
 
 
 def test_the_first_generation_is_random_and_of_full_size(driver):
