@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
-from pytest_pafot.trace import Lane
+from pytest_pafot.trace import Lane, Outcome
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.roads.frame import NetworkFrame
@@ -86,7 +86,7 @@ def driven(*vehicles, touched=False):
         rows=rows,
         tick=len(angles) - 1,
         frame=frame,
-    ).trace(touched=touched)
+    ).trace(Outcome.COLLISION if touched else None)
 
 
 def approach(last, radius):

@@ -30,6 +30,9 @@ OWN = "own"
 
 BUILT_IN: dict[str, type[Highway | World]] = {"highway": Highway, "gym": World}
 
+OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
+"""What environments have as their class of other vehicles."""
+
 NAMED_BY = ("kind", "class", "env_id")
 """What must be as in the file where the test names the world. All else may have changed since, and is told."""
 
@@ -77,7 +80,15 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
     if kind == "gym":
         if "env_id" not in values:
             raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
-        _check_class_path(values.get("config"))
+        config = values.get("config")
+        path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
+        if not isinstance(path, str) or not path.startswith("highway_env.vehicle."):  # highway-env imports that class
+            raise WorldError(
+                field="world.config.other_vehicles_type",
+                expected="a class of highway_env.vehicle",
+                received=repr(path),
+                fix="a corpus file may not name other code",
+            )
     return BUILT_IN[kind](**values)
 
 
@@ -87,20 +98,6 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
     if unknown:
         expected = f"the fields {', '.join(sorted(known))}"
         raise WorldError(field=place, expected=expected, received=", ".join(unknown))
-
-
-def _check_class_path(config: Any) -> None:
-    """highway-env imports the class that ``other_vehicles_type`` names; only its own are let through."""
-    if not isinstance(config, dict):
-        return
-    path = config.get("other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle")
-    if not isinstance(path, str) or not path.startswith("highway_env.vehicle."):
-        raise WorldError(
-            field="world.config.other_vehicles_type",
-            expected="a class of highway_env.vehicle",
-            received=repr(path),
-            fix="a corpus file may not name other code",
-        )
 
 
 def _registered() -> dict[str, metadata.EntryPoint]:

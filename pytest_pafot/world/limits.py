@@ -15,23 +15,17 @@ TOP_SPEED = 40.0
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
 """Where a world does not say: the gap between the ego and the cells ahead and behind [m], the headway of NPCs that
 start there [s], and the longest decision of an ADS in wall-clock time [s]."""
-BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
-        "acceleration": (0.1, 100.0),
-        "braking": (0.1, 100.0),
-        "jerk": (0.1, 1000.0),
-        "lateral_acceleration": (0.1, 100.0),
-        "overspeed": (1.0, 8.0),
-        "heading": (0.01, math.pi / 4),
+        "acceleration": (0.1, 100.0, ""),
+        "braking": (0.1, 100.0, ""),
+        "jerk": (0.1, 1000.0, ""),
+        "lateral_acceleration": (0.1, 100.0, ""),
+        "overspeed": (1.0, 8.0, ", so that target speeds up to the limit can be driven"),
+        "heading": (0.01, math.pi / 4, ", so that no NPC drives sideways"),
     }
 )
-"""Smallest and largest value of each limit; beyond them an NPC is no vehicle, and the arithmetic no longer sound."""
-WHY: Mapping[str, str] = MappingProxyType(
-    {
-        "overspeed": ", so that target speeds up to the limit can be driven",
-        "heading": ", so that no NPC drives sideways",
-    }
-)
+"""Smallest and largest value of each limit, and why; beyond them the arithmetic is no longer sound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,8 +49,8 @@ class NpcLimits:
     heading: float = 0.5
 
     def __post_init__(self) -> None:
-        for name, (low, high) in BOUNDS.items():
-            object.__setattr__(self, name, number(f"limits.{name}", getattr(self, name), low, high, WHY.get(name, "")))
+        for name, bounds in BOUNDS.items():
+            object.__setattr__(self, name, number(f"limits.{name}", getattr(self, name), *bounds))
 
     def top_speed(self, speed_limit: float) -> float:
         """The highest speed of NPCs on a road with a speed limit [m/s].

@@ -1,7 +1,7 @@
 """What a search asks of a world: what each one has, and what some can do besides.
 
-A world of the user's own needs to be no more than :class:`WorldLike`. Each capability beyond that is a protocol here,
-with a function that gives the world as one that has it, or None; nobody else looks for methods or classes of worlds.
+A world of the user's own needs to be no more than :class:`WorldLike`. Each capability beyond that has a function here
+that finds it; nobody else looks for methods or classes of worlds.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class WorldLike(Protocol):
 
 
 class LockStepping(WorldLike, Protocol):
-    """A world in which many runs go from decision to decision together; ``has_lock_step = False`` says that not now."""
+    """A world in which many runs go from decision to decision together."""
 
     def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory, /) -> list[Trace]:
         """The traces of :meth:`WorldLike.rollout`, in lock step where the ADS has a method ``batch``."""
@@ -79,22 +79,16 @@ def missing(world: object) -> list[str]:
 
 
 def lock_stepping(world: Any) -> LockStepping | None:
-    """The world, where its runs can take place in lock step.
-
-    Raises:
-        WorldError: by a world that finds out only now that it cannot be used.
-    """
-    can = hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True)
-    return world if can else None
+    """The world, where its runs can take place in lock step, which its ``has_lock_step`` may deny."""
+    return world if hasattr(world, "rollout_batch") and getattr(world, "has_lock_step", True) else None
 
 
 def resumable(world: Any) -> Resumable | None:
     """The world, where its ``rollout`` takes ``decisions``."""
     try:
-        parameters = inspect.signature(world.rollout).parameters
+        return world if "decisions" in inspect.signature(world.rollout).parameters else None
     except (TypeError, ValueError):  # builtins without a signature
         return None
-    return world if "decisions" in parameters else None
 
 
 def gym_replaying(world: Any) -> GymReplaying | None:
@@ -107,11 +101,7 @@ def gym_replaying(world: Any) -> GymReplaying | None:
 
 
 def road_start(world: Any) -> RoadStart | None:
-    """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do.
-
-    Raises:
-        WorldError: by a world that finds out only now that it cannot be used.
-    """
+    """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
@@ -137,7 +127,6 @@ def check_fits(world: Any, scenario: Scenario) -> None:
 
     Raises:
         ScenarioError: naming the field that does not fit.
-        WorldError: by a world that finds out only now that it cannot be used.
     """
     if hasattr(world, "check_fits"):
         world.check_fits(scenario)
@@ -145,7 +134,5 @@ def check_fits(world: Any, scenario: Scenario) -> None:
 
 def first_decision(world: Any, scenario: Scenario) -> FirstDecision | None:
     """How a world asks an ADS at first in a scenario; None where it does not tell, or does not come so far."""
-    if not hasattr(world, "first_decision"):
-        return None
-    asked: FirstDecision | None = world.first_decision(scenario)
+    asked: FirstDecision | None = world.first_decision(scenario) if hasattr(world, "first_decision") else None
     return asked

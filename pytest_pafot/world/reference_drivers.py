@@ -17,6 +17,7 @@ distance (5.2.3.3); the two drivers keep two seconds for it, and brake gently wh
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -30,8 +31,8 @@ DELAY = 0.75
 """Time from the perception of a risk until the brakes act (UN R157); the reaction time of the fuzzy model [s]."""
 HARD_BRAKING = 0.774 * GRAVITY
 """[m/s^2] (UN R157)."""
-JERK = HARD_BRAKING / 0.6
-"""12.65 m/s^3: the braking builds up within 0.6 s (UN R157)."""
+BUILD_UP = 0.6
+"""Time within which hard braking builds up (UN R157) [s]."""
 
 HEADWAY = 2.0
 """Kept behind a leader [s]."""
@@ -80,16 +81,54 @@ class Leader:
 
 
 @dataclass(slots=True)
-class _Clock:
-    """Time between observations, and how long a condition has held."""
+class ReferenceDriver(ABC):
+    """What all reference drivers share: they keep their lane and their wanted speed, and see who is ahead.
+
+    Attributes:
+        now, step: time of the observation, and since the last one [s].
+        since: when conditions began that have held without a break [s].
+        lane: that is kept.
+        wanted: speed [m/s].
+        acceleration: that the pedals have reached [m/s^2].
+        speeds, brakings: of the others [m/s, m/s^2].
+    """
+
+    HARDEST = HARD_BRAKING
+    """Braking at most [m/s^2]."""
+    JERK = HARD_BRAKING / BUILD_UP
+    """With which braking builds up [m/s^3]."""
 
     now: float = 0.0
     step: float = 0.0
     since: dict[str, float] = field(default_factory=dict)
+    lane: int = 0
+    wanted: float | None = None
+    acceleration: float = 0.0
+    speeds: tuple[float, ...] = ()
+    brakings: tuple[float, ...] = ()
 
-    def tick(self, time: float) -> None:
-        self.step = time - self.now
-        self.now = time
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        self._look(observation)
+        ego = observation.ego
+        lowest = self.acceleration - self.JERK * self.step
+        self.acceleration = max(self.wish(observation), min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
+        steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
+        return self.acceleration, steering
+
+    @abstractmethod
+    def wish(self, observation: Observation) -> float:
+        """The acceleration that the driver wants now [m/s^2]."""
+
+    def _look(self, observation: Observation) -> None:
+        self.step, self.now = observation.time - self.now, observation.time
+        speeds = tuple(_along(other) for other in observation.others)
+        if self.wanted is None:
+            self.lane, self.wanted = observation.ego.lane, min(observation.ego.speed, observation.speed_limit)
+        self.brakings = (0.0,) * len(speeds)
+        if self.step > 0 and len(self.speeds) == len(speeds):
+            self.brakings = tuple((before - now) / self.step for before, now in zip(self.speeds, speeds, strict=True))
+        self.speeds = speeds
 
     def held(self, condition: str, holds: bool) -> float:
         """For how long a condition has held without a break [s]; minus infinity while it does not hold."""
@@ -98,67 +137,27 @@ class _Clock:
             return -math.inf
         return self.now - self.since.setdefault(condition, self.now)
 
-
-@dataclass(slots=True)
-class _LaneKeeper:
-    """What all reference drivers share: they keep their lane and their wanted speed, and see who is ahead."""
-
-    clock: _Clock = field(default_factory=_Clock)
-    lane: int | None = None
-    wanted: float = 0.0
-    acceleration: float = 0.0
-    speeds: tuple[float, ...] = ()
-    brakings: tuple[float, ...] = ()
-
-    def look(self, observation: Observation) -> None:
-        """Take a new observation in."""
-        self.clock.tick(observation.time)
-        speeds = tuple(_along(other) for other in observation.others)
-        if self.lane is None:
-            self.lane = observation.ego.lane
-            self.wanted = min(observation.ego.speed, observation.speed_limit)
-        step = self.clock.step
-        if step > 0 and len(self.speeds) == len(speeds):
-            self.brakings = tuple((before - now) / step for before, now in zip(self.speeds, speeds, strict=True))
-        else:
-            self.brakings = (0.0,) * len(speeds)
-        self.speeds = speeds
-
     def ahead(self, observation: Observation, index: int) -> Leader | None:
         """Another vehicle as a leader, whatever its lane; None if its centre is not ahead."""
-        ego, other = observation.ego, observation.others[index]
+        ego, other, speed = observation.ego, observation.others[index], self.speeds[index]
         if other.x <= ego.x:
             return None
-        half = _half_length(ego) + _half_length(other)
-        speed = self.speeds[index]
-        return Leader(
-            gap=other.x - ego.x - half, speed=speed, closing=_along(ego) - speed, braking=self.brakings[index]
-        )
-
-    def steer(self, observation: Observation) -> float:
-        """Towards the centre of the lane [rad]."""
-        lane = 0 if self.lane is None else self.lane
-        ego = observation.ego
-        return -LANE_GAIN * (ego.y - lane * observation.lane_width) - HEADING_GAIN * ego.heading
+        gap = other.x - ego.x - (_half_length(ego) + _half_length(other))
+        return Leader(gap=gap, speed=speed, closing=_along(ego) - speed, braking=self.brakings[index])
 
     def cruise(self, speed: float) -> float:
         """Towards the wanted speed [m/s^2]."""
-        return max(min(SPEED_GAIN * (self.wanted - speed), GENTLE_ACCELERATION), -GENTLE_BRAKING)
+        missing = (self.wanted or 0.0) - speed
+        return max(min(SPEED_GAIN * missing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
     def follow(self, speed: float, leader: Leader) -> float:
         """Towards the following distance, gently [m/s^2]."""
         missing = STANDSTILL_GAP + HEADWAY * speed - leader.gap
         return max(min(-GAP_GAIN * missing - CLOSING_GAIN * leader.closing, GENTLE_ACCELERATION), -GENTLE_BRAKING)
 
-    def pressed(self, wanted: float, hardest: float, jerk: float = JERK) -> float:
-        """The acceleration that the pedals reach in this step [m/s^2]; the brakes are released at once."""
-        lowest = self.acceleration - jerk * self.clock.step
-        self.acceleration = max(wanted, min(lowest, 0.0), -hardest)
-        return self.acceleration
-
 
 @dataclass(slots=True)
-class CarefulHuman:
+class CarefulHuman(ReferenceDriver):
     """The competent and careful human driver of UN R157, who keeps two seconds behind a leader.
 
     Another vehicle matters once it is in the ego's way, or has left the centre of its lane towards the ego by more
@@ -167,42 +166,38 @@ class CarefulHuman:
     no danger the same times pass before it opens the gap to somebody new; from then on it follows attentively.
     """
 
-    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
     brakes_from: float = math.inf
 
-    def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
-        keeper, ego = self.keeper, observation.ego
-        keeper.look(observation)
-        calm, is_danger, is_over = keeper.cruise(ego.speed), False, True
+    def wish(self, observation: Observation) -> float:
+        """The acceleration that the driver wants now [m/s^2]."""
+        ego = observation.ego
+        calm, is_danger, is_over = self.cruise(ego.speed), False, True
         for index, other in enumerate(observation.others):
-            leader = keeper.ahead(observation, index)
+            leader = self.ahead(observation, index)
             matters = leader is not None and matters_to(ego, other, observation.lane_width)
-            noticed = keeper.clock.held(f"noticed {index}", matters)
+            noticed = self.held(f"noticed {index}", matters)
             critical = matters and leader is not None and is_critical(leader)
-            danger = keeper.clock.held(f"danger {index}", critical)
+            danger = self.held(f"danger {index}", critical)
             if leader is None or not matters:
                 continue
             is_danger |= danger >= EMERGENCY.perception - EPSILON
             is_over &= leader.closing <= 0 and not critical
-            follow = keeper.follow(ego.speed, leader)
-            if noticed >= EMERGENCY.perception + DELAY - EPSILON or noticed == keeper.clock.now:
+            follow = self.follow(ego.speed, leader)
+            if noticed >= EMERGENCY.perception + DELAY - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
             elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:
                 calm = min(calm, 0.0)  # the foot is off the accelerator, and not yet on the brake
-        now = keeper.clock.now
         if is_danger:
-            self.brakes_from = min(self.brakes_from, now + DELAY)
-        elif is_over and self.brakes_from <= now:
+            self.brakes_from = min(self.brakes_from, self.now + DELAY)
+        elif is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf
         if self.brakes_from < math.inf:
             calm = min(calm, 0.0)
-        wanted = -HARD_BRAKING if self.brakes_from <= now + EPSILON else calm
-        return keeper.pressed(wanted, HARD_BRAKING), keeper.steer(observation)
+        return -HARD_BRAKING if self.brakes_from <= self.now + EPSILON else calm
 
 
 @dataclass(slots=True)
-class FuzzySafety:
+class FuzzySafety(ReferenceDriver):
     """The Fuzzy Safety Model: brakes early and comfortably where danger may come, harder where it is there.
 
     Proactive (PFS) and critical (CFS) fuzzy measures, each from 0 to 1, give the braking: PFS up to the comfortable
@@ -220,25 +215,21 @@ class FuzzySafety:
     """Kept by CFS [m]. The published model keeps none: it stops exactly at the other's bumper, which in steps of time
     is a contact at 0.1 m/s."""
 
-    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
-
-    def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
-        keeper, ego = self.keeper, observation.ego
-        keeper.look(observation)
-        calm, hardest = keeper.cruise(ego.speed), 0.0
+    def wish(self, observation: Observation) -> float:
+        """The acceleration that the driver wants now [m/s^2]."""
+        ego = observation.ego
+        calm, hardest = self.cruise(ego.speed), 0.0
         for index, other in enumerate(observation.others):
-            leader = keeper.ahead(observation, index)
+            leader = self.ahead(observation, index)
             matters = leader is not None and self.will_be_in_the_way(ego, other, leader)
             needed = self.braking(ego.speed, leader) if matters and leader is not None else 0.0
-            alert = keeper.clock.held(f"alert {index}", needed > 0)
+            alert = self.held(f"alert {index}", needed > 0)
             if leader is None or not matters:
                 continue
             if alert >= DELAY - EPSILON:
                 hardest = max(hardest, needed)
-            calm = min(calm, max(keeper.follow(ego.speed, leader), 0.0))
-        wanted = -hardest if hardest > 0 else calm
-        return keeper.pressed(wanted, self.HARDEST), keeper.steer(observation)
+            calm = min(calm, max(self.follow(ego.speed, leader), 0.0))
+        return -hardest if hardest > 0 else calm
 
     @staticmethod
     def will_be_in_the_way(ego: VehicleState, other: VehicleState, leader: Leader) -> bool:
@@ -271,7 +262,7 @@ class FuzzySafety:
         if leader.closing <= 0:
             return 0.0
         gap = leader.gap - self.ROUNDING
-        acceleration = max(self.keeper.acceleration, -self.COMFORTABLE)
+        acceleration = max(self.acceleration, -self.COMFORTABLE)
         later = speed + acceleration * DELAY
         if later <= leader.speed:
             return float(gap < leader.closing**2 / (2 * abs(acceleration)))
@@ -282,7 +273,7 @@ class FuzzySafety:
 
 
 @dataclass(slots=True)
-class IdmAeb:
+class IdmAeb(ReferenceDriver):
     """The Intelligent Driver Model behind whoever is in the way, and full braking at a low time to collision."""
 
     HEADWAY = 1.5
@@ -292,32 +283,29 @@ class IdmAeb:
     BRAKING = 2.0
     """Comfortable [m/s^2]."""
     HARDEST = 0.85 * GRAVITY
-    """Of emergency braking, reached within 0.6 s (UN R157, annex 4, appendix 3) [m/s^2]."""
+    """Of emergency braking (UN R157, annex 4, appendix 3) [m/s^2]."""
+    JERK = HARDEST / BUILD_UP
     TRIGGER = 1.5
     """Time to collision [s]."""
 
-    keeper: _LaneKeeper = field(default_factory=_LaneKeeper)
     braking: bool = False
 
-    def __call__(self, observation: Observation) -> tuple[float, float]:
-        """Acceleration [m/s^2] and steering [rad]."""
-        keeper, ego = self.keeper, observation.ego
-        keeper.look(observation)
+    def wish(self, observation: Observation) -> float:
+        """The acceleration that the driver wants now [m/s^2]."""
+        ego = observation.ego
         leaders = [
             leader
             for index, other in enumerate(observation.others)
-            if (leader := keeper.ahead(observation, index)) is not None
-            and (_apart(ego, other) <= 0 or other.lane == keeper.lane)
+            if (leader := self.ahead(observation, index)) is not None
+            and (_apart(ego, other) <= 0 or other.lane == self.lane)
         ]
         is_danger = any(leader.time_to_collision < self.TRIGGER for leader in leaders)
         self.braking = is_danger or (self.braking and any(leader.closing > 0 for leader in leaders))
-        wanted = -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
-        return keeper.pressed(wanted, self.HARDEST, self.HARDEST / 0.6), keeper.steer(observation)
+        return -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
 
     def idm(self, speed: float, leaders: list[Leader]) -> float:
         """The model's acceleration behind the leader that asks for the least [m/s^2]."""
-        wanted = max(self.keeper.wanted, 0.1)
-        free = 1 - (speed / wanted) ** 4
+        free = 1 - (speed / max(self.wanted or 0.0, 0.1)) ** 4
         comfort = 2 * math.sqrt(GENTLE_ACCELERATION * self.BRAKING)
         pressing = 0.0
         for leader in leaders:

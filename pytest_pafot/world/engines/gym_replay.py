@@ -157,13 +157,7 @@ Driver = Planner | SelfDriving | StockPolicy
 
 
 def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """Simulate a scenario as :meth:`pytest_pafot.Highway.rollout` does, in highway-v0 with its lanes and speed limit.
-
-    Args:
-        rules: of the Highway.
-        scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
-        ads_factory: called once, gives the ADS.
-    """
+    """A run of a :class:`pytest_pafot.Highway` in highway-v0, with its lanes and speed limit."""
     lane, lanes = rules.straight.lanes[0], rules.straight.lane_count
     config = {
         "lanes_count": lanes,
@@ -179,16 +173,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
 
 
 def replay_environment(world: PolicyWorld, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """Simulate a scenario as :meth:`pytest_pafot.World.rollout` does, by ``env.step`` of its environment in wrappers.
-
-    Args:
-        world: whose environment is made.
-        scenario: to run, as :attr:`Trace.executed` has it; it must fit the world.
-        ads_factory: called once, gives the ADS.
-
-    Raises:
-        WorldError: for a planner that simulates inside of an environment in wrappers.
-    """
+    """A run of a :class:`pytest_pafot.World` by ``env.step`` of its environment in its wrappers."""
     rules, outer = world.rules, world.make()
     env = _reset(outer, scenario)
     is_policy, view = not is_vehicle_class(ads_factory), None

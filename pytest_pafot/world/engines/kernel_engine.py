@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Trace
+from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.idm_model import IdmModel
@@ -111,6 +111,7 @@ def _observer(rules: Rules, record: Record) -> Observer:
     return Observer(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
 
 
-def _finished(record: Record, loop: Loop, error: Any) -> Trace:
+def _finished(record: Record, loop: Loop, error: AdsError | None) -> Trace:
     record.tick = loop.tick
-    return record.trace(touched=loop.ego_touched, invalid=loop.npcs_touched, error=error)
+    ended = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID if loop.npcs_touched else None
+    return record.trace(ended, error)

@@ -191,20 +191,16 @@ class Traffic:
         left = self._write(states, [self._controls(vehicle) for vehicle in self.vehicles])
         boxes = [Box(*state[:3], *size) for state, size in zip(states, self.record.sizes, strict=True)]
         if any(overlap(boxes[0], box) for box in boxes[1:]):
-            return self.record.trace(touched=True)
+            return self.record.trace(Outcome.COLLISION)
         if any(overlap(a, b) for a, b in combinations(boxes[1:], 2)):
-            return self.record.trace(invalid=True)
-        return None if left is None else self.record.trace(departure=left)
+            return self.record.trace(Outcome.INVALID)
+        return None if left is None else self.record.trace(left)
 
     def _states(self) -> list[State]:
-        return [self._ego_state(), *[(npc.x, npc.y, float(npc.heading), float(npc.speed)) for npc in self._npcs]]
-
-    def _ego_state(self) -> State:
         ego = self.driver.vehicle
-        if self._by_floats:
-            return ego.x, ego.y, ego.heading, ego.speed
-        position = ego.position
-        return float(position[0]), float(position[1]), float(ego.heading), float(ego.speed)
+        x, y = (ego.x, ego.y) if self._by_floats else map(float, ego.position)
+        npcs = [(npc.x, npc.y, float(npc.heading), float(npc.speed)) for npc in self._npcs]
+        return [(x, y, float(ego.heading), float(ego.speed)), *npcs]
 
     def _controls(self, vehicle: Any) -> tuple[float, float]:
         if vehicle is self.driver.vehicle and not self._by_floats:

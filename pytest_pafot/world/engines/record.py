@@ -47,25 +47,20 @@ class Record:
     slowest: float = 0.0
     frame: NetworkFrame | None = None
 
-    def trace(
-        self,
-        *,
-        touched: bool = False,
-        invalid: bool = False,
-        error: AdsError | None = None,
-        departure: Outcome | None = None,
-    ) -> Trace:
-        """How the run ended: with the ego touched, with two NPCs touching, by an error, or in peace."""
+    def trace(self, ended: Outcome | None = None, error: AdsError | None = None) -> Trace:
+        """The finished trace of a run that ended so, by an error of the ADS, or where neither is given in peace."""
         states = self._states()
         track = None if self.frame is None else self.frame.track()
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
-        collision = self._collision(states, track) if touched else None
+        outcome = ended or (Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD)
+        if error is not None:
+            outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,
-            outcome=_outcome(collision, invalid, error, departure, off_road_tick),
-            collision=collision,
+            outcome=outcome,
+            collision=self._collision(states, track) if outcome is Outcome.COLLISION else None,
             error=error,
             states=states,
             sizes=np.array(self.sizes),
@@ -110,21 +105,3 @@ class Record:
     def _boxes(self, row: FloatArray) -> list[Box]:
         poses = row[:, :3].tolist()
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
-
-
-def _outcome(
-    collision: Collision | None,
-    invalid: bool,
-    error: AdsError | None,
-    departure: Outcome | None,
-    off_road_tick: int | None,
-) -> Outcome:
-    if collision is not None:
-        return Outcome.COLLISION
-    if invalid:
-        return Outcome.INVALID
-    if error is not None:
-        return Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
-    if departure is not None:
-        return departure
-    return Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
