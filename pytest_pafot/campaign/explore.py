@@ -147,12 +147,12 @@ def _searched(
         listener=listener,
         clock=time.monotonic,
         limit=time_limit(settings, now=now, began=now, left=1),
-        replays=Replays(harness=harness, session=_no_session),
+        replays=Replays(harness=harness, in_own_session=_no_session),
         progress_seconds=0.5,
     ).run()
 
 
-def _no_session(file: Path) -> NoReturn:
+def _no_session(file: Path, *what: object) -> NoReturn:
     raise RequestError(
         f"{file}: a process died in this scenario, and where processes cannot be forked only pytest can run it again "
         f"without harm to this one; run `python -m pytest {file}`"

@@ -13,12 +13,13 @@ from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.scenario_pool import ExecutionError, ProcessLostError, expectation
-from pytest_pafot.execution.separate_runs import Session, run_apart
+from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
 from pytest_pafot.run import Run
-from pytest_pafot.scenario import ScenarioError
+from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import WorldError, codec, protocol
 
@@ -31,12 +32,12 @@ class Replays:
 
     Attributes:
         harness: of the test.
-        session: how a session of its own is started that replays a file, where no process can be made that has what
-            the test needs.
+        in_own_session: replays the scenario of a file in a session of its own, where no process can be made that has
+            what the test needs; raises ``ProcessLostError`` where that session died.
     """
 
     harness: Harness
-    session: Callable[[Path], Session]
+    in_own_session: Callable[[Path, Job, Scenario], None]
 
     def shown_by(self, saved: Saved) -> Replayed | None:
         """What a saved scenario shows now, for a search that must know which failures are known.
@@ -106,7 +107,7 @@ class Replays:
                 scenario,
                 partial(harness.judge_trace, world),
                 isolate=isolate,
-                session=lambda: self.session(saved.path),
+                in_own_session=lambda: self.in_own_session(saved.path, job, scenario),
             )
         except ExecutionError as error:
             raise RequestError(str(error)) from None

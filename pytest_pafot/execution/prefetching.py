@@ -26,11 +26,11 @@ WARM_RUNS = 2
 
 
 class Prefetching:
-    """Makes no run ahead: the base of those who do."""
+    """Makes no run ahead: the base of those that do."""
 
     def __init__(self) -> None:
         self.announced: list[Scenario] = []
-        """What will be asked for, as far as no run of it was begun."""
+        """What will be asked for, as far as nobody has begun with it."""
 
     @property
     def notes(self) -> list[str]:
@@ -42,7 +42,7 @@ class Prefetching:
         self.announced = list(scenarios)
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made in this process and by itself.
+        """The trace of a run, once; None where the run is to be made in this process and by itself.
 
         Raises:
             ProcessLostError: where the process that made it did not come back.
@@ -54,8 +54,8 @@ class Prefetching:
         """Learn how long the last run took that was to be made in this process."""
 
     def close(self, *, at_once: bool) -> None:
-        """Forget what was announced, and end processes, without waiting for any where that is to be done at once."""
-        self.announced = []
+        """Forget what was announced, and end processes, where ``at_once`` without waiting for any."""
+        self.announce(())
 
 
 class LockStep(Prefetching):
@@ -98,10 +98,6 @@ class LockStep(Prefetching):
             self.announced.remove(scenario)
         return self._made.pop(scenario, None)
 
-    def close(self, *, at_once: bool) -> None:
-        """Forget what was announced and made."""
-        self.announce(())
-
 
 class Processes(Prefetching):
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
@@ -124,14 +120,14 @@ class Processes(Prefetching):
     @property
     def notes(self) -> list[str]:
         """What was used, or why not, where that was asked for."""
-        pool, option = self._pool, f"--pafot-workers={self._workers}"
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
-        if pool is not None and pool.failure:
-            used = f"--pafot-workers: one process ran the scenarios, since no other could: {pool.failure}"
-            return [used, *map(recovery_note, pool.recovered)]
-        if pool is not None:
-            return [f"{option}: in use after {self._runs} runs of this process", *map(recovery_note, pool.recovered)]
+        option = f"--pafot-workers={self._workers}"
+        if self._pool is not None:
+            used = f"{option}: in use after {self._runs} runs of this process"
+            if self._pool.failure:
+                used = f"--pafot-workers: one process ran the scenarios, since no other could: {self._pool.failure}"
+            return [used, *map(recovery_note, self._pool.recovered)]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR

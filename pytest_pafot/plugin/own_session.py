@@ -5,25 +5,65 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from pytest_pafot.execution.separate_runs import Session
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.execution.crash_records import left_by
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import Lost, ending
+from pytest_pafot.execution.scenario_pool import ProcessLostError
+from pytest_pafot.plugin.last_resort import STATUS
+from pytest_pafot.scenario import Scenario
+
+HERE = "PAFOT_REPLAY_HERE"
+"""Set in the environment of a session that was started to replay a file in its own process."""
 
 
-def own_session(item: pytest.Function, file: Path) -> Session:
-    """The command of this session for one file alone.
+def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:
+    """Replay a file in a session of its own, where this is not that one.
 
     Args:
         item: of this session.
         file: to replay.
+        job: what that session runs, too.
+        scenario: in the file.
+
+    Raises:
+        ProcessLostError: where that session died.
+        RequestError: where it did not come to the file.
     """
+    __tracebackhide__ = True
+    if os.environ.get(HERE):
+        return
     config = item.config
     given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
     given = given or [str(arg) for arg in config.invocation_params.args]
     others = set(map(str, config.getoption("file_or_dir", None) or ()))
     command = [sys.executable, "-m", "pytest", *(arg for arg in given if arg not in others), str(file)]
     command += [f"--rootdir={config.rootpath}", *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
-    return Session(file=file, command=command, folder=config.invocation_params.dir)
+    session = subprocess.Popen(  # noqa: S603  (this session's own command)
+        command,
+        cwd=config.invocation_params.dir,
+        env={**os.environ, HERE: "1"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    with session:
+        try:
+            code = session.wait()
+        finally:
+            session.kill()  # after an interrupt; it has ended by itself otherwise
+    if code < 0 or any(leftover.pid == session.pid for leftover in left_by(job.owner, job.records)):
+        raise ProcessLostError(Lost(task=scenario, pid=session.pid, how=ending(code), is_hang=code == STATUS))
+    if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        raise RequestError(
+            f"{file}: expected a session of its own to replay what a process died in, received {ending(code)} of: "
+            f"{shlex.join(command)}; run that to see why"
+        )

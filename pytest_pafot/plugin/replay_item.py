@@ -17,7 +17,7 @@ from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.failure_reports import SUMMARY
-from pytest_pafot.plugin.own_session import own_session
+from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.run import Run
@@ -32,7 +32,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request)
-    replays = Replays(harness=harness, session=partial(own_session, item))
+    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     path, lost = harness.relative(saved.path), None
     try:
         label, run, verdict = replays.labelled(saved, item.nodeid)

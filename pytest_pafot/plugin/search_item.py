@@ -30,7 +30,7 @@ from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.crash_folder import records_folder
 from pytest_pafot.plugin.failure_reports import SUMMARY, is_compact, summarise
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
-from pytest_pafot.plugin.own_session import own_session
+from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.xdist import is_worker
@@ -100,7 +100,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     harness = harness_of(item, request)
-    replays = Replays(harness=harness, session=partial(own_session, item))
+    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     chosen = isolated_after_a_death(harness, replays)
     now = time.monotonic()
     search = Search(
