@@ -1,4 +1,4 @@
-"""One simulated run as the user's test function sees it."""
+"""One simulated run as the user's test function sees it: ``run``, with all that a test can ask of it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
 
 LINE_LENGTH = 99
+"""Of an explanation."""
+MAX_GENE_ROWS = 7
+"""Of the table in it."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
     Outcome.LEFT_ROUTE: ", when the ego left its route",
 }
-MAX_GENE_ROWS = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +55,7 @@ Prevent = Callable[[Scenario], tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """What happened in one run: a view of its trace, whose measures are computed when first asked for.
+    """What happened in one run, and all that a test can ask of it; measures are computed when first asked for.
 
     Attributes:
         trace: the record, tick by tick.
@@ -77,6 +79,8 @@ class Run:
             hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
             raise AttributeError(f"a run has no attribute {name!r}; {hint}")
 
+    # How it ended.
+
     @property
     def scenario(self) -> Scenario:
         """The scenario as driven; running it again gives this run again."""
@@ -84,12 +88,12 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended."""
+        """How the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
         return self.trace.outcome
 
     @property
     def collision(self) -> Collision | None:
-        """The ego's collision, or None."""
+        """The ego's collision: when, with whom, where and how fast; None without one."""
         return self.trace.collision
 
     @property
@@ -104,7 +108,7 @@ class Run:
 
     @property
     def duration(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time until the run ended [s]."""
         return self.trace.duration
 
     @property
@@ -117,38 +121,44 @@ class Run:
         """Whether a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
         return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
-    @cached_property
-    def _encounters(self) -> criticality.Encounters:
-        return criticality.Encounters(self.trace)
+    # How dangerous it was for the ego: over all ticks and NPCs.
 
     @cached_property
     def mettc(self) -> float:
-        """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none."""
+        """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none.
+
+        Until the ego is where its line of travel crosses an NPC's (PAFOT, section 3.3, equations 1 to 3).
+        """
         return self._encounters.mettc
 
     @cached_property
     def min_ttc(self) -> float:
-        """Least constant-velocity time to contact of the boxes [s]; lower is worse, inf if there is none."""
+        """Least time to contact of the boxes at constant velocity [s]; lower is worse, inf if there is none.
+
+        The time to collision of Hayward (1972), for oriented boxes.
+        """
         return self._encounters.min_ttc
 
     @cached_property
     def min_distance(self) -> float:
-        """Least distance between the boxes [m]; lower is worse, 0 at contact."""
+        """Least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
         return self._encounters.min_gap
 
     @cached_property
     def min_centre_distance(self) -> float:
-        """The paper's minimum distance, between centres [m]; lower is worse."""
+        """The paper's minimum distance, between centres [m]; lower is worse (PAFOT, section 3.3, equation 4)."""
         return self._encounters.min_centre_distance
 
     @cached_property
     def hardest_brake(self) -> float:
-        """The ego's largest deceleration [m/s^2], positive; higher is worse."""
+        """The ego's largest deceleration [m/s^2], positive; higher is worse, 0 if it never slowed down."""
         return criticality.hardest_brake(self.trace)
+
+    # Who caused the collision, and who would have prevented it.
 
     @cached_property
     def attribution(self) -> Attribution:
-        """Who caused the collision, since when it was dangerous, and why."""
+        """Who caused the collision, since when it was dangerous, and why; by Responsibility-Sensitive Safety."""
         return rss_rule(self.trace)
 
     @property
@@ -177,14 +187,16 @@ class Run:
             )
         return self.prevent(self.scenario)
 
+    # The moment that it is about.
+
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """When and where the time to contact was least; None where it never was finite."""
+        """When, and with which NPC where, the time to contact was least; None where it never was finite."""
         return self._at_minimum(self._encounters.ttc)
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """When and where the boxes were closest."""
+        """When, and with which NPC where, the boxes were closest."""
         return self._at_minimum(self._encounters.gap)
 
     @property
@@ -201,10 +213,9 @@ class Run:
         """
         if self.collision is not None:
             return self.collision.time
-        if self.ads_error is not None:
-            return self.ads_error.tick / self.trace.physics_hz
-        if self.trace.off_road_tick is not None:
-            return self.trace.off_road_tick / self.trace.physics_hz
+        tick = self.trace.off_road_tick if self.ads_error is None else self.ads_error.tick
+        if tick is not None:
+            return tick / self.trace.physics_hz
         return self.worst_ttc.time if self.worst_ttc is not None else self.closest_time
 
     @property
@@ -221,6 +232,24 @@ class Run:
             return self.collision.cell
         return None if self.worst_ttc is None else self.worst_ttc.cell
 
+    def explain(self) -> str:
+        """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
+        lines = [self._headline(), *self._measures()]
+        if self.responsibility is not None:
+            sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
+            if self.second_opinion != self.responsibility:
+                sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
+            lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
+        lines += [*_gene_table(self.trace), f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}"]
+        return "\n".join(_ascii(line) for line in lines)
+
+    def __repr__(self) -> str:
+        return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
+
+    @cached_property
+    def _encounters(self) -> criticality.Encounters:
+        return criticality.Encounters(self.trace)
+
     def _at_minimum(self, measure: FloatArray) -> Moment | None:
         """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
         values = np.where(np.isnan(measure), np.inf, measure).T
@@ -229,12 +258,6 @@ class Run:
         tick, npc = divmod(int(values.argmin()), values.shape[1])
         cell = self._encounters.last_cell(npc, tick)
         return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
-
-    def explain(self) -> str:
-        """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
-        lines = [self._headline(), *self._measures(), *self._responsibility_line(), *_gene_table(self.trace)]
-        lines.append(f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}")
-        return "\n".join(_ascii(line) for line in lines)
 
     def _headline(self) -> str:
         hit = self.collision
@@ -258,24 +281,12 @@ class Run:
             hit = self.collision
             speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
             return [f"  at the impact: {speeds}", f"  {brake}"]
-        lines = []
-        if self.worst_ttc is not None:
-            worst = self.worst_ttc
+        lines, worst = [], self.worst_ttc
+        if worst is not None:
             place = "" if worst.cell is None else f" in cell {int(worst.cell)} ({worst.cell.label})"
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
         lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
         return lines
-
-    def _responsibility_line(self) -> list[str]:
-        if self.responsibility is None:
-            return []
-        sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
-        if self.second_opinion != self.responsibility:
-            sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
-        return wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
-
-    def __repr__(self) -> str:
-        return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
 
 
 def _gene_table(trace: Trace) -> list[str]:

@@ -205,8 +205,11 @@ class Conflict:
     @property
     def attribution(self) -> Attribution:
         """By the rules 3 and 4 of :func:`rss_rule`."""
-        ego_moved, npc_moved = self._movers()
+        dangers, start, npc = self._dangers, self._start, self._npc
         to_npc, to_ego = self._towards
+        lateral_last = start > 0 and not dangers.is_beside[start - 1, npc]
+        by_moving = lateral_last or dangers.across[start, npc] > 0
+        ego_moved, npc_moved = (by_moving and s >= max(DRIFTING, SHARE * sum(self._towards)) for s in self._towards)
         is_ahead = not self._ego_is_behind and self._gap > 0
         if ego_moved and is_ahead and self._npc_chase.is_avoided(self._start, GIVING_WAY):
             return self.attributed(
@@ -228,15 +231,6 @@ class Conflict:
         if npc_moved:
             return self._npc_moved()
         return self._ego_followed() if self._ego_is_behind else self._npc_followed()
-
-    def _movers(self) -> tuple[bool, bool]:
-        """Whether the ego, and whether the NPC, made the danger by moving sideways."""
-        dangers, start, npc = self._dangers, self._start, self._npc
-        lateral_last = bool(start > 0 and not dangers.is_beside[start - 1, npc])
-        if not lateral_last and dangers.across[start, npc] <= 0:
-            return False, False
-        ego, other = (speed >= max(DRIFTING, SHARE * sum(self._towards)) for speed in self._towards)
-        return ego, other
 
     def _npc_moved(self) -> Attribution:
         moved = (

@@ -34,23 +34,14 @@ def idm_model(ads: Any) -> IdmModel | None:
     """The model of a vehicle class, or of a ``functools.partial`` of one; None where the class has code of its own."""
     whole = ads if isinstance(ads, functools.partial) else functools.partial(ads)
     cls, options = whole.func, whole.keywords
-    if (
-        whole.args
-        or not isinstance(cls, type)
-        or set(options) - {"enable_lane_change"}
-        or not _only_sets_constants(cls)
-    ):
+    stock = getattr(sys.modules.get("highway_env.vehicle.behavior"), "IDMVehicle", None)
+    if stock is None or not isinstance(cls, type) or not issubclass(cls, stock):
+        return None
+    own = cls.__mro__[: cls.__mro__.index(stock)]
+    only_sets_constants = all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)
+    if whole.args or set(options) - {"enable_lane_change"} or not only_sets_constants:
         return None
     constants = {name: getattr(cls, name) for name in CONSTANTS}
     if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):
         return None
     return IdmModel(constants=constants, changes_lanes=bool(options.get("enable_lane_change", True)))
-
-
-def _only_sets_constants(cls: type) -> bool:
-    behaviour = sys.modules.get("highway_env.vehicle.behavior")
-    stock = getattr(behaviour, "IDMVehicle", None)
-    if stock is None or not issubclass(cls, stock):
-        return False
-    own = cls.__mro__[: cls.__mro__.index(stock)]
-    return all(set(vars(base)) <= ORDINARY | set(CONSTANTS) for base in own)

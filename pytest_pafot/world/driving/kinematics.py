@@ -23,18 +23,15 @@ def observer(env: Any) -> Any:
     """A function without arguments that observes an environment as its observation type does."""
     stock = env.observation_type
     network = env.road.network
-    is_straight = isinstance(network, ParallelLanes) or straight_road(network) is not None
-    return FastKinematics(env, stock) if is_straight and _supported(stock) else stock.observe
-
-
-def _supported(stock: Any) -> bool:
-    return (
+    is_supported = (
         type(stock) is KinematicObservation
         and stock.order == "sorted"
         and stock.vehicles_count >= 2
         and all(feature in _DIRECT for feature in stock.features)
         and len(set(stock.features)) == len(stock.features)
+        and (isinstance(network, ParallelLanes) or straight_road(network) is not None)
     )
+    return FastKinematics(env, stock) if is_supported else stock.observe
 
 
 class FastKinematics:

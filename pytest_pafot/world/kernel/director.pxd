@@ -39,10 +39,6 @@ cdef class Director:
     @cython.locals(npc=Npc, wanted=int)
     cdef _begin_shifts(self)
 
-    @cython.final
-    @cython.locals(npc=Npc)
-    cdef _end_chains(self)
-
     @cython.locals(driver=NpcDriver, distance=double, wanted_speed=double, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *
 

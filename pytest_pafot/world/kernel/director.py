@@ -161,7 +161,10 @@ class Director:
                     self._begin_gene(ego)
                 else:
                     self._begin_shifts()
-                self._end_chains()
+                for npc in self.npcs:  # without a further gene it keeps its lane and speed (paper, section 2)
+                    if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
+                        npc.kept_lane = npc.lane
+                        npc.kept_speed = npc.speed
             self._gene += 1
         self._left -= 1
         for npc in self.npcs:
@@ -195,13 +198,6 @@ class Director:
                 npc.arrivals.append(None)
                 if self._gene == 0:
                     npc.heading_for = npc.lane
-
-    def _end_chains(self) -> None:
-        """Have NPCs without a further gene keep their lane and speed (paper, section 2)."""
-        for npc in self.npcs:
-            if self._gene == len(npc.chain) and npc.kept_lane == NO_LANE:
-                npc.kept_lane = npc.lane
-                npc.kept_speed = npc.speed
 
     def _first_existing(self) -> frozenset[Cell]:
         """The cells in which an NPC may start."""

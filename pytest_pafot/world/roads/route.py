@@ -27,6 +27,8 @@ SHARPEST_BEND = 1.3
 """Between the directions of two lanes where they meet [rad]; more is no way to drive."""
 DECIDED_BEFORE = 2.5
 """How far before the end of a lane highway-env's vehicles choose the next one [m]."""
+ROUGH = 0.06
+"""Between the directions of neighbouring points of a line [rad]; no vehicle can follow more at a joint of two lanes."""
 BLEND = 3.0
 """How far to either side a gap or bend between two lanes is rounded off [m]."""
 
@@ -132,7 +134,12 @@ def line_of(pieces: Sequence[Piece]) -> Line:
     """The centre lines of the pieces as one line; gaps and bends between them are rounded off."""
     points, owners = _sampled(pieces)
     points, owners = _spaced(points, owners)
-    joints = [int(index) + 1 for index in np.flatnonzero(np.diff(owners)) if _is_rough(points, int(index) + 1)]
+    joints = []
+    for joint in (np.flatnonzero(np.diff(owners)) + 1).tolist():
+        near = points[max(joint - 4, 0) : joint + 6]
+        heading = np.unwrap(np.arctan2(*np.diff(near, axis=0).T[::-1]))
+        if len(heading) > 1 and np.abs(np.diff(heading)).max() > ROUGH:
+            joints.append(joint)
     if joints:
         points, owners = _spaced(_rounded(points, joints), owners)
     dx, dy = np.gradient(points[:, 0]), np.gradient(points[:, 1])
@@ -160,13 +167,6 @@ def _spaced(points: FloatArray, owners: Any) -> tuple[FloatArray, Any]:
     places = np.arange(0.0, length[-1] + STEP / 2, STEP)
     spaced = np.stack([np.interp(places, length, points[:, axis]) for axis in (0, 1)], axis=-1)
     return spaced, owners[np.clip(np.searchsorted(length, places - 1e-9), 0, len(owners) - 1)]
-
-
-def _is_rough(points: FloatArray, joint: int) -> bool:
-    """Whether the line turns at a joint more sharply than a vehicle can follow."""
-    near = points[max(joint - 4, 0) : joint + 6]
-    heading = np.unwrap(np.arctan2(*np.diff(near, axis=0).T[::-1]))
-    return len(heading) > 1 and bool(np.abs(np.diff(heading)).max() > 0.06)
 
 
 def _rounded(points: FloatArray, joints: Sequence[int]) -> FloatArray:

@@ -70,7 +70,15 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     line = line_of(pieces)
     speed = float(ego.speed)
     strips = _strips(network, pieces, line, speed)
-    _check_bends(line, name)
+    curvature = _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
+    worst = int(np.abs(curvature).argmax())
+    if abs(curvature[worst]) > TIGHTEST:
+        raise WorldError(
+            field=name,
+            expected=f"bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
+            f"{1 / TIGHTEST:g} m",
+            received=f"{1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, y = {line.y[worst]:.0f}",
+        )
     start = _place(line, first, np.asarray(pieces[first].lane.position(at, 0)))
     columns, lanes = _columns(line, strips, limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
@@ -116,18 +124,6 @@ def _start(network: Any, ego: Any, name: str) -> tuple[LaneIndex, float]:
             fix="free areas such as parking lots have no grid",
         )
     return index, min(max(at, 0.0), float(lane.length))
-
-
-def _check_bends(line: Line, name: str) -> None:
-    curvature = _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
-    worst = int(np.abs(curvature).argmax())
-    if abs(curvature[worst]) > TIGHTEST:
-        raise WorldError(
-            field=name,
-            expected=f"bends that a vehicle of {NPC_LENGTH:g} m can follow, with a radius of at least "
-            f"{1 / TIGHTEST:g} m",
-            received=f"{1 / abs(curvature[worst]):.1f} m at x = {line.x[worst]:.0f}, y = {line.y[worst]:.0f}",
-        )
 
 
 def _place(line: Line, piece: int, point: FloatArray) -> float:
