@@ -14,9 +14,8 @@ from pytest_pafot.campaign.harness import Harness, check_world, source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
-from pytest_pafot.campaign.search import Search, SearchResult
+from pytest_pafot.campaign.search import Search, SearchResult, time_limit
 from pytest_pafot.campaign.summary import SearchSummary
-from pytest_pafot.campaign.time_limit import time_limit
 from pytest_pafot.corpus.layout import folder_of_test
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.run import Run

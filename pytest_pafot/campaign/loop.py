@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.campaign.events import Judged, Listener
+from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.setup_fault import FirstGeneration
+from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.units import doubt
-from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError, expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by
@@ -29,37 +29,6 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.health_check import Health
 from pytest_pafot.trace import Outcome, Trace
-
-
-class Simulates(Protocol):
-    """Who runs and judges the scenarios of a search."""
-
-    def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
-        """One run; afresh, by itself with the ADS asked for every decision.
-
-        Raises:
-            ProcessLostError: where another process made it, and did not come back.
-        """
-
-    def judge(self, run: Run) -> Verdict:
-        """What the user's function makes of the last run."""
-
-    @property
-    def is_alone(self) -> bool:
-        """Whether the last run was made by itself, and not in lock step with others."""
-
-
-class Records(Protocol):
-    """Who saves and announces the finds of a search."""
-
-    def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
-        """Take a new find of a generation, the number of its run from 1; returns its id."""
-
-    def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
-        """Take the first scenario whose process did not come back; returns its id."""
-
-    def release(self) -> None:
-        """Know that what was kept so far is no fault of the set-up, and to be announced."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -86,8 +55,8 @@ class SearchLoop:
         doubt: about the units of the ADS's actions, once there is one.
     """
 
-    simulation: Simulates
-    recorder: Records
+    simulation: Simulation
+    recorder: Recorder
     fitness: Callable[[Trace], float]
     listener: Listener = lambda event: None
     near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
@@ -108,6 +77,17 @@ class SearchLoop:
     def runs(self) -> int:
         """Simulated scenarios."""
         return self.verdicts.total()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The search's health, and whether the test function was asked at all."""
+        warnings = self.health.warnings()
+        if self.verdicts["npc"] and not self.verdicts["passed"] and not self.verdicts["failed"]:
+            warnings.append(
+                "the test function was never called: all runs that it could judge were collisions that an NPC is "
+                'responsible for, which blame="ego" leaves out; search longer'
+            )
+        return tuple(warnings)
 
     def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
         """The evaluations that a campaign asks for."""

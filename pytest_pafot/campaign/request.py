@@ -6,15 +6,20 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import BY_NAME, Settings
-
-if TYPE_CHECKING:
-    from pytest_pafot.searching.algorithms import AlgorithmClass
-    from pytest_pafot.searching.space import SearchSpace
-    from pytest_pafot.trace import Trace
+from pytest_pafot.searching.algorithms import AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.fitness import Weights
+from pytest_pafot.searching.space import SearchSpace, sample, space_on
+from pytest_pafot.trace import Trace
+from pytest_pafot.world import Highway, WorldError
+from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.kernel.action import shown
+from pytest_pafot.world.protocol import road_start
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
@@ -49,7 +54,7 @@ class Request:
     arg: str = "run"
     blame: str = "any"
     decision_limit: float | None = None
-    fitness: str | Callable[[Trace], float] = "default"
+    fitness: str | Weights | Callable[[Trace], float] = "default"
     world: Any = None
     road: Mapping[str, Any] = field(default_factory=dict)
     space: Mapping[str, Any] = field(default_factory=dict)
@@ -71,25 +76,47 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     Raises:
         RequestError: on the first wrong argument.
     """
+    arg, blame = arguments.get("arg", "run"), arguments.get("blame", "any")
+    world, limit = arguments.get("world"), arguments.get("decision_limit")
+    road = {name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None}
     try:
-        if arguments.get("world") is not None:
-            _check_world(arguments)
-        algorithm = _algorithm(settings)
-        return Request(
-            settings=settings,
-            algorithm=algorithm,
-            ads=_ads(arguments["ads"]),
-            arg=_identifier("arg", arguments.get("arg", "run")),
-            blame=_blame(arguments.get("blame", "any")),
-            decision_limit=_positive("decision_limit", arguments.get("decision_limit")),
-            fitness=_fitness(arguments.get("fitness"), algorithm),
-            world=arguments.get("world"),
-            road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
-            space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
-            place=place,
-        )
-    except _ArgumentError as error:
-        raise RequestError(f"{place}({error.argument}=...): {error}") from None
+        algorithm = resolve_algorithm(settings.algorithm)
+    except ValueError as error:
+        raise RequestError(str(error)) from error
+    fitness = algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"]
+    problems = {
+        f"world=..., {next(iter(road), '')}=...": world is not None
+        and road
+        and f"expected either a whole world or its parts, received both; give {next(iter(road), '')} to the world",
+        "world=...": world is not None
+        and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
+        and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
+        "ads=...": _problem_of_ads(arguments["ads"]),
+        "arg=...": not _is_name(arg) and f"expected a name, received {arg!r}",
+        "blame=...": blame not in BLAMES and f"expected {' or '.join(BLAMES)}, received {blame!r}",
+        "decision_limit=...": limit is not None
+        and not _is_positive(limit)
+        and f"expected seconds, more than 0, received {limit!r}",
+        "fitness=...": not (isinstance(fitness, (str, Weights)) or callable(fitness))
+        and "expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a Trace that returns a float, "
+        f"received {fitness!r}",
+    }
+    for argument, problem in problems.items():
+        if problem:
+            raise RequestError(f"{place}({argument}): {problem}")
+    return Request(
+        settings=settings,
+        algorithm=algorithm,
+        ads=arguments["ads"],
+        arg=arg,
+        blame=blame,
+        decision_limit=None if limit is None else float(limit),
+        fitness=fitness,
+        world=world,
+        road=road,
+        space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+        place=place,
+    )
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
@@ -119,9 +146,6 @@ def build_world(request: Request, fixture_world: Any) -> Any:
     Raises:
         RequestError: when the road arguments do not fit the world.
     """
-    from pytest_pafot.searching.space import SearchSpace  # noqa: PLC0415
-    from pytest_pafot.world import Highway  # noqa: PLC0415
-
     if request.world is not None:
         return request.world
     changes = dict(request.road)
@@ -152,12 +176,6 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     Raises:
         RequestError: when an argument is out of range, no scenario can be made, or the world cannot be built.
     """
-    import numpy as np  # noqa: PLC0415
-
-    from pytest_pafot.searching.space import sample, space_on  # noqa: PLC0415
-    from pytest_pafot.world import WorldError  # noqa: PLC0415
-    from pytest_pafot.world.protocol import road_start  # noqa: PLC0415
-
     given = ", ".join(request.space)
     try:
         space = space_on(world, request.space, road_start(world))
@@ -178,80 +196,21 @@ def hint_at_world(given: Any) -> str:
     return f'; did you mean pafot.World("{env_id}"{config})?' if isinstance(env_id, str) else ""
 
 
-class _ArgumentError(Exception):
-    def __init__(self, argument: str, problem: str) -> None:
-        super().__init__(problem)
-        self.argument = argument
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and value.isidentifier()
 
 
-def _check_world(arguments: Mapping[str, Any]) -> None:
-    double = next((name for name in ROAD_ARGUMENTS if arguments.get(name) is not None), None)
-    if double is not None:
-        raise _ArgumentError(
-            f"world=..., {double}",
-            f"expected either a whole world or its parts, received both; give {double} to the world",
-        )
-    world = arguments["world"]
-    if isinstance(world, type) or not callable(getattr(world, "rollout", None)):
-        raise _ArgumentError(
-            "world", f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}"
-        )
+def _is_positive(value: object) -> bool:
+    return not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value) and value > 0
 
 
-def _ads(value: object) -> str | Callable[..., Any]:
-    if callable(value) or (isinstance(value, str) and value.isidentifier()):
-        return value
-    from pytest_pafot.world.driving.ads import hint_at_object  # noqa: PLC0415
-    from pytest_pafot.world.kernel.action import shown  # noqa: PLC0415
-
+def _problem_of_ads(value: object) -> str:
+    if callable(value) or _is_name(value):
+        return ""
     hint = hint_at_object(value)
     if isinstance(value, str):
         hint = f"Load a model in the factory, as in `ads=lambda: MyPlanner({value!r})`"
-    raise _ArgumentError(
-        "ads",
+    return (
         "expected the name of a fixture or a factory such as `lambda: MyPlanner()`, received "
-        f"{shown(value)}{f'. {hint}' if hint else ''}",
+        f"{shown(value)}{f'. {hint}' if hint else ''}"
     )
-
-
-def _identifier(name: str, value: object) -> str:
-    if not isinstance(value, str) or not value.isidentifier():
-        raise _ArgumentError(name, f"expected a name, received {value!r}")
-    return value
-
-
-def _blame(value: object) -> str:
-    if value not in BLAMES:
-        raise _ArgumentError("blame", f"expected {' or '.join(BLAMES)}, received {value!r}")
-    return str(value)
-
-
-def _positive(name: str, value: object) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (math.isfinite(value) and value > 0):
-        raise _ArgumentError(name, f"expected seconds, more than 0, received {value!r}")
-    return float(value)
-
-
-def _algorithm(settings: Settings) -> AlgorithmClass:
-    from pytest_pafot.searching.algorithms import resolve_algorithm  # noqa: PLC0415
-
-    try:
-        return resolve_algorithm(settings.algorithm)
-    except ValueError as error:
-        raise RequestError(str(error)) from error
-
-
-def _fitness(value: object, algorithm: AlgorithmClass) -> Any:
-    from pytest_pafot.searching.fitness import Weights  # noqa: PLC0415
-
-    if value is None:
-        return algorithm.fitness
-    if not isinstance(value, (str, Weights)) and not callable(value):
-        raise _ArgumentError(
-            "fitness",
-            "expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a Trace that returns a float, "
-            f"received {value!r}",
-        )
-    return value

@@ -6,11 +6,12 @@ Read :meth:`Search.run` from the top: replays, the loop over generations, simpli
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
@@ -18,25 +19,22 @@ from pytest_pafot.campaign.confirmation import difference
 from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.loop import SearchLoop
-from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
+from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, RequestError, build_space
+from pytest_pafot.campaign.request import RequestError, build_space
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.summary import Progress, SearchSummary
-from pytest_pafot.campaign.time_limit import TimeLimit
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.retrying import Retried, retry
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching import Algorithm, run_campaign
-from pytest_pafot.searching.fitness import Fitness, FitnessError, resolve
+from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.searching import run_campaign
+from pytest_pafot.searching.fitness import FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.failure import is_interruption
@@ -49,6 +47,34 @@ def search_seed(base_seed: int, node_id: str) -> int:
     """The seed of a search: a function of the base seed and its test's node id, the same in every process."""
     digest = hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()
     return int.from_bytes(digest[:4], "big")
+
+
+class TimeLimit(NamedTuple):
+    """A moment, and the option that it comes from.
+
+    Attributes:
+        flag: of the option, for what is told of a search that this cuts.
+        until: the moment [s], by the clock of the search; infinite without a limit.
+    """
+
+    flag: str
+    until: float
+
+
+def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
+    """When a search that begins now must end: after its own limit of time, or after its share of the session's.
+
+    Args:
+        settings: of the search.
+        now: the moment [s].
+        began: the moment at which the session began [s].
+        left: searches that this process has yet to run, this one included; each gets as much of the session's time.
+    """
+    own = TimeLimit(BY_NAME["max_time"].flag, now + (math.inf if settings.max_time is None else settings.max_time))
+    if settings.total_time is None:
+        return own
+    share = max(0.0, began + settings.total_time - now) / left
+    return min(own, TimeLimit(BY_NAME["total_time"].flag, now + share), key=lambda limit: limit.until)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +114,6 @@ class Search:
         stops_at_first: whether it ends at its first new finding.
         progress_seconds: between two tellings of progress.
         notes: to be told once in the summary.
-        shrink_runs: taken to simplify finds.
     """
 
     node_id: str
@@ -100,12 +125,14 @@ class Search:
     stops_at_first: bool = False
     progress_seconds: float = 10.0
     notes: list[str] = field(default_factory=list)
-    shrink_runs: int = 0
-    started: float = field(init=False)
-    told_at: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.started = self.told_at = self.clock()
+    _runner: Runner = field(init=False)
+    _record: CrashRecord = field(init=False)
+    _simulation: Simulation = field(init=False)
+    _recorder: Recorder = field(init=False)
+    _loop: SearchLoop = field(init=False)
+    _shrink_runs: int = field(init=False, default=0)
+    _started: float = field(init=False)
+    _told_at: float = field(init=False)
 
     @property
     def seed(self) -> int:
@@ -119,66 +146,18 @@ class Search:
             RequestError: where the search cannot be run as it is asked for.
         """
         __tracebackhide__ = True
-        harness, settings = self.harness, self.harness.request.settings
-        fitness = checked_fitness(harness.request)
-        space = build_space(harness.request, harness.world) if settings.generations else None
-        speed_limit = float(harness.world.speed_limit)
-        self.listener(SearchStarted(node_id=self.node_id, seed=self.seed, speed_limit=speed_limit))
-        job = harness.job()
+        self._started = self._told_at = self.clock()
+        harness = self.harness
+        space = build_space(harness.request, harness.world) if harness.request.settings.generations else None
         with ExitStack() as stack:
-            record = stack.enter_context(harness.recording(job))
-            runner = runner_for(
-                job,
-                record,
-                workers=settings.workers,
-                isolate=settings.isolate,
-                can_lock_step=not settings.isolate and harness.can_lock_step,
-                can_resume=harness.can_resume,
-            )
-            simulation = Simulation(harness, runner, record)
-            stack.push(runner.__exit__)  # ends the processes of what runs after the search, too
-            recorder = Recorder(
-                harness=harness,
-                seed=self.seed,
-                confirm=lambda run: difference(run, simulation),
-                listener=self.listener,
-            )
-            retried = [self._retried(leftover, recorder, simulation) for leftover in harness.left_behind()]
+            self._prepare(stack)
+            speed_limit = float(harness.world.speed_limit)
+            self.listener(SearchStarted(node_id=self.node_id, seed=self.seed, speed_limit=speed_limit))
+            retried = [self._retried(leftover) for leftover in harness.left_behind()]
             self.notes += [note for each in retried for note in each.notes]
-            saved = saved_in(harness.folder)
-            recorder.replayed = frozenset(each.path for each in saved)
-            wants_near_misses = harness.request.algorithm.reads_near_misses and harness.request.blame == "ego"
-            loop = SearchLoop(
-                simulation=simulation,
-                recorder=recorder,
-                fitness=fitness,
-                listener=self.listener,
-                near_misses=near_misses if wants_near_misses else None,
-                fatal={each.finding.scenario for each in saved if each.finding is not None and each.is_crash},
-            )
-            reason, fault = "interrupted", None
-            try:
-                with runner:
-                    reason = self._searched(loop, space, recorder, saved, runner.announce)
-                recorder.release()
-                self._simplify(loop, recorder, simulation)
-            except SetupFaultError as error:
-                reason, fault = "error", error
-                recorder.withdraw()
-                loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
-            except BaseException as error:
-                reason = "interrupted" if is_interruption(error) else "error"
-                raise
-            finally:
-                recorder.release()
-                for each in retried:
-                    if each.pending is not None:
-                        each.pending.discard()
-                self.notes += runner.notes
-                if record.error is not None:
-                    self.notes.append(str(record.error))
-                summary = self._summary(loop, recorder, reason)
-                self.listener(summary)
+            pending = [each.pending for each in retried if each.pending is not None]
+            summary, fault = self._conducted(space, pending)
+        loop, recorder = self._loop, self._recorder
         return SearchResult(
             summary=summary,
             kept=tuple(recorder.kept.values()),
@@ -189,53 +168,121 @@ class Search:
             is_vacuous=loop.health.vacuous,
         )
 
-    def _retried(self, leftover: Leftover, recorder: Recorder, simulation: Simulation) -> Retried:
+    def _prepare(self, stack: ExitStack) -> None:
+        """Put together who runs, records and counts; the stack ends what they have begun.
+
+        Raises:
+            RequestError: for a fitness that does not exist, or a world that cannot be used.
+        """
+        harness, request = self.harness, self.harness.request
+        is_for_ego = request.blame == "ego"
+        try:  # Under blame="ego" a search is steered towards what the ego is responsible for.
+            fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
+        except FitnessError as error:
+            raise request.error("fitness=...", error) from None
+        job, settings = harness.job(), request.settings
+        self._record = stack.enter_context(harness.recording(job))
+        self._runner = runner_for(
+            job,
+            self._record,
+            workers=settings.workers,
+            isolate=settings.isolate,
+            can_lock_step=not settings.isolate and harness.can_lock_step,
+            can_resume=harness.can_resume,
+        )
+        stack.push(self._runner.__exit__)  # What runs after the search begins processes anew.
+        self._simulation = Simulation(harness, self._runner, self._record)
+        self._recorder = Recorder(
+            harness=harness,
+            seed=self.seed,
+            confirm=lambda run: difference(run, self._simulation),
+            listener=self.listener,
+        )
+        self._loop = SearchLoop(
+            simulation=self._simulation,
+            recorder=self._recorder,
+            fitness=fitness,
+            listener=self.listener,
+            near_misses=near_misses if is_for_ego and request.algorithm.reads_near_misses else None,
+        )
+
+    def _conducted(
+        self, space: SearchSpace | None, pending: Sequence[Leftover]
+    ) -> tuple[SearchSummary, SetupFaultError | None]:
+        """Search and simplify; whatever ends that, all is told that was found until then."""
+        __tracebackhide__ = True
+        reason, fault, recorder = "interrupted", None, self._recorder
+        saved = saved_in(self.harness.folder)
+        recorder.replayed = frozenset(each.path for each in saved)
+        self._loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
+        try:
+            with self._runner:
+                reason = self._searched(space, saved)
+            recorder.release()
+            self._simplify()
+        except SetupFaultError as error:
+            reason, fault = "error", error
+            recorder.withdraw()
+            self._loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
+        except BaseException as error:
+            reason = "interrupted" if is_interruption(error) else "error"
+            raise
+        finally:
+            recorder.release()
+            for leftover in pending:
+                leftover.discard()
+            self.notes += [*self._runner.notes, *([str(self._record.error)] if self._record.error else [])]
+            summary = self._summary(reason)
+            self.listener(summary)
+        return summary, fault
+
+    def _retried(self, leftover: Leftover) -> Retried:
         """What came of the record of a process that died: what it ran runs again, in the world that it ran in."""
-        harness, world = self.harness, self.harness.world
-        job: Job | None = harness.job()
-        if leftover.world is not None and leftover.world != harness.job().world_data:
+        harness, job = self.harness, self.harness.job()
+        world = harness.world
+        if leftover.world not in (None, job.world_data):
             try:
                 world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
             except (WorldError, TypeError, ValueError):
                 world = None
-            job = None if world is None else harness.job(world)
         return retry(
             leftover,
-            job,
+            None if world is None else harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
-            keep=recorder.keep_crash,
-            run_here=simulation.rerun_one_by_one,
+            keep=self._recorder.keep_crash,
+            run_here=self._simulation.rerun_one_by_one,
         )
 
-    def _searched(
-        self,
-        loop: SearchLoop,
-        space: SearchSpace | None,
-        recorder: Recorder,
-        saved: Sequence[Saved],
-        announce: Callable[[Sequence[Scenario]], None],
-    ) -> str:
-        """Run the campaign; returns why it ended."""
+    def _searched(self, space: SearchSpace | None, saved: Sequence[Saved]) -> str:
+        """Run the campaign; returns why it ended.
+
+        Raises:
+            RequestError: where the algorithm does not take the settings or the road, or the fitness cannot be used.
+        """
         __tracebackhide__ = True
-        settings = self.harness.request.settings
         if space is None:
             return "replay only"
-        replayed = [self.replays.shown_by(each) for each in saved]
-        loop.replayed = [each for each in replayed if each is not None]
+        loop, request, settings = self._loop, self.harness.request, self.harness.request.settings
+        loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
         limit = 1 if self.stops_at_first else settings.stop_after
+        try:
+            algorithm = request.algorithm.make(space, population=settings.population)
+            request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
+        except ValueError as error:
+            raise RequestError(str(error)) from None
         events = run_campaign(
-            checked_algorithm(self.harness, space),
+            algorithm,
             loop.evaluate,
             generations=settings.generations,
             seed=self.seed,
             max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
-            stop=lambda: limit is not None and recorder.count >= limit,
-            foresee=lambda scenarios: announce([each for each in scenarios if each not in loop.fatal]),
+            stop=lambda: limit is not None and self._recorder.count >= limit,
+            foresee=lambda scenarios: self._runner.announce([each for each in scenarios if each not in loop.fatal]),
         )
         try:
-            loop.follow(events, lambda: self._tell_progress(loop, recorder))
+            loop.follow(events, self._tell_progress)
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
@@ -243,29 +290,29 @@ class Search:
         reasons = {"generations": DONE, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
-    def _simplify(self, loop: SearchLoop, recorder: Recorder, simulation: Simulation) -> None:
+    def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
         simplification = Simplification(
-            simulation=simulation,
-            recorder=recorder,
-            fatal=loop.fatal,
-            lose=loop.lose,
+            simulation=self._simulation,
+            recorder=self._recorder,
+            fatal=self._loop.fatal,
+            lose=self._loop.lose,
             is_over=lambda: self.clock() > self.limit.until,
-            tell=lambda phase: self._tell_progress(loop, recorder, phase),
+            tell=self._tell_progress,
         )
         simplification.run_all()
-        self.shrink_runs = simplification.runs
+        self._shrink_runs = simplification.runs
         if simplification.is_cut:
             self.notes.append(
                 f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"
             )
 
-    def _tell_progress(self, loop: SearchLoop, recorder: Recorder, phase: str = "") -> None:
-        now = self.clock()
-        if now - self.told_at < self.progress_seconds:
+    def _tell_progress(self, phase: str = "") -> None:
+        now, loop = self.clock(), self._loop
+        if now - self._told_at < self.progress_seconds:
             return
-        self.told_at = now
+        self._told_at = now
         generations = self.harness.request.settings.generations
         self.listener(
             Progress(
@@ -274,20 +321,16 @@ class Search:
                 generations=generations,
                 runs=loop.runs,
                 failing=loop.verdicts["failed"],
-                finds=recorder.count,
-                seconds=now - self.started,
+                finds=self._recorder.count,
+                seconds=now - self._started,
                 phase=phase,
             )
         )
 
-    def _summary(self, loop: SearchLoop, recorder: Recorder, reason: str) -> SearchSummary:
-        settings, health = self.harness.request.settings, loop.health
-        if loop.doubt:
-            self.notes.append(loop.doubt)
-        if reason == self.limit.flag:
-            self.notes.append(f"cut by {reason}: the same seed may find other scenarios next time")
-        self.notes += self._left_undone(loop, recorder, reason)
-        finds = [kept.find for kept in recorder.kept.values()]
+    def _summary(self, reason: str) -> SearchSummary:
+        settings, loop, health = self.harness.request.settings, self._loop, self._loop.health
+        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason == self.limit.flag)
+        finds = [kept.find for kept in self._recorder.kept.values()]
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -297,35 +340,32 @@ class Search:
             generations=loop.generation if loop.finished is None else loop.finished.generations,
             asked=settings.generations,
             reason=reason,
-            seconds=self.clock() - self.started,
+            seconds=self.clock() - self._started,
             runs=loop.runs,
             known_runs=health.reused,
-            invalid=loop.verdicts["invalid"],
-            npc=loop.verdicts["npc"],
-            rejected=loop.verdicts["rejected"],
-            skipped=loop.verdicts["skipped"],
+            **{kind: loop.verdicts[kind] for kind in ("invalid", "npc", "rejected", "skipped")},
             reached=health.reached_share if health.genes_started else None,
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
-            unsaved={id_: 1 + loop.repeats[id_] for id_ in recorder.unsaved},
-            shrink_runs=self.shrink_runs,
+            unsaved={id_: 1 + loop.repeats[id_] for id_ in self._recorder.unsaved},
+            shrink_runs=self._shrink_runs,
             known=dict(loop.known),
-            warnings=tuple(_warnings(loop)) if reason in (DONE, self.limit.flag) else (),
-            notes=tuple(self.notes),
+            warnings=loop.warnings if reason in (DONE, self.limit.flag) else (),
+            notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )
 
-    def _left_undone(self, loop: SearchLoop, recorder: Recorder, reason: str) -> Iterator[str]:
+    def _left_undone(self, reason: str) -> Iterator[str]:
         """What a longer search would do besides, and how to have it."""
-        settings = self.harness.request.settings
+        settings, recorder = self.harness.request.settings, self._recorder
         left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
         if left and settings.shrink_rollouts and reason in ("interrupted", "error"):
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
         is_default = settings.profile == LOCAL and settings.generations == PROFILES[LOCAL]["generations"]
-        if is_default and reason == DONE and not loop.verdicts["failed"] and not recorder.count:
+        if is_default and reason == DONE and not self._loop.verdicts["failed"] and not recorder.count:
             yield (
                 f"{settings.generations} generations are a short search: "
                 f"--pafot-generations={PROFILES[FULL]['generations']} looks further"
@@ -344,41 +384,3 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     if not harness.left_behind() and not any(replays.still_fails(each) for each in crashes):
         return harness
     return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
-
-
-def checked_algorithm(harness: Harness, space: SearchSpace) -> Algorithm[Any]:
-    """The search algorithm.
-
-    Raises:
-        RequestError: where it does not take the settings or the road, or its library is not installed.
-    """
-    request = harness.request
-    try:
-        algorithm = request.algorithm.make(space, population=request.settings.population)
-        request.algorithm.check_road(is_straight=protocol.road_start(harness.world) is None)
-    except ValueError as error:
-        raise RequestError(str(error)) from None
-    return algorithm
-
-
-def checked_fitness(request: Request) -> Fitness:
-    """The fitness of a search; under ``blame="ego"`` it is steered towards what the ego is responsible for.
-
-    Raises:
-        RequestError: for a fitness that does not exist.
-    """
-    try:
-        return resolve(request.fitness, responsible=is_ego_responsible if request.blame == "ego" else None)
-    except FitnessError as error:
-        raise request.error("fitness=...", error) from None
-
-
-def _warnings(loop: SearchLoop) -> list[str]:
-    """The search's health, and whether the test function was asked at all."""
-    warnings = loop.health.warnings()
-    if loop.verdicts["npc"] and not loop.verdicts["passed"] and not loop.verdicts["failed"]:
-        warnings.append(
-            "the test function was never called: all runs that it could judge were collisions that an NPC is "
-            'responsible for, which blame="ego" leaves out; search longer'
-        )
-    return warnings

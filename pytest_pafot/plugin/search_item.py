@@ -18,9 +18,8 @@ from pytest_pafot.campaign.events import FindTold, Listener, SearchEvent, Search
 from pytest_pafot.campaign.harness import Harness, check_world, checked_factory, source_file
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
-from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death
+from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
-from pytest_pafot.campaign.time_limit import time_limit
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import folder_of_test
 from pytest_pafot.files import sweep
