@@ -1,19 +1,19 @@
-"""A report as the files of a folder."""
+"""The report of a session: the order of what it shows, whoever told it first, and the files that it becomes."""
 
 from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.session_report import report_files
+from pytest_pafot.report.session_report import Draft, report_files, write_report
 from tests.report.builders import real_report
-
-pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
 
 
 def short(finding, **more):
     """A single frame, so that drawing it is quick."""
+    pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
     return replace(finding, times=finding.times[:1], **more)
 
 
@@ -35,3 +35,83 @@ def test_findings_of_one_id_have_files_of_their_own_and_names_that_any_system_ta
     finding = short(real_report().findings[0], id="../a b")
     names = [name for name, _ in report_files(Report(title="t", findings=(finding, finding)))]
     assert names == ["index.html", ".._a_b.png", ".._a_b-2.png"]
+
+
+RANKED = [
+    ("b1", "new", "ego", 9),
+    ("b2", "still failing", "ego", 9),  # known, but of the test that comes first
+    ("a1", "new (flaky: the outcome)", "ego", 2),
+    ("a2", "new", "both", 9),
+    ("a3", "new", "npc", 9),
+    ("a4", "new", "none", 9),
+    ("a5", "new", "nobody can tell", 9),
+    ("a6", "still failing", "ego", 9),
+]
+"""Name, of which the first letter is the test's; label, responsibility and runs."""
+
+
+def shown(name="a1", label="new", responsibility="ego", runs=1):
+    more = {"node_id": name, "test": name[0], "label": label, "responsibility": responsibility, "runs": runs}
+    return replace(real_report().findings[0], **more)
+
+
+def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
+    return draft.report(
+        project="highway", command="pytest", findings=findings, errors=errors, is_interrupted=is_interrupted
+    )
+
+
+@pytest.mark.parametrize("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]], ids=["first", "last", "middle"])
+def test_findings_stand_by_test_then_new_before_known_then_by_who_answers_for_them_then_by_frequency(told):
+    report = report_of(Draft(target="x"), [shown(*each) for each in told])
+    assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
+
+
+def test_telling_a_finding_again_replaces_what_was_told():
+    draft = Draft(target="x")
+    for label in ("new", "new (flaky: the outcome)"):
+        draft.take({}, shown(label=label), None)
+    assert [finding.label for finding in draft.findings.values()] == ["new (flaky: the outcome)"]
+
+
+def test_the_facts_are_the_interrupt_the_replays_by_label_and_the_versions():
+    draft = Draft(target="x")
+    for label in ("fixed", "still failing", "fixed"):
+        draft.take({"replayed": label}, None, None)
+    facts = dict(report_of(draft, is_interrupted=True).facts)
+    assert facts["session"] == "interrupted; what ran until then is here"
+    assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
+    assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
+    assert "base seed" not in facts
+
+
+@pytest.mark.parametrize(
+    ("count", "errors", "title"),
+    [
+        (0, (), "highway: 0 findings"),
+        (1, (), "highway: 1 finding"),
+        (2, (("test_it.py::test_a", "a fault"),), "highway: 1 error, 2 findings"),
+    ],
+)
+def test_the_title_counts_errors_first(count, errors, title):
+    findings = [shown(f"a{number}") for number in range(count)]
+    assert report_of(Draft(target="x"), findings, errors=errors).title == title
+
+
+def test_without_what_draws_pictures_the_page_of_a_folder_is_written_and_the_rest_told(tmp_path, monkeypatch):
+    def fail(finding):
+        raise AnimationError("install Pillow")
+
+    monkeypatch.setattr("pytest_pafot.report.session_report.animate", fail)
+    written, problem = write_report("x/", tmp_path / "x", Report(title="t", findings=(shown(),)))
+    assert written == "report: x/index.html (1 finding)"
+    assert problem == "--pafot-report=x/: the page is there, pictures are not: install Pillow"
+    assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
+
+
+def test_a_report_that_cannot_be_written_says_why_and_what_to_do(tmp_path):
+    (tmp_path / "x").write_text("a file")
+    written, problem = write_report("x/", tmp_path / "x", Report(title="t"))
+    assert written == ""
+    assert problem.startswith("--pafot-report=x/: not written: ")
+    assert problem.endswith("; name another place")
