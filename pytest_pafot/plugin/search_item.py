@@ -34,7 +34,6 @@ from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
-from pytest_pafot.report.simplified import effort_lines, simplified_lines
 from pytest_pafot.versions import installed_versions
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
@@ -188,15 +187,17 @@ class SearchMessages:
         kept, config = told.kept, self._item.config
         width = config.stash[SHARED].width
         explanation = "" if told.run is None else told.run.explain()
-        more = (f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}", *effort_lines(kept.finding))
+        details = [] if told.is_new else terminal.simplified_lines(kept.finding, told.tried)
         if is_compact(config):  # without its last line, which names the scenario as the file does
-            explanation, more = explanation.rpartition("\n")[0], ()
+            explanation = explanation.rpartition("\n")[0]
+        else:
+            details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
+            details += terminal.effort_lines(kept.finding)
         section = terminal.find_section(
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(told.exception) else explanation,
             content=kept.content,
-            details=[] if told.is_new else simplified_lines(kept.finding, told.tried),
-            more=more,
+            details=details,
             advice=_advice(kept.find),
             width=width,
         )

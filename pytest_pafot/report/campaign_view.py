@@ -55,8 +55,8 @@ def campaign_view(
         reason=cut_by or ("" if finished is None else finished.reason),
         simulated=health.simulated,
         reused=health.reused,
-        outcomes=_ordered(Counter(str(evaluation.outcome) for evaluation in simulated)),
-        responsibilities=_ordered(responsibilities or {}),
+        outcomes=_by_count(str(evaluation.outcome) for evaluation in simulated),
+        responsibilities=_by_count(Counter(responsibilities or {}).elements()),
         cells=_rows(coverage, ((f"{int(cell)} {cell.label}", key) for cell, key in zip(Cell, CELLS, strict=True))),
         steps=_rows(coverage, ((" to ".join(map(str, key[1:])), key) for key in STEPS)),
         speeds=_rows(coverage, _speed_labels(speed_limit)),
@@ -104,6 +104,6 @@ def _speed_labels(speed_limit: float) -> Iterable[tuple[str, Key]]:
         yield f"{number * SPEED_BIN:g} to {top:g} m/s", key
 
 
-def _ordered(counts: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
+def _by_count(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
     """The most frequent first, then by name."""
-    return tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    return tuple(Counter(sorted(names)).most_common())

@@ -22,7 +22,7 @@ from pytest_pafot.report.page_data import (
     VehicleView,
 )
 from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
-from pytest_pafot.report.simplified import speed_sentences
+from pytest_pafot.report.terminal import speed_sentences
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
@@ -104,14 +104,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float) -> FindingView:
 
 
 def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: Iterable[str] = ()) -> ShrinkView:
-    """What shrinking came to, in lines of text.
-
-    Args:
-        original: the scenario as found.
-        shrunk: what it came to.
-        rollouts: runs that it took.
-        notes: sentences on intervals of speeds that still fail.
-    """
+    """What shrinking the scenario as found came to in so many runs; notes are sentences on speeds that still fail."""
     return ShrinkView(
         original=tuple(map(_chain_text, original.npcs)),
         shrunk=tuple(map(_chain_text, shrunk.npcs)),

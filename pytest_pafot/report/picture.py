@@ -36,14 +36,7 @@ class DrawnVehicle:
 
 @dataclass(frozen=True, slots=True)
 class DrawnCell:
-    """A cell of the grid around the ego.
-
-    Attributes:
-        cell: its number.
-        along, across: of its centre [m].
-        exists: whether there is a lane for it.
-        heading: of that lane [rad].
-    """
+    """A cell around the ego: its number, centre [m], whether it has a lane, and the heading of that lane [rad]."""
 
     cell: int
     along: float

@@ -12,7 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
+from pytest_pafot.scenario import PositionInstruction
 from pytest_pafot.text import ascii_text, plural
 
 WIDTH = 80
@@ -101,7 +104,6 @@ def find_section(
     explanation: str,
     content: str,
     details: Sequence[str] = (),
-    more: Sequence[str] = (),
     advice: str = "",
     width: int = WIDTH,
 ) -> str:
@@ -112,17 +114,57 @@ def find_section(
         explanation: of the run, or empty where the failure's message has it.
         content: of the file that could not be written, or empty.
         details: further lines, each with a title of up to ten letters.
-        more: further ones, for those who ask for all.
         advice: what follows from its remark, or empty.
         width: of the terminal.
     """
-    lines = [*explanation.splitlines(), *details, *more]
+    lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
     fitted = fitted_lines(map(ascii_text, lines if find.path else [*lines, f"not saved  {find.problem}"]), width)
     fitted += [ascii_text(f"saved as   {find.path}")] if find.path else []
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
     return "\n".join(fitted)
+
+
+def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
+    """The size of a find before and after, and who would prevent it.
+
+    Args:
+        finding: as it is kept.
+        tried: names of the reference drivers that were tried in its scenario.
+    """
+    lines: list[str] = []
+    if finding.shrunk is not None:
+        after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
+        more = "" if finding.shrunk.is_minimal else ", and could be simpler"
+        lines.append(f"shrunk     from {size_of(finding.original or finding.scenario)} {after}{more}")
+    if tried:
+        lines.append(f"preventable by {', '.join(finding.expect.preventable_by) or 'none of the reference drivers'}")
+    return lines
+
+
+def effort_lines(finding: Finding) -> list[str]:
+    """How many runs shrinking took, and the speeds that still fail."""
+    if finding.shrunk is None:
+        return []
+    return [
+        f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}",
+        *(f"still      {sentence}" for sentence in speed_sentences(finding)),
+    ]
+
+
+def speed_sentences(finding: Finding) -> list[str]:
+    """What is known of the speeds at which the scenario still fails."""
+    sentences = []
+    for interval in () if finding.shrunk is None else finding.shrunk.speeds:
+        gene = finding.scenario.npcs[interval.npc][interval.gene]
+        place = f"in cell {int(gene.cell)} ({gene.cell.label})" if isinstance(gene, PositionInstruction) else gene.goal
+        speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
+        if interval.low == interval.high:
+            speeds = f"only a speed of {interval.low:.1f} m/s"
+        seconds = interval.gene * finding.scenario.gene_seconds
+        sentences.append(f"NPC {interval.npc} from {seconds:g} s {place}: {speeds} still fails")
+    return sentences
 
 
 def failure_line(search: SearchSummary) -> str:

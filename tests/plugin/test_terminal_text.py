@@ -90,8 +90,8 @@ def test_the_section_of_a_find_reads_so(snapshot):
     find = replace(FIND, path="", problem="read-only file system", is_timed=True)
     explanation = "E     responsible: ego, because it did not brake\nE       although it saw the NPC early enough"
     text = terminal.find_section(
-        find, explanation=explanation, details=["found      pafot, seed 7, generation 0, run 1"],
-        more=["worlds     highway"], advice="run it again", content="pafot: 1\ntest: t\n",
+        find, explanation=explanation, advice="run it again", content="pafot: 1\ntest: t\n",
+        details=["found      pafot, seed 7, generation 0, run 1", "worlds     highway"],
     )  # fmt: skip
     assert text == snapshot
 
