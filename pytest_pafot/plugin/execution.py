@@ -43,12 +43,12 @@ class Execution:
 
 def _run(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
-    from pytest_pafot.plugin.last_resort import seen_to  # noqa: PLC0415
     from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
+    from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
 
     saved = saved_of(item)
-    with seen_to(item):
+    with session_ends_if_stuck(item):
         if saved is None:
             run_search(item, request)
         else:

@@ -18,7 +18,7 @@ from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import Lost, ending
 from pytest_pafot.execution.scenario_pool import ProcessLostError
-from pytest_pafot.plugin.last_resort import STATUS
+from pytest_pafot.plugin.stuck_ads import STATUS
 from pytest_pafot.scenario import Scenario
 
 HERE = "PAFOT_REPLAY_HERE"

@@ -7,7 +7,7 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.plugin import last_resort as stuck
+from pytest_pafot.plugin import stuck_ads as stuck
 from pytest_pafot.trace import Outcome
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
@@ -21,10 +21,10 @@ import time
 import pytest
 
 import pytest_pafot.execution.scenario_pool
-import pytest_pafot.plugin.last_resort
+import pytest_pafot.plugin.stuck_ads
 from pytest_pafot import Highway
 
-pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.last_resort.GRACE = 0.3
+pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.stuck_ads.GRACE = 0.3
 
 @pytest.fixture
 def pafot_world():

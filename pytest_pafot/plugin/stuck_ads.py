@@ -31,7 +31,7 @@ SHOWN = 6
 
 
 @contextmanager
-def seen_to(item: pytest.Item) -> Iterator[None]:
+def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
     """End the session where a decision inside cannot be interrupted."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
