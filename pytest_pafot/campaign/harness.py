@@ -108,7 +108,7 @@ class Harness:
         with self.recording(job) as record:
             record.write(scenario)
             with refusals():
-                trace = job.rollout(scenario)
+                trace = job.world.rollout(scenario, job.ads)
             run = self.seen(trace, world)
             return run, self.judge(run)
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,24 +27,6 @@ class Job:
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None
-
-    def rollout(
-        self, scenario: Scenario, ads: Callable[..., Any] | None = None, decisions: Sequence[Any] = ()
-    ) -> Trace:
-        """Run a scenario in this process, now.
-
-        Args:
-            scenario: to run.
-            ads: a factory in the place of the job's.
-            decisions: the first ones of the run, which the ADS is not asked for.
-
-        Raises:
-            Exception: what the world or the factory raises; what the ADS raises is in the trace.
-        """
-        __tracebackhide__ = True
-        given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
-        trace: Trace = self.world.rollout(scenario, ads or self.ads, **given)
-        return trace
 
     def crash_record(self) -> CrashRecord:
         """The record of what the calling process runs; nothing is on disk before its first scenario."""

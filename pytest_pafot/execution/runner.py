@@ -131,7 +131,8 @@ class Runner:
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self._clock()
-            trace = self._job.rollout(scenario, self._factory, decisions)
+            given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
+            trace = self._job.world.rollout(scenario, self._factory, **given)
             self._prefetching.ran_here(self._clock() - started)
         if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
             self._decisions.remember(trace)

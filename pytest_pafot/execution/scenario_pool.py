@@ -70,7 +70,7 @@ class _Rollouts:
     def __call__(self, scenario: Scenario, tell: Callable[[float], None]) -> tuple[Trace, CapturedOutput]:
         with self.record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
             self.record.write(scenario)
-            trace = self.job.rollout(scenario)
+            trace = self.job.world.rollout(scenario, self.job.ads)
         return trace, output
 
 

@@ -102,7 +102,10 @@ class Highway(BuiltInWorld):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        return selection.rollout(self, scenario, made(ads_factory), decisions)
+        ads = made(ads_factory)
+        if is_vehicle_class(ads):
+            return selection.rollout_vehicle(self, scenario, ads, decisions)
+        return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of highway-env's own highway-v0.

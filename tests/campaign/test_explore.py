@@ -1,6 +1,8 @@
 """A search without pytest."""
 
 import math
+import sys
+import traceback
 
 import pytest
 
@@ -50,6 +52,19 @@ def test_its_events_are_those_that_a_listener_hears_but_for_the_runs():
     assert {told.kept.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
         finding.id for finding in exploration.findings
     }
+
+
+def test_no_more_than_eight_frames_lie_between_the_loop_of_a_search_and_the_engine_both_included():
+    class Planner:
+        stacks = ()
+
+        def __call__(self, observation):
+            Planner.stacks = [frame.f_code.co_qualname for frame, _ in traceback.walk_stack(sys._getframe(1))]
+            return 0.0, 0.0
+
+    pafot.explore(Planner, holds=lambda run: None, seed=5, **SHORT)
+    assert Planner.stacks[0] == "run_planner"
+    assert Planner.stacks.index("_campaign") < 8
 
 
 def test_without_a_corpus_nothing_is_written(tmp_path, monkeypatch):

@@ -43,21 +43,19 @@ class SiWorld(Protocol):
         """The road as highway-env has it."""
 
 
-def rollout(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
-    """Run a scenario, which fits the world, on a straight road.
+def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
+    """Run a scenario, which fits the world, on a straight road, with an ego that drives itself.
 
     Args:
         world: that says which engine.
         scenario: to run.
-        ads: fresh: a callable from an observation to an action, or a vehicle class.
-        decisions: the first ones of the run, which a callable is not asked for.
+        ads: a vehicle class.
+        decisions: the first ones of the run; such an ego can be given none.
 
     Raises:
         WorldError: when the world insists on the kernel, and that cannot drive this ego; and for decisions in the place
             of a vehicle class.
     """
-    if not is_vehicle_class(ads):
-        return rollout_planner(world, world.rules, scenario, ads, decisions)
     if decisions:
         raise WorldError(
             f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
