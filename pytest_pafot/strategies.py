@@ -115,10 +115,8 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
         raise ValueError(f"ego_lane: expected a lane from 0 to {lanes - 1}, received {ego_lane}")
     starts = {lane: [cell for cell in allowed if 0 <= lane + cell.column < lanes] for lane in range(lanes)}
     # Examples shrink to the first lane, which is to be the one next to the leftmost.
-    candidates = (
-        sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane)) if ego_lane is None else [ego_lane]
-    )
-    usable = [lane for lane in candidates if len(starts[lane]) >= max_npcs]
+    ordered = sorted(range(lanes), key=lambda lane: (lane != min(1, lanes - 1), lane))
+    usable = [lane for lane in ordered if ego_lane in (None, lane) and len(starts[lane]) >= max_npcs]
     if not usable:
         raise ValueError(
             f"max_npcs: expected at most one NPC per cell that exists at the start, received {max_npcs} with "

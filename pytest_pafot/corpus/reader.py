@@ -120,8 +120,7 @@ def _world(field: Field) -> dict[str, Any]:
     world = {key: inner.value for key, inner in fields.items()}
     for key, value in world.items():
         try:
-            check_plain(field.at(key).name, value)
-            check_plain(field.name, {key: None})
+            check_plain(field.name, {key: value})
         except ValueError as error:
             raise field.at(key).error("plain data", "correct it", str(error)) from None
     kind = world.get("kind")

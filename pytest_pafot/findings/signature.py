@@ -101,7 +101,7 @@ class Signature:
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return self.outcome.replace("_", "-")
         if self.failure == SLOW_DECISION:
-            return _kebab("slow-decision")
+            return "slow-decision"
         words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
         subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
         return _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or self.outcome.replace("_", "-")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.yaml_text import text_of
 from tests.support.mutations import MUTATIONS, UnclearError, misread, says

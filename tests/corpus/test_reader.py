@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -261,6 +261,17 @@ def test_nesting_without_end_is_refused(path, opening):
     error = fault(path, "pafot: 1\nworld: \n  " + opening * (100_000 // len(opening)))
     assert error.expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
     assert time.perf_counter() - before < 3
+
+
+@pytest.mark.parametrize("levels", range(14, 20))
+def test_a_world_is_read_or_refused_at_its_line_however_deep_it_is(path, levels):
+    text = text_of(plain_finding(world={"kind": "own", "data": "x"})).replace(
+        "data: x", f"data: {'[' * levels}{']' * levels}"
+    )
+    if levels < 16:
+        assert parsed(path, text.encode()).world["kind"] == "own"
+    else:
+        assert "levels of nesting" in str(fault(path, text))
 
 
 def test_a_huge_file_is_refused_unread(path):

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from hypothesis import given
 
-from pytest_pafot.corpus.fields import CorpusError
+from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
