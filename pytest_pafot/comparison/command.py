@@ -119,14 +119,11 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
 
     Raises:
         PlanError: for a value that no world or space takes.
-        WorldError: for an environment that cannot be used.
     """
     world = _world(arguments)
     given = ((name, getattr(arguments, name)) for name in ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed"))
     try:
         space = space_on(world, {name: value for name, value in given if value is not None}, road_start(world))
-    except WorldError:
-        raise
     except ValueError as error:
         raise PlanError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations

@@ -147,7 +147,10 @@ def ads_factory(reference: str) -> Callable[..., Any]:
         factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
     except ModuleNotFoundError as error:
         if len(parts) == 1 and EXAMPLES in (error.name or ""):
-            near = difflib.get_close_matches(reference, policies := _examples(), n=1)
+            names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
+            others = ("conftest", "defects")  # the factory of the second needs an argument
+            policies = [name for name in names if name not in others and not name.startswith("test_")]
+            near = difflib.get_close_matches(reference, policies, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise PlanError(
                 f"--ads: expected one of {', '.join(policies)}, or module:factory for a policy of your own, received "
@@ -170,12 +173,6 @@ def _imported(module_name: str) -> ModuleType:
         if error.name != EXAMPLES:
             raise
         return importlib.import_module(f"pytest_pafot.{module_name}")
-
-
-def _examples() -> list[str]:
-    """Names of the example policies, without ``defects``, whose factory needs an argument."""
-    names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
-    return [name for name in names if name not in ("conftest", "defects") and not name.startswith("test_")]
 
 
 def world_of(plan: Plan) -> WorldLike:

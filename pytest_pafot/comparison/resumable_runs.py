@@ -107,8 +107,8 @@ class Progress:
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
             return
         self.told_at = now
-        self.told.write(f"\r{self.line(shares, now)}\x1b[K" if is_terminal else f"{self.line(shares, now)}\n")
-        self.told.flush()
+        line = self.line(shares, now)
+        self._tell(f"\r{line}\x1b[K" if is_terminal else f"{line}\n")
 
     def line(self, shares: float, now: float) -> str:
         """``compare: 12 of 30 runs, 43 %, 6 min left``."""
@@ -123,14 +123,15 @@ class Progress:
         self.done += 1
         if not self.told.isatty():
             spent = _duration(self.clock() - self.started)
-            self.told.write(f"compare: {self.done} of {self.total} runs, {task[0]} run {task[1]} done after {spent}\n")
-            self.told.flush()
+            self._tell(f"compare: {self.done} of {self.total} runs, {task[0]} run {task[1]} done after {spent}\n")
 
     def close(self) -> None:
         """End the line that was rewritten."""
         if self.told.isatty():
-            self.told.write("\r\x1b[K")
-            self.told.flush()
+            self._tell("\r\x1b[K")
+
+    def _tell(self, text: str) -> None:
+        print(text, end="", file=self.told, flush=True)
 
 
 def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:

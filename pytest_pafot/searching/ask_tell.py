@@ -6,18 +6,18 @@ searches, ours and those of others: a subclass says what it proposes and what it
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, NewBest
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchFinished, NewBest
 from pytest_pafot.searching.operators import best_of, improves
-from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import SearchSpace
 
 
@@ -50,11 +50,11 @@ class Algorithm(Protocol[StateT]):
         """By which files and reports call it."""
         ...
 
-    def start(self, rng: np.random.Generator) -> StateT:
+    def start(self, rng: Generator) -> StateT:
         """The state before the first generation."""
         ...
 
-    def ask(self, state: StateT, rng: np.random.Generator) -> tuple[StateT, tuple[Scenario, ...]]:
+    def ask(self, state: StateT, rng: Generator) -> tuple[StateT, tuple[Scenario, ...]]:
         """The scenarios to evaluate next; none where a generation brings nothing new.
 
         Raises:
@@ -63,7 +63,7 @@ class Algorithm(Protocol[StateT]):
         ...
 
     def tell(
-        self, state: StateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+        self, state: StateT, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
         """Finish the generation that was asked for, with its evaluations in the same order.
 
@@ -112,27 +112,25 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         check_parameters(self, population=1)
 
     @abstractmethod
-    def start(self, rng: np.random.Generator) -> GenerationStateT:
+    def start(self, rng: Generator) -> GenerationStateT:
         """The state before the first generation."""
 
     @abstractmethod
-    def propose(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
+    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
         """The scenarios of the next generation, and the state if drawing them changes it."""
 
-    def learn(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> GenerationStateT:
+    def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Generator) -> GenerationStateT:
         """The state with what the runs of a generation show; its best and its generation follow by themselves."""
         return state
 
-    def ask(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
+    def ask(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         """The scenarios of the next generation."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
         return replace(state, asked=tuple(proposed)), tuple(proposed)
 
     def tell(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: np.random.Generator
+        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
         """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(state.asked, evaluations)
@@ -151,6 +149,18 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
         """What passes on untouched into the generation that was asked for."""
         return ()
+
+
+def end_of_local_search(
+    state: SearchState, incumbent: Evaluation, better: Evaluation | None
+) -> tuple[AlgorithmEvent, ...]:
+    """What an algorithm tells at the end of a local search that has found a better one than its incumbent, or none."""
+    finished = LocalSearchFinished(
+        generation=state.generation, incumbent=incumbent, best=better or incumbent, replaced=better is not None
+    )
+    if better is None:
+        return (finished,)
+    return NewBest(generation=state.generation, local_generation=state.local_generation, evaluation=better), finished
 
 
 def check_ask(asked: Sequence[object] | None) -> None:
@@ -197,3 +207,23 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
                 f"{place}: expected the evaluation of {scenario!r} at {index}, received one of "
                 f"{evaluation.scenario!r}; keep the order of the scenarios"
             )
+
+
+def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
+    """Refuse numbers that are too small or too large.
+
+    Args:
+        search: with attributes of all names.
+        rates: names of probabilities and shares.
+        factors: names of factors, finite and at least 0.
+        least: names of counts, and the smallest value of each.
+
+    Raises:
+        ValueError: naming the first that is wrong.
+    """
+    limits: dict[str, tuple[float, float, str]] = dict.fromkeys(rates, (0, 1, "a number from 0 to 1"))
+    limits |= {name: (0, math.nextafter(math.inf, 0), "a finite number, at least 0") for name in factors}
+    limits |= {name: (bound, math.inf, f"a count of at least {bound}") for name, bound in least.items()}
+    for name, (low, high, expected) in limits.items():
+        if not low <= getattr(search, name) <= high:
+            raise ValueError(f"{name}: expected {expected}, received {getattr(search, name)!r}")

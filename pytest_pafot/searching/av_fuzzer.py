@@ -12,20 +12,19 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     GenerationFinished,
-    LocalSearchFinished,
     LocalSearchStarted,
     NewBest,
     Restarted,
 )
 from pytest_pafot.searching.operators import with_chain
-from pytest_pafot.searching.parameters import check_parameters
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.trace import FloatArray
 
@@ -49,7 +48,6 @@ class AvFuzzerState:
         local_population: the same within a local search.
         global_best: of all generations, by fitness, kept aside.
         local_best: of the local search that is going on.
-        best_since_restart: the highest fitness of a selected population since the last random one.
         slot: of the best in the population, which the result of a local search may take.
         bests: the highest fitness of each selected population since the last random one, that one first.
         restarted_at: the generation whose population was random.
@@ -64,7 +62,6 @@ class AvFuzzerState:
     local_population: tuple[Evaluation, ...] = ()
     global_best: Evaluation | None = None
     local_best: Evaluation | None = None
-    best_since_restart: float = -math.inf
     slot: int = 0
     bests: tuple[float, ...] = ()
     restarted_at: int = 0
@@ -116,18 +113,18 @@ class AvFuzzerSearch:
         """The space with slices for genes."""
         return self.space.sliced(self.slices)
 
-    def start(self, rng: np.random.Generator) -> AvFuzzerState:
+    def start(self, rng: Generator) -> AvFuzzerState:
         """The state before the first generation, whose population is random."""
         return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
 
-    def ask(self, state: AvFuzzerState, rng: np.random.Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
+    def ask(self, state: AvFuzzerState, rng: Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
         """The scenarios of the next generation that crossover or mutation touched; there may be none."""
         check_ask(state.asked)
         asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
         return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
 
     def tell(
-        self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: np.random.Generator
+        self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
@@ -146,20 +143,21 @@ class AvFuzzerSearch:
         selected = tuple(population)
         if not is_random and state.local_generation != 1:
             selected = roulette(selected, rng)
-        state = replace(
-            state, checkpoints=(*state.checkpoints, np.stack([features(member.scenario) for member in selected]))
-        )
+        seen = np.stack([features(member.scenario) for member in selected])
+        state = replace(state, checkpoints=(*state.checkpoints, seen))
         step = self._after_local_generation if state.local_generation else self._after_generation
         state, events = step(state, selected, rng)
         return state, (finished, *events)
 
-    def _varied(self, state: AvFuzzerState, rng: np.random.Generator) -> tuple[tuple[int, Scenario], ...]:
+    def _varied(self, state: AvFuzzerState, rng: Generator) -> tuple[tuple[int, Scenario], ...]:
         """Positions and scenarios of a population that crossover or mutation touched, unchanged ones among them."""
         is_local = state.local_generation > 0
         members = state.local_population if is_local else state.population
         scenarios = [member.scenario for member in members]
         if state.local_generation == 1:
-            return tuple((index, self._mutated(scenario, rng)) for index, scenario in enumerate(scenarios))
+            return tuple(
+                (index, mutated(scenario, self.space.top_step, rng)) for index, scenario in enumerate(scenarios)
+            )
         rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
         touched: set[int] = set()
         for _ in range(len(scenarios) // 2):
@@ -169,15 +167,12 @@ class AvFuzzerSearch:
                 touched |= {first, second}
         for index, scenario in enumerate(scenarios):
             if rng.random() < rate:
-                scenarios[index] = self._mutated(scenario, rng)
+                scenarios[index] = mutated(scenario, self.space.top_step, rng)
                 touched.add(index)
         return tuple((index, scenarios[index]) for index in sorted(touched))
 
-    def _mutated(self, scenario: Scenario, rng: np.random.Generator) -> Scenario:
-        return mutated(scenario, self.sliced.top_step, rng)
-
     def _after_generation(
-        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: np.random.Generator
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
         best, generation = selected[slot], state.generation
@@ -192,8 +187,7 @@ class AvFuzzerSearch:
         if age >= self.restart_after and sum(stagnant) / len(stagnant) >= fitness:
             events.append(Restarted(generation=generation + 1, stagnant=self.restart_after))
             return self._restarted(state, rng), tuple(events)
-        improves = fitness > state.best_since_restart
-        state = replace(state, best_since_restart=max(fitness, state.best_since_restart))
+        improves = fitness > max(earlier, default=-math.inf)
         incumbent = state.global_best
         if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
             return replace(state, generation=generation + 1), tuple(events)
@@ -201,7 +195,7 @@ class AvFuzzerSearch:
         copies = (incumbent,) * self.population
         return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
 
-    def _restarted(self, state: AvFuzzerState, rng: np.random.Generator) -> AvFuzzerState:
+    def _restarted(self, state: AvFuzzerState, rng: Generator) -> AvFuzzerState:
         generation = state.generation + 1
         candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
         fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
@@ -210,13 +204,12 @@ class AvFuzzerSearch:
             generation=generation,
             population=(),
             restarted_at=generation,
-            best_since_restart=-math.inf,
             bests=(),
             fresh=fresh,
         )
 
     def _after_local_generation(
-        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: np.random.Generator
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
         best = max((*selected, *([] if state.local_best is None else [state.local_best])), key=_weight)
         state = replace(state, local_population=selected, local_best=best)
@@ -225,19 +218,10 @@ class AvFuzzerSearch:
         incumbent = state.global_best
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
         replaced = best.eligible and _weight(best) > _weight(incumbent)
-        finished = LocalSearchFinished(
-            generation=state.generation,
-            incumbent=incumbent,
-            best=best if replaced else incumbent,
-            replaced=replaced,
-        )
-        events: tuple[AlgorithmEvent, ...] = (finished,)
         population = list(state.population)
         if replaced:
             population[state.slot] = best
-            new = NewBest(generation=state.generation, local_generation=state.local_generation, evaluation=best)
-            events = (new, finished)
-        state = replace(
+        after = replace(
             state,
             generation=state.generation + 1,
             local_generation=0,
@@ -246,17 +230,17 @@ class AvFuzzerSearch:
             local_best=None,
             global_best=best if replaced else incumbent,
         )
-        return state, events
+        return after, end_of_local_search(state, incumbent, best if replaced else None)
 
 
-def swapped(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:
+def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Two scenarios that have exchanged the NPC of one random index, the same in both."""
     npc = int(rng.integers(len(a.npcs)))
     first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
     return replace(a, npcs=first), replace(b, npcs=second)
 
 
-def mutated(scenario: Scenario, top_step: int, rng: np.random.Generator) -> Scenario:
+def mutated(scenario: Scenario, top_step: int, rng: Generator) -> Scenario:
     """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
 
     Args:
@@ -278,7 +262,7 @@ def mutated(scenario: Scenario, top_step: int, rng: np.random.Generator) -> Scen
     return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:gene], after, *chain[gene + 1 :])))
 
 
-def roulette(population: Sequence[Evaluation], rng: np.random.Generator) -> tuple[Evaluation, ...]:
+def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
     """As many members, drawn with replacement in proportion to their fitness, shifted where one is negative.
 
     Runs that are not eligible, such as crashes between NPCs, weigh nothing, unless there are no others.

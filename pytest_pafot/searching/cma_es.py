@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
@@ -45,10 +46,6 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
 
     A chain is its first cell, a category of eight; the steps to the next cells, categories of three; and its speeds,
     whole numbers of 0.1 m/s. What two NPCs would both hold is repaired.
-
-    Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
     """
 
     name: ClassVar[str] = "cma-es"
@@ -58,7 +55,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         if self.population < 2:
             raise ValueError(f"population: expected at least 2, to rank them, received {self.population!r}")
 
-    def start(self, rng: np.random.Generator) -> CmaEsState:
+    def start(self, rng: Generator) -> CmaEsState:
         """The state before the first generation; the optimiser's own draws follow from one of the generator."""
         from cmaes import CatCMAwM  # noqa: PLC0415  (slow to import)
 
@@ -71,14 +68,14 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         )
         return CmaEsState(optimiser=optimiser)
 
-    def propose(self, state: CmaEsState, rng: np.random.Generator) -> tuple[CmaEsState, Sequence[Scenario]]:
+    def propose(self, state: CmaEsState, rng: Generator) -> tuple[CmaEsState, Sequence[Scenario]]:
         """Scenarios drawn from the optimiser's distribution."""
         optimiser = copy.deepcopy(state.optimiser)
         solutions = tuple(optimiser.ask() for _ in range(self.population))
         state = replace(state, optimiser=optimiser, solutions=solutions)
         return state, [self._decoded(solution, fresh_seed(rng)) for solution in solutions]
 
-    def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> CmaEsState:
+    def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:
         """The distribution moved towards what is worse for the ego."""
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))

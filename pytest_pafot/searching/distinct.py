@@ -14,16 +14,15 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import GenerationState
+from pytest_pafot.searching.ask_tell import GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
-from pytest_pafot.searching.parameters import check_parameters
 
 SPEED_NICHE = 5.0
 """Width of a niche in closing speed [m/s]."""
@@ -73,10 +72,6 @@ class DistinctSearch(NicheSearch[DistinctState]):
        then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
 
     Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
-        random_generations: before the first children.
-        crossover_rate: probability that two parents swap two NPCs.
         most_mutations: of a child, whose number is uniform from 1.
     """
 
@@ -89,7 +84,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         NicheSearch.__post_init__(self)
         check_parameters(self, most_mutations=1)
 
-    def start(self, rng: np.random.Generator) -> DistinctState:
+    def start(self, rng: Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
         return DistinctState()
 
@@ -99,7 +94,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
         return [group for group in groups if group]
 
-    def child(self, parents: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Scenario:
+    def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
         """One to three mutations of a parent, or of two that have swapped NPCs."""
         child = _parent(parents, rng).executed
         if rng.random() < self.crossover_rate:
@@ -108,7 +103,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
             child = mutate(child, self.space, rng)
         return child
 
-    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> DistinctState:
+    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
         """The failures that are known now, and the runs that may be parents."""
         failed = [each for each in evaluations if each.failing]
         kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
@@ -130,7 +125,7 @@ def niche(evaluation: Evaluation) -> Niche:
     return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
 
 
-def _parent(groups: Sequence[Sequence[Evaluation]], rng: np.random.Generator) -> Evaluation:
+def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:
     return tournament(groups[int(rng.integers(len(groups)))], rng)
 
 

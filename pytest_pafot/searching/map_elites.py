@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationState
@@ -47,19 +48,12 @@ class MapElitesState(GenerationState):
 
 @dataclass(frozen=True, slots=True)
 class MapElitesSearch(NicheSearch[MapElitesState]):
-    """MAP-Elites over chains of Position-Instructions; niches are the impact cell and the closing speed.
-
-    Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
-        random_generations: generations of random scenarios before the first children.
-        crossover_rate: probability that two elites swap two NPCs.
-    """
+    """MAP-Elites over chains of Position-Instructions; niches are the impact cell and the closing speed."""
 
     name: ClassVar[str] = "map-elites"
     library: ClassVar[str] = "ribs"
 
-    def start(self, rng: np.random.Generator) -> MapElitesState:
+    def start(self, rng: Generator) -> MapElitesState:
         """The state before the first generation: an empty archive."""
         from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
 
@@ -73,15 +67,13 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
         elites = state.archive.data(["solution", "index"], return_type="dict")
         return [state.evaluations[int(number)] for number in elites["solution"][np.argsort(elites["index"]), 0]]
 
-    def child(self, parents: Sequence[Evaluation], rng: np.random.Generator) -> Scenario:
+    def child(self, parents: Sequence[Evaluation], rng: Generator) -> Scenario:
         """A mutation of an elite, or of two that have swapped NPCs."""
         a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
         child = crossover(a, b, rng)[0] if rng.random() < self.crossover_rate else a
         return mutate(child, self.space, rng)
 
-    def learn(
-        self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: np.random.Generator
-    ) -> MapElitesState:
+    def learn(self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: Generator) -> MapElitesState:
         """The archive with what a generation adds to it."""
         eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
         if not eligible:

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationStateT
-from pytest_pafot.searching.parameters import check_parameters
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationStateT, check_parameters
 from pytest_pafot.searching.space import sample
 
 
@@ -20,8 +19,6 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
     """A search whose first generations are random, and whose later ones are children of those that it kept.
 
     Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
         random_generations: before the first children.
         crossover_rate: probability that two parents swap two NPCs.
     """
@@ -32,7 +29,7 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
     def __post_init__(self) -> None:
         check_parameters(self, rates=("crossover_rate",), population=1, random_generations=1)
 
-    def propose(self, state: GenerationStateT, rng: np.random.Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
+    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
         """Random scenarios at first and while there is no parent; then children."""
         parents = self.parents(state)
         is_random = state.generation < self.random_generations or not parents
@@ -45,5 +42,5 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """What children are made of."""
 
     @abstractmethod
-    def child(self, parents: Sequence[Any], rng: np.random.Generator) -> Scenario:
+    def child(self, parents: Sequence[Any], rng: Generator) -> Scenario:
         """A scenario that is a variation of one or two parents."""

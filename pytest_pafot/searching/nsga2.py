@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario, positions_of
-from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.operators import crossover, mutate
-from pytest_pafot.searching.parameters import check_parameters
+from pytest_pafot.searching.operators import varied
 from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import FloatArray
 
@@ -41,7 +41,6 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     """NSGA-II over chains of Position-Instructions. Its first generation is random.
 
     Attributes:
-        space: of the scenarios.
         population: survivors, and children in a generation.
         crossover_rate: probability that a pair of parents swaps two NPCs, as in the paper.
         mutation_rate: probability that a child has one Position-Instruction replaced, as in the paper.
@@ -58,11 +57,11 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
             raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
         check_parameters(self, rates=("crossover_rate", "mutation_rate"))
 
-    def start(self, rng: np.random.Generator) -> Nsga2State:
+    def start(self, rng: Generator) -> Nsga2State:
         """The state before the first generation; it needs no draw."""
         return Nsga2State()
 
-    def propose(self, state: Nsga2State, rng: np.random.Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
+    def propose(self, state: Nsga2State, rng: Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
         """Children of the survivors, random scenarios before there are any."""
         proposed: list[Scenario] = []
         while len(proposed) < self.population:
@@ -73,20 +72,18 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
         """The survivors of the generation before."""
         return state.population
 
-    def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: np.random.Generator) -> Nsga2State:
+    def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: Generator) -> Nsga2State:
         """Those who survive the generation."""
         return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
 
-    def _pair(self, population: Sequence[Evaluation], rng: np.random.Generator) -> list[Scenario]:
+    def _pair(self, population: Sequence[Evaluation], rng: Generator) -> tuple[Scenario, Scenario]:
         """Two children; the population is in the order in which tournaments prefer it."""
         first, second = (int(rng.integers(len(population), size=2).min()) for _ in range(2))
-        a, b = population[first].executed, population[second].executed
-        if rng.random() < self.crossover_rate:
-            a, b = crossover(a, b, rng)
-        return [mutate(child, self.space, rng) if rng.random() < self.mutation_rate else child for child in (a, b)]
+        pair = population[first].executed, population[second].executed
+        return varied(pair, self.space, self.crossover_rate, self.mutation_rate, rng)
 
 
-def surviving(evaluations: Sequence[Evaluation], count: int, rng: np.random.Generator) -> tuple[Evaluation, ...]:
+def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> tuple[Evaluation, ...]:
     """As many as may survive, by rank of dominance, then the least crowded first."""
     from pymoo.core.population import Population  # noqa: PLC0415  (slow to import)
     from pymoo.core.problem import Problem  # noqa: PLC0415

@@ -7,10 +7,10 @@ is given. They act always; the rates at which they are applied belong to the alg
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.grid import is_adjacent
 from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
@@ -18,7 +18,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired
 
 
-def crossover(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scenario, Scenario]:
+def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
     """Swap two whole NPCs, one chosen at random from each scenario, then repair (section 3.4.1)."""
     in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
     return (
@@ -27,7 +27,7 @@ def crossover(a: Scenario, b: Scenario, rng: np.random.Generator) -> tuple[Scena
     )
 
 
-def mutate(scenario: Scenario, space: SearchSpace, rng: np.random.Generator) -> Scenario:
+def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Replace one random Position-Instruction by a new one that is repaired to fit in (section 3.4.2).
 
     The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
@@ -65,7 +65,7 @@ def _fitted(
     return replace(new, cell=cell)
 
 
-def tournament(population: Sequence[Evaluation], rng: np.random.Generator) -> Evaluation:
+def tournament(population: Sequence[Evaluation], rng: Generator) -> Evaluation:
     """The better of two members drawn with replacement; the first drawn of two equals.
 
     The paper does not name its selection of parents; binary tournament is the usual choice.
@@ -74,7 +74,7 @@ def tournament(population: Sequence[Evaluation], rng: np.random.Generator) -> Ev
     return second if second.rank > first.rank else first
 
 
-def parents(population: Sequence[Evaluation], rng: np.random.Generator) -> tuple[Evaluation, Evaluation]:
+def parents(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, Evaluation]:
     """Two different members, each by binary tournament; a population of one is both."""
     first = tournament(population, rng)
     others = [member for member in population if member is not first]
@@ -103,12 +103,23 @@ def improves(candidate: Evaluation | None, best: Evaluation | None) -> bool:
     return candidate is not None and candidate.eligible and (best is None or candidate.rank > best.rank)
 
 
+def varied(
+    pair: Iterable[Scenario], space: SearchSpace, crossover_rate: float, mutation_rate: float, rng: Generator
+) -> tuple[Scenario, Scenario]:
+    """Two children: their parents swap NPCs at one rate, and each child mutates at the other."""
+    a, b = pair
+    if rng.random() < crossover_rate:
+        a, b = crossover(a, b, rng)
+    first, second = (mutate(child, space, rng) if rng.random() < mutation_rate else child for child in (a, b))
+    return first, second
+
+
 def with_chain(chains: Sequence[Chromosome], npc: int, chain: Chromosome) -> tuple[Chromosome, ...]:
     """The chains with another one for an NPC."""
     return (*chains[:npc], chain, *chains[npc + 1 :])
 
 
-def _child(parent: Scenario, chains: tuple[Chromosome, ...], rng: np.random.Generator) -> Scenario:
+def _child(parent: Scenario, chains: tuple[Chromosome, ...], rng: Generator) -> Scenario:
     """A scenario that starts like its parent, with other chains and a new seed.
 
     The new seed keeps the coin of the repair fair: with the parent's, the same NPC and gene would fall to the

@@ -11,22 +11,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     GenerationFinished,
-    LocalSearchFinished,
     LocalSearchStarted,
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
-from pytest_pafot.searching.parameters import check_parameters
+from pytest_pafot.searching.operators import best_of, elites, improves, mutate, parents, varied
 from pytest_pafot.searching.space import SearchSpace, sample
 
 
@@ -105,11 +103,11 @@ class PafotSearch:
                 f"{self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
             )
 
-    def start(self, rng: np.random.Generator) -> PafotState:
+    def start(self, rng: Generator) -> PafotState:
         """The state before the first generation, whose population is random and valid (section 3.2)."""
         return PafotState(fresh=self._random_population(rng))
 
-    def ask(self, state: PafotState, rng: np.random.Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
+    def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
         """The scenarios to evaluate next: those of a generation that are not known already."""
         check_ask(state.asked)
         if not state.fresh:
@@ -117,7 +115,7 @@ class PafotSearch:
         return replace(state, asked=state.fresh, fresh=()), state.fresh
 
     def tell(
-        self, state: PafotState, evaluations: Sequence[Evaluation], rng: np.random.Generator
+        self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(state.asked, evaluations)
@@ -134,10 +132,10 @@ class PafotSearch:
             state, events = self._after_generation(state, finished.population, rng)
         return state, (finished, *events)
 
-    def _random_population(self, rng: np.random.Generator) -> tuple[Scenario, ...]:
+    def _random_population(self, rng: Generator) -> tuple[Scenario, ...]:
         return tuple(sample(self.space, rng) for _ in range(self.population))
 
-    def _bred(self, state: PafotState, rng: np.random.Generator) -> PafotState:
+    def _bred(self, state: PafotState, rng: Generator) -> PafotState:
         """The elites of a population and the children that fill up the next one.
 
         A local search only mutates (section 3.6: "a mutation-based fuzzing process").
@@ -154,20 +152,15 @@ class PafotSearch:
             attempts -= 1
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
 
-    def _pair(
-        self, population: tuple[Evaluation, ...], rng: np.random.Generator, *, local: bool
-    ) -> tuple[Scenario, Scenario]:
+    def _pair(self, population: tuple[Evaluation, ...], rng: Generator, *, local: bool) -> tuple[Scenario, Scenario]:
         """Two children of two parents, varied at the rates of the search."""
         crossover_rate, mutation_rate = self.crossover_rate, self.mutation_rate
         if local:
             crossover_rate, mutation_rate = 0.0, min(1.0, mutation_rate * self.local_mutation_factor)
-        a, b = (parent.executed for parent in parents(population, rng))
-        if rng.random() < crossover_rate:
-            a, b = crossover(a, b, rng)
-        first, second = (mutate(child, self.space, rng) if rng.random() < mutation_rate else child for child in (a, b))
-        return first, second
+        pair = (parent.executed for parent in parents(population, rng))
+        return varied(pair, self.space, crossover_rate, mutation_rate, rng)
 
-    def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: np.random.Generator) -> Scenario:
+    def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
         """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""
         for _ in range(self.breeding_attempts):
             mutant = mutate(incumbent.executed, self.space, rng)
@@ -176,7 +169,7 @@ class PafotSearch:
         return mutate(incumbent.executed, self.space, rng)
 
     def _after_generation(
-        self, state: PafotState, population: tuple[Evaluation, ...], rng: np.random.Generator
+        self, state: PafotState, population: tuple[Evaluation, ...], rng: Generator
     ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
         generation, candidate = state.generation, best_of(population)
         state = replace(state, population=population)
@@ -204,11 +197,9 @@ class PafotSearch:
         # The best of the local search takes the incumbent's place in the main population (section 3.6).
         incumbent, candidate = state.best, best_of(population)
         assert incumbent is not None, "a local search starts from a best"  # noqa: S101
-        replaced = candidate is not None and improves(candidate, incumbent)
-        best = candidate if candidate is not None and replaced else incumbent
-        finished = LocalSearchFinished(generation=state.generation, incumbent=incumbent, best=best, replaced=replaced)
-        new_best = NewBest(generation=state.generation, local_generation=state.local_generation, evaluation=best)
-        state = replace(
+        better = candidate if improves(candidate, incumbent) else None
+        best = better or incumbent
+        after = replace(
             state,
             generation=state.generation + 1,
             local_generation=0,
@@ -216,4 +207,4 @@ class PafotSearch:
             population=tuple(best if member is incumbent else member for member in state.population),
             best=best,
         )
-        return state, (new_best, finished) if replaced else (finished,)
+        return after, end_of_local_search(state, incumbent, better)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
@@ -19,24 +19,19 @@ from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 @dataclass(frozen=True, slots=True)
 class RandomSearch(GenerationalSearch[GenerationState]):
-    """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2).
-
-    Attributes:
-        space: of the scenarios.
-        population: scenarios in a generation.
-    """
+    """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2)."""
 
     name: ClassVar[str] = "random"
 
-    def start(self, rng: np.random.Generator) -> GenerationState:
+    def start(self, rng: Generator) -> GenerationState:
         """The state before the first generation; it needs no draw."""
         return GenerationState()
 
-    def propose(self, state: GenerationState, rng: np.random.Generator) -> tuple[GenerationState, Sequence[Scenario]]:
+    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Sequence[Scenario]]:
         """A generation of random scenarios."""
         return state, [self.drawn(rng) for _ in range(self.population)]
 
-    def drawn(self, rng: np.random.Generator) -> Scenario:
+    def drawn(self, rng: Generator) -> Scenario:
         """One scenario."""
         return sample(self.space, rng)
 
@@ -54,6 +49,6 @@ class RandomManoeuvreSearch(RandomSearch):
 
     slices: int = field(default=5, kw_only=True)
 
-    def drawn(self, rng: np.random.Generator) -> Scenario:
+    def drawn(self, rng: Generator) -> Scenario:
         """One scenario of Lane-Instructions."""
         return sample_manoeuvres(self.space.sliced(self.slices), rng)

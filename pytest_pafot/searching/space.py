@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from pytest_pafot.grid import Cell, is_adjacent, repair_chains
 from pytest_pafot.scenario import (
@@ -108,7 +109,7 @@ def _shared_out(given: Mapping[str, Any], start: tuple[int, float, int], longest
     return wanted
 
 
-def sample(space: SearchSpace, rng: np.random.Generator) -> Scenario:
+def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """A random valid scenario.
 
     The first cells are any distinct ones; then each NPC walks on the ring, with equal chances of holding its
@@ -126,7 +127,7 @@ def sample(space: SearchSpace, rng: np.random.Generator) -> Scenario:
     return repaired(chains, fresh_seed(rng), space)
 
 
-def sample_manoeuvres(space: SearchSpace, rng: np.random.Generator) -> Scenario:
+def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """A random scenario of Lane-Instructions: uniform speeds up to the limit, and keep, left or right.
 
     Nothing in it is left to repair, so that its seed is 0.
@@ -172,12 +173,12 @@ def _is_valid(cells: Sequence[Sequence[Cell]]) -> bool:
     return len(held) == len(set(held))
 
 
-def random_instruction(space: SearchSpace, rng: np.random.Generator) -> PositionInstruction:
+def random_instruction(space: SearchSpace, rng: Generator) -> PositionInstruction:
     """A Position-Instruction, uniform over the eight cells and the speeds up to the limit."""
     cell = Cell(int(rng.integers(1, 9)))
     return PositionInstruction(cell, int(rng.integers(space.top_step + 1)) / SPEED_STEPS_PER_MPS)
 
 
-def fresh_seed(rng: np.random.Generator) -> int:
+def fresh_seed(rng: Generator) -> int:
     """A seed for the repair of one scenario; 31 bits, so that it stays readable in a file."""
     return int(rng.integers(2**31))

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pytest_pafot.searching.av_fuzzer_fitness import av_fuzzer_fitness, braking_distance
-from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.fitness import av_fuzzer, braking_distance, resolve
 from pytest_pafot.trace import Outcome
 from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
 
@@ -42,7 +41,7 @@ def test_it_is_the_released_formula_on_any_trace(seed):
     states[..., 2] = rng.uniform(-0.05, 0.05, states.shape[:2])
     states[..., 1] /= 4
     trace = trace_of(*np.moveaxis(states, 1, 0), outcome=Outcome.COLLISION if seed % 2 else Outcome.SAFE)
-    assert av_fuzzer_fitness(trace) == pytest.approx(by_hand(trace), abs=1e-9)
+    assert av_fuzzer(trace) == pytest.approx(by_hand(trace), abs=1e-9)
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 22.0, 30.0])
@@ -53,20 +52,20 @@ def test_the_braking_distance_is_the_polynomial_and_never_negative(speed):
 
 def test_an_npc_right_ahead_leaves_its_distance_less_a_car_and_the_egos_braking():
     trace = trace_of(vehicle(0.0, speed=10.0), vehicle(15.0, speed=5.0), vehicle(500.0, 8.0))
-    assert av_fuzzer_fitness(trace) == pytest.approx(130 - 0.5 * 15 - 0.5 * (15 - 4.6 - brake(10.0)))
+    assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * 15 - 0.5 * (15 - 4.6 - brake(10.0)))
 
 
 @pytest.mark.parametrize(("x", "y"), [(4.6, 0.0), (20.0, 0.0), (15.0, 2.0), (-15.0, 0.0)])
 def test_outside_of_both_cases_only_the_distance_counts(x, y):
     trace = trace_of(vehicle(0.0, speed=10.0), vehicle(x, y, speed=5.0), vehicle(500.0, 8.0))
-    assert av_fuzzer_fitness(trace) == pytest.approx(130 - 0.5 * math.hypot(x, y) - 0.5 * 130)
+    assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * math.hypot(x, y) - 0.5 * 130)
 
 
 @pytest.mark.parametrize(("degrees", "counts"), [(0.9, False), (1.1, True), (-1.1, True)])
 def test_an_npc_behind_counts_while_the_ego_turns_by_more_than_a_degree(degrees, counts):
     trace = trace_of(vehicle(0.0, heading=math.radians(degrees)), vehicle(-12.0, speed=8.0), vehicle(500.0, 8.0))
     room = 12 - 4.6 - brake(8.0) if counts else 130
-    assert av_fuzzer_fitness(trace) == pytest.approx(130 - 0.5 * 12 - 0.5 * room)
+    assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * 12 - 0.5 * room)
 
 
 def test_a_turned_road_makes_no_difference():
@@ -79,25 +78,25 @@ def test_a_turned_road_makes_no_difference():
     cars = [(0.0, 0.0, 20.0), (12.0, 1.0, 9.0), (-9.0, 0.5, 20.0)]
     straight = trace_of(*(vehicle(x, y, speed=speed) for x, y, speed in cars))
     other = trace_of(*(turned(x, y, speed=speed) for x, y, speed in cars), lanes=straight_lanes(heading=heading))
-    assert av_fuzzer_fitness(other) == pytest.approx(av_fuzzer_fitness(straight))
+    assert av_fuzzer(other) == pytest.approx(av_fuzzer(straight))
 
 
 def test_between_two_samples_nothing_is_seen_but_a_collision():
     passing = np.array([40.0, 40.0, 6.0, 40.0, 40.0])
     unseen = trace_of(vehicle(0.0, ticks=4), vehicle(passing), vehicle(500.0, 8.0))
     seen = trace_of(vehicle(0.0, ticks=2), vehicle(passing[:3]), vehicle(500.0, 8.0), outcome=Outcome.COLLISION)
-    assert av_fuzzer_fitness(unseen) == pytest.approx(130 - 20 - 65)
-    assert av_fuzzer_fitness(seen) > av_fuzzer_fitness(unseen)
+    assert av_fuzzer(unseen) == pytest.approx(130 - 20 - 65)
+    assert av_fuzzer(seen) > av_fuzzer(unseen)
 
 
 def test_with_one_npc_nothing_is_divided_and_with_three_by_two():
     npc, far = vehicle(15.0), vehicle(900.0, 8.0)
     one, three = (trace_of(vehicle(0.0), npc, *others) for others in ((), (far, far)))
-    assert av_fuzzer_fitness(one) == pytest.approx(2 * av_fuzzer_fitness(three))
+    assert av_fuzzer(one) == pytest.approx(2 * av_fuzzer(three))
 
 
 def test_it_is_a_fitness_by_name_that_keeps_the_promises_of_all():
     trace = trace_of(vehicle(0.0), vehicle(15.0), vehicle(500.0, 8.0))
-    assert resolve("av-fuzzer")(trace) == av_fuzzer_fitness(trace)
+    assert resolve("av-fuzzer")(trace) == av_fuzzer(trace)
     invalid = trace_of(vehicle(0.0), vehicle(15.0), vehicle(500.0, 8.0), outcome=Outcome.INVALID)
     assert resolve("av-fuzzer")(invalid) == -math.inf
