@@ -20,7 +20,7 @@ from pytest_pafot.world.reference_drivers import REFERENCES
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.validation import number
+from pytest_pafot.world.validation import checked_number
 
 BOUNDS = {"clearance": (0.0, 50.0), "headway": (0.0, 10.0), "hang_limit": (0.01, 86400.0)}
 """Smallest and largest value of fields that both worlds have."""
@@ -130,7 +130,7 @@ class BuiltInWorld(ABC):
 
     def _check_fields(self) -> None:
         for name, (low, high) in BOUNDS.items():
-            object.__setattr__(self, name, number(name, getattr(self, name), low, high))
+            object.__setattr__(self, name, checked_number(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
 

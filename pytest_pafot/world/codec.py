@@ -20,7 +20,7 @@ from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import WorldLike, missing
-from pytest_pafot.world.validation import plain
+from pytest_pafot.world.validation import plain_data
 
 GROUP = "pytest_pafot.worlds"
 """Of entry points; each is a class with ``from_dict(data)`` and ``to_dict()``, under the name of its kind."""
@@ -157,7 +157,7 @@ def described(world: Any) -> dict[str, Any]:
     kind = _kind_of(type(world))
     own = {"kind": OWN, "class": type(world).__name__} if kind is None else {"kind": kind}
     try:
-        given = plain("world", world.to_dict())
+        given = plain_data("world", world.to_dict())
         check_plain("world", given)
     except ValueError as error:
         if kind is None:  # What a file cannot hold cannot be compared; the scenario is worth keeping.

@@ -11,6 +11,8 @@ import math
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -20,17 +22,18 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from highway_env.envs.common import action, observation
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot.world.driving.vehicles import straight_road
+from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.validation import plain, whole
+from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, checked_whole, plain_data
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """What environments call their random traffic, besides ``vehicles_count``."""
 REPLACED = (*TRAFFIC, "vehicles_count", "offscreen_rendering")
 """Options that are not as given while scenarios run; how to draw also depends on the machine."""
-LEAST_HZ: Mapping[str, int] = MappingProxyType({"simulation_frequency": 5, "policy_frequency": 1})
 
 LARGEST: Mapping[str, float] = MappingProxyType(
     {
@@ -62,43 +65,115 @@ say, as for the environment's own ``duration``.
 """
 
 
-def make(env_id: str, config: dict[str, Any] | None, wrappers: Sequence[Callable[[Any], Any]] | None) -> Any:
-    """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
+@dataclass(frozen=True, eq=False)
+class GymEnvironment:
+    """The environment of a world, made when it is first asked for.
 
-    Args:
+    Attributes:
         env_id: of a registered environment.
         config: as given by the user; None for that of the registration.
         wrappers: as given by the user; None where the policy must see the environment as it is.
-
-    Raises:
-        WorldError: when the environment cannot be used.
     """
-    creator = _creator(env_id)
-    if isinstance(creator, type):
-        _check_base(env_id, creator)
-    _check_sizes(config or {}, creator)
-    try:
-        with vehicle_classes_kept():
-            env = _without_traffic(env_id, creator, given_config(env_id, config))
-    except Exception as error:
-        raise WorldError(
-            field="config",
-            expected=f"a configuration that the environment {env_id} accepts",
-            received=f"{config!r:.200}",
-            fix=f"it raised {type(error).__name__}: {error!s:.200}",
-        ) from error
-    _check_base(env_id, type(env.unwrapped))
-    _check_config(env_id, config or {}, env.unwrapped)
-    added = wrapper_names(env)
-    if wrappers is None and added:
-        raise WorldError(
-            field="env_id",
-            expected="an environment whose policies see it as it is",
-            received=f"{env_id!r}, which is registered with {' and '.join(added)} around it",
-            fix=f"use pafot.World({env_id!r}, wrappers=[]), which runs through env.step with what the registration "
-            "adds, and with further wrappers that the list gives",
-        )
-    return _wrapped(env, wrappers or ())
+
+    env_id: str
+    config: dict[str, Any] | None
+    wrappers: Sequence[Callable[[Any], Any]] | None
+
+    def make(self) -> Any:
+        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
+
+        Raises:
+            WorldError: when the environment cannot be used.
+        """
+        creator, given = _creator(self.env_id), self.config or {}
+        if isinstance(creator, type):
+            _check_base(self.env_id, creator)
+        _check_sizes(given, creator)
+        try:
+            with vehicle_classes_kept():
+                env = _without_traffic(self.env_id, creator, self._given_config)
+        except Exception as error:
+            raise WorldError(
+                field="config",
+                expected=f"a configuration that the environment {self.env_id} accepts",
+                received=f"{self.config!r:.200}",
+                fix=f"it raised {type(error).__name__}: {error!s:.200}",
+            ) from error
+        _check_base(self.env_id, type(env.unwrapped))
+        _check_config(self.env_id, given, env.unwrapped)
+        added = wrapper_names(env)
+        if self.wrappers is None and added:
+            raise WorldError(
+                field="env_id",
+                expected="an environment whose policies see it as it is",
+                received=f"{self.env_id!r}, which is registered with {' and '.join(added)} around it",
+                fix=f"use pafot.World({self.env_id!r}, wrappers=[]), which runs through env.step with what the "
+                "registration adds, and with further wrappers that the list gives",
+            )
+        return _wrapped(env, self.wrappers or ())
+
+    @cached_property
+    def outer(self) -> Any:
+        """The environment in its wrappers."""
+        return self.make()
+
+    @property
+    def wrapper_names(self) -> list[str]:
+        """The classes of the wrappers, from the inside out, those of the registration included."""
+        return wrapper_names(self.outer)
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment without wrappers and vehicles, which no run changes."""
+        return self.outer.unwrapped
+
+    @cached_property
+    def straight_road(self) -> StraightRoad | None:
+        """The road; None where it is not straight."""
+        return straight_road(self.unwrapped.road.network)
+
+    @cached_property
+    def network(self) -> Any:
+        """The road as highway-env has it."""
+        lanes = SearchedLanes if self.straight_road is None else ParallelLanes
+        return lanes(self.unwrapped.road.network)
+
+    @property
+    def route(self) -> tuple[Any, ...] | None:
+        """The ego's, as the environment has planned it for a vehicle that follows one; None without."""
+        route = getattr(self.unwrapped.vehicle, "route", None) if self.straight_road is None else None
+        return None if route is None else tuple(route)
+
+    def steps_itself(self, *, drives_itself: bool) -> bool:
+        """Whether runs need the environment's own steps: they are its own, or its road does more than move vehicles.
+
+        An ego that drives itself takes no part in the steps of the environment, only in those of the road.
+        """
+        env, road = type(self.unwrapped), type(self.unwrapped.road)
+        has_own_road = road.step is not Road.step or road.act is not Road.act
+        has_own_step = env.step is not AbstractEnv.step or env._simulate is not AbstractEnv._simulate
+        return has_own_road or (has_own_step and not drives_itself)
+
+    @property
+    def whole_config(self) -> dict[str, Any]:
+        """All options with the values that the environment has, or would have with its random traffic.
+
+        Those that are no plain data are left out.
+        """
+        env = self.unwrapped
+        values = {**env.default_config(), **self._given_config}
+        values |= {name: env.config[name] for name in values if name in env.config and name not in REPLACED}
+        config: dict[str, Any] = {}
+        for name, value in values.items():
+            with suppress(WorldError):
+                config[name] = plain_data(f"config.{name}", value)
+        return config
+
+    @property
+    def _given_config(self) -> dict[str, Any]:
+        """Instead of the environment's defaults; that of the registration where there is no other, as in gymnasium."""
+        registered: dict[str, Any] = gymnasium.registry[self.env_id].kwargs.get("config") or {}
+        return registered if self.config is None else self.config
 
 
 def wrapper_names(env: Any) -> list[str]:
@@ -109,26 +184,6 @@ def wrapper_names(env: Any) -> list[str]:
             found.append(type(env).__name__)
         env = env.env
     return found[::-1]
-
-
-def given_config(env_id: str, config: dict[str, Any] | None) -> dict[str, Any]:
-    """Instead of the environment's defaults; that of the registration where there is no other, as in gymnasium."""
-    registered: dict[str, Any] = gymnasium.registry[env_id].kwargs.get("config") or {}
-    return registered if config is None else config
-
-
-def whole_config(env: Any, given: dict[str, Any]) -> dict[str, Any]:
-    """The options of an environment with the values that it has, or would have with its random traffic.
-
-    Those that are no plain data are left out.
-    """
-    values = {**type(env).default_config(), **given}
-    values |= {name: env.config[name] for name in values if name in env.config and name not in REPLACED}
-    config: dict[str, Any] = {}
-    for name, value in values.items():
-        with suppress(WorldError):
-            config[name] = plain(f"config.{name}", value)
-    return config
 
 
 @contextmanager
@@ -195,9 +250,9 @@ def _check_base(env_id: str, cls: type[Any]) -> None:
 def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     """Refuse what would take the environment minutes to make; what options of the user's own mean is not known."""
     given = {name: value for name, value in config.items() if name not in REPLACED}
-    for name, least in LEAST_HZ.items():
+    for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
-            whole(f"config.{name}", given[name], least, 1000)
+            checked_whole(f"config.{name}", given[name], *bounds)
     if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
         given = {name: given[name] for name in ("observation", "action") if name in given}
     _check_size("config", given)
@@ -308,7 +363,7 @@ def _as_known(config: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any
 
     def is_known(name: str, value: Any) -> bool:
         with suppress(WorldError):
-            return name in known and repr(plain(name, value)) == repr(plain(name, known[name]))
+            return name in known and repr(plain_data(name, value)) == repr(plain_data(name, known[name]))
         return False
 
     return {name: known[name] if is_known(name, value) else value for name, value in config.items()}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
@@ -19,7 +19,18 @@ from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED,
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.validation import check_divides, check_ticks, number, plain, whole
+from pytest_pafot.world.validation import (
+    ADS_HZ,
+    PHYSICS_HZ,
+    check_divides,
+    check_ticks,
+    checked_number,
+    checked_whole,
+    plain_data,
+)
+
+if TYPE_CHECKING:
+    from pytest_pafot.world.gym_environment import GymEnvironment
 
 LONGEST_RUN = 60.0
 """Where neither the option nor the environment says how long a run lasts, and on circuits [s]; the paper's."""
@@ -66,10 +77,10 @@ class World(BuiltInWorld):
             )
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(field="config", expected="a dict of the environment's options", received=repr(self.config))
-        object.__setattr__(self, "config", plain("config", self.config))
+        object.__setattr__(self, "config", plain_data("config", self.config))
         self._check_fields()
         if self.duration is not None:
-            object.__setattr__(self, "duration", number("duration", self.duration, 0.1, 3600.0))
+            object.__setattr__(self, "duration", checked_number("duration", self.duration, 0.1, 3600.0))
         if self.wrappers is not None:
             self._check_wrappers()
             object.__setattr__(self, "wrappers", tuple(self.wrappers))
@@ -150,16 +161,15 @@ class World(BuiltInWorld):
             WorldError: when the environment cannot be used.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
-        from pytest_pafot.world.engines import policy_engine  # noqa: PLC0415  (imports highway-env)
-
         self.check_fits(scenario)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads = made(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
             ads_factory = ads if is_vehicle_class(ads) else lambda: ads
-        steps_itself = policy_engine.steps_itself(self.env, drives_itself=is_vehicle_class(ads_factory))
-        if self.wrappers is not None or steps_itself:
+        if self.wrappers is not None or self.environment.steps_itself(drives_itself=is_vehicle_class(ads_factory)):
             return self.rollout_in_gym(scenario, ads_factory)
-        return policy_engine.rollout(self, scenario, ads_factory)
+        from pytest_pafot.world.engines import policy_engine  # noqa: PLC0415  (imports highway-env)
+
+        return policy_engine.rollout(self.environment, self.rules, scenario, ads_factory)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of the plain environment.
@@ -170,26 +180,18 @@ class World(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
-        return replay_environment(self, scenario, ads_factory)
+        return replay_environment(self.environment, self.rules, scenario, ads_factory)
 
     def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
         from pytest_pafot.world.engines.policy_engine import begin  # noqa: PLC0415  (imports highway-env)
 
-        return begin(self, scenario, guard)
+        return begin(self.environment, self.rules, scenario, guard)
 
     @property
     def has_lock_step(self) -> bool:
         """Whether runs can take place in lock step: not by the steps of a whole environment, nor on bends."""
-        from pytest_pafot.world.engines.policy_engine import steps_itself  # noqa: PLC0415  (imports highway-env)
-
         is_bare = isinstance(self.road, StraightRoad) and self.wrappers is None
-        return is_bare and not steps_itself(self.env, drives_itself=False)
-
-    @property
-    def route(self) -> tuple[Any, ...] | None:
-        """The ego's, as the environment has planned it for a vehicle that follows one; None without."""
-        route = None if isinstance(self.road, StraightRoad) else getattr(self.env.vehicle, "route", None)
-        return None if route is None else tuple(route)
+        return is_bare and not self.environment.steps_itself(drives_itself=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.
@@ -200,61 +202,35 @@ class World(BuiltInWorld):
         Raises:
             WorldError: when the environment cannot be used.
         """
-        from pytest_pafot.world.gym_environment import given_config, whole_config  # noqa: PLC0415
-
         is_straight = isinstance(self.road, StraightRoad)
         data = {"kind": "gym", **asdict(replace(self, wrappers=None))}
-        data["config"] = whole_config(self.env, given_config(self.env_id, self.config))
+        data["config"] = self.environment.whole_config
         data["duration"] = self._wanted if is_straight else min(self._wanted, self._longest)
         del data["wrappers"]
-        return data if self.wrappers is None else {**data, "wrappers": self.wrapper_names}
-
-    @property
-    def wrapper_names(self) -> list[str]:
-        """The classes of the wrappers, from the inside out, those of the registration included."""
-        from pytest_pafot.world.gym_environment import wrapper_names  # noqa: PLC0415  (imports highway-env)
-
-        return wrapper_names(self._outer)
-
-    def make(self) -> Any:
-        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
-
-        Raises:
-            WorldError: when the environment cannot be used.
-        """
-        from pytest_pafot.world.gym_environment import make  # noqa: PLC0415  (imports highway-env)
-
-        return make(self.env_id, self.config, self.wrappers)
+        return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
 
     @cached_property
-    def _outer(self) -> Any:
-        return self.make()
+    def environment(self) -> GymEnvironment:
+        """What makes the environment, which that needs highway-env for."""
+        from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
+
+        return GymEnvironment(self.env_id, self.config, self.wrappers)
 
     @property
-    def env(self) -> Any:
-        """The environment without wrappers and vehicles, which no run changes."""
-        return self._outer.unwrapped
-
-    @cached_property
     def network(self) -> Any:
         """The road as highway-env has it."""
-        from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes  # noqa: PLC0415
-
-        lanes = ParallelLanes if isinstance(self.road, StraightRoad) else SearchedLanes
-        return lanes(self.env.road.network)
+        return self.environment.network
 
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        from pytest_pafot.world.driving.vehicles import straight_road  # noqa: PLC0415
-        from pytest_pafot.world.gym_environment import LEAST_HZ  # noqa: PLC0415
-
-        config = self.env.config
-        physics_hz, ads_hz = (whole(f"config.{name}", config[name], least, 1000) for name, least in LEAST_HZ.items())
+        config, environment = self.environment.unwrapped.config, self.environment
+        physics_hz = checked_whole("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
+        ads_hz = checked_whole("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
         check_divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
         duration = self._wanted
         check_ticks(duration, physics_hz)
-        road: StraightRoad | NetworkRoad | None = straight_road(self.env.road.network)
+        road: StraightRoad | NetworkRoad | None = environment.straight_road
         if road is None:
             road, duration = self._way(duration)
         return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration)
@@ -262,14 +238,16 @@ class World(BuiltInWorld):
     @property
     def _wanted(self) -> float:
         """How long a run on a straight road lasts [s]."""
-        config, name = self.env.config, "config.duration" if self.duration is None else "duration"
+        config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
-        return number(name, value, 1 / config["simulation_frequency"], 3600.0)
+        return checked_number(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
         """How long a run on any other road may last [s]."""
-        own = number("config.duration", self.env.config.get("duration", LONGEST_RUN), 0.0, math.inf)
+        own = checked_number(
+            "config.duration", self.environment.unwrapped.config.get("duration", LONGEST_RUN), 0.0, math.inf
+        )
         return min(own, LONGEST_RUN if self.duration is None else math.inf)
 
     def _way(self, wanted: float) -> tuple[NetworkRoad, float]:
@@ -281,7 +259,7 @@ class World(BuiltInWorld):
         from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only where a road is not straight)
 
         most = min(wanted, self._longest)
-        road = survey(self.env, self.env_id, self.limits, ahead=most * TOP_SPEED)
+        road = survey(self.environment.unwrapped, self.env_id, self.limits, ahead=most * TOP_SPEED)
         if road.ego_speed > 0:
             most = min(most, (road.end - road.start) / road.ego_speed)
         return road, most

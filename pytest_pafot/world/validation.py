@@ -7,11 +7,14 @@ from typing import Any
 
 from pytest_pafot.world.errors import WorldError
 
+PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
+"""Fewest and most ticks and decisions per second."""
+
 MOST_TICKS = 400_000
 """Of a run; its record takes about 0.5 KB for each tick with all NPCs."""
 
 
-def number(name: str, value: object, low: float, high: float, why: str = "") -> float:
+def checked_number(name: str, value: object, low: float, high: float, why: str = "") -> float:
     """A finite number within bounds, as float; ``why`` follows the bounds in the message.
 
     Raises:
@@ -22,7 +25,7 @@ def number(name: str, value: object, low: float, high: float, why: str = "") -> 
     return float(value)
 
 
-def whole(name: str, value: object, low: int, high: int) -> int:
+def checked_whole(name: str, value: object, low: int, high: int) -> int:
     """A whole number within bounds.
 
     Raises:
@@ -33,7 +36,7 @@ def whole(name: str, value: object, low: int, high: int) -> int:
     return value
 
 
-def plain(name: str, value: Any) -> Any:
+def plain_data(name: str, value: Any) -> Any:
     """A copy of plain data, as a corpus file can hold it: tuples and numpy arrays become lists.
 
     Raises:
@@ -43,11 +46,11 @@ def plain(name: str, value: Any) -> Any:
         for key in value:
             if not isinstance(key, str):
                 raise WorldError(field=name, expected="text as keys", received=repr(key))
-        return {key: plain(f"{name}.{key}", item) for key, item in value.items()}
+        return {key: plain_data(f"{name}.{key}", item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(f"{name}[{index}]", item) for index, item in enumerate(value)]
+        return [plain_data(f"{name}[{index}]", item) for index, item in enumerate(value)]
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
-        return plain(name, value.tolist())
+        return plain_data(name, value.tolist())
     if value is None or (isinstance(value, (bool, int, str)) or (isinstance(value, float) and not math.isnan(value))):
         return value
     expected = "plain data (numbers, text, lists, mappings), which a corpus file can hold"

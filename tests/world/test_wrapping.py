@@ -111,7 +111,7 @@ CASES = {
 def test_a_policy_sees_and_does_what_it_would_in_the_plain_loop(case, monkeypatch):
     config, wrappers = CASES[case]
     world = World("highway-v0", config=config, duration=7.0, wrappers=wrappers)
-    listener = Listener(world.make().action_space)
+    listener = Listener(world.environment.make().action_space)
     trace = world.rollout(SCENARIO, lambda: listener)
 
     monkeypatch.setattr(Staged, "trace", trace)
@@ -139,10 +139,10 @@ def test_each_run_has_fresh_wrappers_and_its_confirmation_is_the_same_run():
         wrappers=[NormalizeObservation, partial(StickyAction, repeat_action_probability=0.5)],
     )
     traces = [
-        world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
-        world.rollout(SCENARIO, lambda: Listener(world.make().action_space)),
-        world.rollout_in_gym(SCENARIO, lambda: Listener(world.make().action_space)),
-        *world.rollout_batch([SCENARIO], lambda: Listener(world.make().action_space)),
+        world.rollout(SCENARIO, lambda: Listener(world.environment.make().action_space)),
+        world.rollout(SCENARIO, lambda: Listener(world.environment.make().action_space)),
+        world.rollout_in_gym(SCENARIO, lambda: Listener(world.environment.make().action_space)),
+        *world.rollout_batch([SCENARIO], lambda: Listener(world.environment.make().action_space)),
     ]
     assert len({trace.states.tobytes() for trace in traces}) == 1
 
@@ -185,7 +185,7 @@ def test_with_a_list_of_wrappers_those_of_the_registration_take_part_as_well(how
     register("mine-v0", **REGISTERED[how])
     for wrappers, shape in [([], (25,)), ([partial(FrameStackObservation, stack_size=2)], (2, 25))]:
         world = World("mine-v0", wrappers=wrappers, duration=2.0)
-        listener = Listener(world.make().action_space)
+        listener = Listener(world.environment.make().action_space)
         world.rollout(SCENARIO, lambda listener=listener: listener)
         assert {seen.shape for seen in listener.seen} == {shape}
     assert world.to_dict()["wrappers"] == ["FlattenObservation", "FrameStackObservation"]

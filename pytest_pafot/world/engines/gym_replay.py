@@ -24,9 +24,9 @@ from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
-from pytest_pafot.world.engines.policy_engine import PolicyWorld, put_ego
+from pytest_pafot.world.engines.policy_engine import put_ego
 from pytest_pafot.world.errors import WorldError
-from pytest_pafot.world.gym_environment import vehicle_classes_kept, wrapper_names
+from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
@@ -172,25 +172,25 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, made(ads_factory), None))
 
 
-def replay_environment(world: PolicyWorld, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
     """A run of a :class:`pytest_pafot.World` by ``env.step`` of its environment in its wrappers."""
-    rules, outer = world.rules, world.make()
+    outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not is_vehicle_class(ads_factory), None
     ego = _ego(env.action_type.vehicle_class if is_policy else StockVehicle, rules, scenario, env)
-    put_ego(env, ego, world.route)
+    put_ego(env, ego, route)
     if is_policy and wants_env(ads_factory):
-        if world.wrappers is not None:
+        if environment.wrappers is not None:
             raise WorldError(
                 f"wrappers: expected none for a factory with a parameter `env`, received "
                 f"{', '.join(wrapper_names(outer)) or 'an empty list'}; a planner that simulates inside of the "
                 f"environment knows it as it is, and decides in its own actions"
             )
-        view = View(world.make().unwrapped, env)
+        view = View(environment.make().unwrapped, env)
     ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
     if is_vehicle_class(ads):
-        return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, ads, world.route))
-    policy = StockPolicy(ads, env if world.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)
+        return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, ads, route))
+    policy = StockPolicy(ads, env if environment.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)
     return _replayed(rules, scenario, env, policy)
 
 

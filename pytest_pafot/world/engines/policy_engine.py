@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
 
 from pytest_pafot.scenario import Scenario
@@ -16,77 +15,38 @@ from pytest_pafot.world.driving.ads import AdsFactory, EgoDriver, SelfDriving, f
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import Policy, View, moved
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
+from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.run_config import Rules
 
 
-class PolicyWorld(Protocol):
-    """A world that is made of an environment."""
-
-    @property
-    def rules(self) -> Rules:
-        """Of its runs."""
-
-    @property
-    def env(self) -> Any:
-        """The environment without wrappers and vehicles, which no run changes."""
-
-    @property
-    def network(self) -> Any:
-        """The environment's roads."""
-
-    @property
-    def route(self) -> tuple[Any, ...] | None:
-        """The ego's, where it follows one."""
-
-    @property
-    def wrappers(self) -> Sequence[Callable[[Any], Any]] | None:
-        """Around the environment; None where there are none."""
-
-    def make(self) -> Any:
-        """A fresh environment in its wrappers."""
-
-
-def rollout(world: PolicyWorld, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-    """Simulate a scenario, which fits the world, with a fresh ADS of any kind."""
-    env, every = _env_of(world, scenario), world.rules.physics_hz // world.rules.ads_hz
+def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+    """Simulate a scenario, which fits the rules, with a fresh ADS of any kind."""
+    env, route, every = _env_of(environment, scenario), environment.route, rules.physics_hz // rules.ads_hz
 
     def make_ego(start: tuple[float, float, float]) -> EgoDriver:
         ads = ads_factory
         if not is_vehicle_class(ads):
-            _put_own_ego(env, start, scenario.ego_speed, world.route)
+            _put_own_ego(env, start, scenario.ego_speed, route)
             if wants_env(ads_factory):
-                view = View(world.make().unwrapped, env)
+                view = View(environment.make().unwrapped, env)
                 return Policy(made(ads_factory, env=view.env), env, every, view)
             ads = made(ads_factory)
         if is_vehicle_class(ads):
-            return SelfDriving(ads, env.road, start, scenario.ego_speed, world.route)
+            return SelfDriving(ads, env.road, start, scenario.ego_speed, route)
         return Policy(ads, env, every)
 
-    return run(world.rules, scenario, env.road, make_ego)
+    return run(rules, scenario, env.road, make_ego)
 
 
-def begin(world: PolicyWorld, scenario: Scenario, guard: HangGuard) -> ObjectRun:
+def begin(environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard) -> ObjectRun:
     """A run that is given its actions."""
-    env = _env_of(world, scenario)
+    env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
-        _put_own_ego(env, start, scenario.ego_speed, world.route)
-        return Policy(None, env, world.rules.physics_hz // world.rules.ads_hz)
+        _put_own_ego(env, start, scenario.ego_speed, environment.route)
+        return Policy(None, env, rules.physics_hz // rules.ads_hz)
 
-    return ObjectRun(world.rules, scenario, env.road, make_ego, guard)
-
-
-def steps_itself(env: Any, *, drives_itself: bool) -> bool:
-    """Whether a run needs the environment's own steps: they are its own, or its road does more than move vehicles.
-
-    Args:
-        env: without wrappers.
-        drives_itself: whether the ego does: then it takes no part in the steps of the environment, only of the road.
-    """
-    cls, road = type(env), type(env.road)
-    has_own_road = road.step is not Road.step or road.act is not Road.act
-    has_own_step = cls.step is not AbstractEnv.step or cls._simulate is not AbstractEnv._simulate
-    return has_own_road or (has_own_step and not drives_itself)
+    return ObjectRun(rules, scenario, env.road, make_ego, guard)
 
 
 def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
@@ -103,15 +63,15 @@ def _put_own_ego(env: Any, start: tuple[float, float, float], speed: float, rout
     put_ego(env, env.action_type.vehicle_class(env.road, [x, y], heading, speed), route)
 
 
-def _env_of(world: PolicyWorld, scenario: Scenario) -> Any:
+def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     """The environment of one run, without vehicles; runs may nest and share no state."""
-    env = copy.copy(world.env)
+    env = copy.copy(environment.unwrapped)
     env.np_random = np.random.default_rng(scenario.seed)
     env.time = env.steps = 0
     env.road = Road(
-        world.network,
+        environment.network,
         np_random=env.np_random,
         neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
     )
-    env.road.objects = moved(world.env.road.objects, env.road)
+    env.road.objects = moved(environment.unwrapped.road.objects, env.road)
     return env
