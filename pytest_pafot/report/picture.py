@@ -120,18 +120,14 @@ def instruction_at(finding: FindingView, npc: int, time: float) -> tuple[Instruc
     return row, "arrived" if row.arrived is not None and time >= row.arrived - 1e-9 else "approach"
 
 
-def nearest_lane(lanes: Sequence[float], across: float) -> int:
-    """Index of the lane whose centre is nearest; the left one of two at equal distance."""
-    return min(range(len(lanes)), key=lambda lane: (round(abs(lanes[lane] - across), 9), lane))
-
-
 def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
     """Where a cell is. On a road that is not straight, as recorded for the nearest frame, moved on with the ego."""
     road = finding.road
     if not road.shapes:
         other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
         along = ego.along + cell.row * ((ego.length + other) / 2 + road.clearance)
-        lane = nearest_lane(road.lanes, ego.across)
+        # The nearest lane is the ego's; the left one of two at equal distance.
+        lane = min(range(len(road.lanes)), key=lambda lane: (round(abs(road.lanes[lane] - ego.across), 9), lane))
         goal = lane + cell.column
         exists = 0 <= goal < len(road.lanes)
         across = road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width

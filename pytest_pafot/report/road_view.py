@@ -22,9 +22,7 @@ BEYOND = 150.0
 def road_view(trace: Trace, clearance: float) -> RoadView:
     """The road of a run: how its lanes lie across it, or if it bends each lane as a line in the world.
 
-    Args:
-        trace: of the run.
-        clearance: gap between the ego and the cells ahead and behind [m].
+    The clearance is the gap between the ego and the cells ahead and behind [m].
     """
     ends = np.array([(lane.x, lane.y) for lane in trace.lanes])
     across = along_and_across(trace, ends[:, 0], ends[:, 1])[1]

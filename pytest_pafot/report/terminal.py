@@ -37,13 +37,7 @@ LEFT_ALONE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySummary:
-    """How the replay of a saved scenario went.
-
-    Attributes:
-        node_id: of the item.
-        label: ``fixed``, ``still failing``, ``drifted``, ``flaky``.
-        detail: what differs, or empty.
-    """
+    """How an item's replay went: ``fixed``, ``still failing``, ``drifted`` or ``flaky``; what differs, or empty."""
 
     node_id: str
     label: str
@@ -127,12 +121,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
-    """The size of a find before and after, and who would prevent it.
-
-    Args:
-        finding: as it is kept.
-        tried: names of the reference drivers that were tried in its scenario.
-    """
+    """The size of a find before and after, and which of the reference drivers that were tried would prevent it."""
     lines: list[str] = []
     if finding.shrunk is not None:
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.report.picture import instruction_at, nearest_lane, picture_at, vehicle_at
+from pytest_pafot.report.picture import instruction_at, picture_at, vehicle_at
 from tests.report.builders import cut_in_trace, scenario, view_of
 from tests.support.traces import trace_of, vehicle
 
@@ -40,10 +40,10 @@ def test_cells_beyond_the_road_do_not_exist():
     assert {cell.cell for cell in picture_at(view, 0.0).cells if not cell.exists} == {1, 7, 8}
 
 
-def test_the_grid_belongs_to_the_lane_whose_centre_is_nearest():
-    assert nearest_lane((0.0, 4.0, 8.0), 5.9) == 1
-    assert nearest_lane((0.0, 4.0, 8.0), 6.0) == 1
-    assert nearest_lane((0.0, 4.0, 8.0), 6.1) == 2
+@pytest.mark.parametrize(("across", "lane"), [(5.9, 4.0), (6.0, 4.0), (6.1, 8.0)])
+def test_the_grid_belongs_to_the_lane_whose_centre_is_nearest(across, lane):
+    view = view_of(trace_of(vehicle(0.0, across, speed=20.0, ticks=15), vehicle(30.0, 0.0, speed=20.0, ticks=15)))
+    assert {cell.cell: cell.across for cell in picture_at(view, 0.0).cells}[2] == lane
 
 
 def test_an_npc_is_on_its_way_until_it_arrives_and_free_after_its_last_gene():
