@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pytest_pafot.campaign.harness import is_same_run
 from pytest_pafot.campaign.simulation import Simulation
-from pytest_pafot.execution.scenario_pool import ProcessLostError
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.run import Run
@@ -28,7 +28,7 @@ def difference(run: Run, simulation: Simulation) -> str:
             return NOT_REPEATED
         differs = _difference_in_gym(run, simulation)
     except ProcessLostError as error:
-        return f"the process that ran it again {error.lost.how}"
+        return f"the process that ran it again {error.how}"
     return f"in highway-env's own environment: {differs}" if differs else ""
 
 

@@ -12,7 +12,8 @@ from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.units import doubt
-from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError, expectation
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.signature import Signature
@@ -101,7 +102,7 @@ class SearchLoop:
             try:
                 run = self.simulation.run(scenario)
             except ProcessLostError as error:
-                lost = error.lost
+                lost = error
             if lost is None:
                 evaluations.append(self._judged(run))
             else:  # Outside of the handler: the find that is made of it is no consequence of that exception.

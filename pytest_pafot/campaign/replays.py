@@ -14,7 +14,8 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.scenario_pool import ExecutionError, ProcessLostError, expectation
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import ExecutionError, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
@@ -53,7 +54,7 @@ class Replays:
         except RequestError:
             return None
         except ProcessLostError as error:
-            observed = expectation(error.lost).signature
+            observed = expectation(error).signature
             return Replayed(
                 id=saved.id, signature=finding.signature, observed=observed, xfailed=finding.xfail is not None
             )

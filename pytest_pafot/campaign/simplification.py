@@ -14,7 +14,8 @@ from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Expect, Finding, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
@@ -58,8 +59,8 @@ class Simplification:
             try:
                 self._refine(kept)
             except ProcessLostError as error:
-                self._call_flaky(kept, f"the process that ran it again {error.lost.how}")
-                self.lose(error.lost)
+                self._call_flaky(kept, f"the process that ran it again {error.how}")
+                self.lose(error)
 
     def _refine(self, kept: Kept) -> None:
         """Shrink a find, run the result once more, try reference drivers, and tell."""
@@ -95,7 +96,7 @@ class Simplification:
             try:
                 run, verdict = self._tried(candidate)
             except ProcessLostError as error:
-                self.lose(error.lost)
+                self.lose(error)
                 return None
             if verdict.failure is None or of_failure(run, verdict.failure) != signature:
                 return None

@@ -13,7 +13,7 @@ from typing import TextIO
 from pytest_pafot.comparison.algorithm_run import Tick, run_rows
 from pytest_pafot.comparison.plan import RUNS, Plan, PlanError, file_name
 from pytest_pafot.comparison.rows import text_of
-from pytest_pafot.execution.pool import Lost, Raised, WorkerPool
+from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.files import write_whole
 
 QUESTION = "comparison.json"
@@ -146,14 +146,14 @@ def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, w
     with WorkerPool(work, workers, method="spawn", patience=math.inf, grace=math.inf) as pool:
         pool.expect(tasks)
         for task, answer in pool.completed(progress.tick):
-            if pool.failure or isinstance(answer, Lost):
-                ended = f"its process {answer.how}" if isinstance(answer, Lost) else pool.failure
+            if pool.failure or isinstance(answer, ProcessLostError):
+                ended = f"its process {answer.how}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise WorkerDied(
                     f"compare: expected a worker to finish {task!r}, received: {ended}; the system may be short of "
                     "memory: use fewer --workers, then run it again, what is finished is kept"
                 )
-            if isinstance(answer, Raised):
-                raise answer.error
+            if isinstance(answer, Exception):
+                raise answer
             yield task
 
 

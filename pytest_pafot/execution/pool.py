@@ -18,7 +18,6 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
@@ -43,9 +42,8 @@ Work: TypeAlias = Callable[[TaskT, Callable[[float], None]], ResultT]
 """Runs a task in a process of the pool; its second argument can be told the share of the task that is done."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lost(Generic[TaskT]):
-    """A task whose process did not come back.
+class ProcessLostError(Exception, Generic[TaskT]):
+    """What came of a task cannot be told: its process did not come back.
 
     Attributes:
         task: that it ran.
@@ -54,25 +52,19 @@ class Lost(Generic[TaskT]):
         is_hang: whether it fell silent and was killed.
     """
 
-    task: TaskT
-    pid: int
-    how: str
-    is_hang: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Raised:
-    """A task without a result.
-
-    Attributes:
-        error: what was raised, why the result cannot be sent, or why there is no process to run the task.
-    """
-
-    error: Exception
+    def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
+        super().__init__(f"the process (pid {pid}) that ran {task!r} {how}")
+        self.task = task
+        self.pid = pid
+        self.how = how
+        self.is_hang = is_hang
 
 
 class WorkerPool(Generic[TaskT, ResultT]):
     """Up to so many processes, started as they are needed. To be used in a ``with`` statement.
+
+    The answer to a task is its result, or an exception: what was raised, why the result cannot be sent, why there is no
+    process to run it, or ``ProcessLostError``.
 
     Args:
         work: what every process does with each of its tasks. It must be possible to pickle tasks and results, and the
@@ -97,7 +89,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         ended: Callable[[int], None] = lambda pid: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.recovered: list[Lost[TaskT]] = []
+        self.recovered: list[ProcessLostError[TaskT]] = []
         """Processes that died in tasks that were done when they were tried alone."""
         self.failure = ""
         """Why no process could be started, from which moment on no task has a result; or empty."""
@@ -111,8 +103,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._workers: list[_Worker[TaskT]] = []
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
-        self._answers: dict[TaskT, ResultT | Raised | Lost[TaskT]] = {}
-        self._suspects: dict[TaskT, Lost[TaskT]] = {}
+        self._answers: dict[TaskT, ResultT | Exception] = {}
+        self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -127,11 +119,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._answers, self._suspects = {}, {}
         self._send()
 
-    def expects(self, task: TaskT) -> bool:
-        """Whether a task is expected, and was not fetched yet."""
-        return task in self._wanted
-
-    def fetch(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
+    def fetch(self, task: TaskT) -> ResultT | Exception:
         """The answer to a task, once; waits for it. One that was not expected is run next.
 
         A task in which a process died is tried once more while nothing else runs: there may have been too little
@@ -150,17 +138,16 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._wanted.discard(task)
         return self._answers.pop(task)
 
-    def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Raised | Lost[TaskT]]]:
+    def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
         """Each expected task with its answer, as soon as that is there; none is tried twice.
 
         Args:
             tick: told the sum of the shares that are done of the tasks under way, every now and then.
         """
         while self._wanted:
-            while not self._answers and not self._suspects:
-                self._receive()
-                self._send()
-                tick(sum(worker.share for worker in self._busy))
+            self._receive()
+            self._send()
+            tick(sum(worker.share for worker in self._busy))
             answers = self._answers | self._suspects
             self._answers, self._suspects = {}, {}
             for task, answer in answers.items():
@@ -181,7 +168,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def _busy(self) -> list[_Worker[TaskT]]:
         return [worker for worker in self._workers if worker.task is not None]
 
-    def _alone(self, task: TaskT) -> ResultT | Raised | Lost[TaskT]:
+    def _alone(self, task: TaskT) -> ResultT | Exception:
         while self._busy:
             self._receive()
         first = self._suspects.pop(task)
@@ -189,7 +176,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         while task not in self._answers and task not in self._suspects:
             self._receive()
         second = self._suspects.pop(task, None) or self._answers[task]
-        if not isinstance(second, Lost):
+        if not isinstance(second, ProcessLostError):
             self.recovered.append(first)
         return second
 
@@ -215,7 +202,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def _fail(self, task: TaskT, reason: str) -> None:
         """Without processes, whoever asks must see to the tasks."""
         self.failure = reason
-        self._answers[task] = Raised(error=RuntimeError(reason))
+        self._answers[task] = RuntimeError(reason)
 
     def _receive(self) -> None:
         """Take what is there, after a while at most."""
@@ -247,7 +234,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
-        lost = Lost(task=task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
+        lost = ProcessLostError(task, pid=worker.pid, how=how or ending(worker.process.exitcode), is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.how} before it had begun")
         elif task in self._wanted:
@@ -318,7 +305,7 @@ class _Worker(Generic[TaskT]):
         except (EOFError, OSError):
             raise
         except Exception as error:  # noqa: BLE001  (made of what cannot be had here)
-            is_done, said = True, Raised(error=error)
+            is_done, said = True, error
         if is_done:
             self.task = None
         else:
@@ -373,13 +360,13 @@ def _answer(work: Work[Any, Any], task: Any, connection: Connection) -> None:
     try:
         answer = work(task, lambda share: connection.send((False, share)))
     except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
-        answer = Raised(error=_portable(error))
+        answer = _portable(error)
     try:
         connection.send((True, answer))
     except OSError:
         raise
     except Exception as error:  # noqa: BLE001  (whatever somebody's result does when it is pickled)
-        connection.send((True, Raised(error=_worded(error))))
+        connection.send((True, _worded(error)))
 
 
 def _portable(error: BaseException) -> Exception:

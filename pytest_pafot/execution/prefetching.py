@@ -135,20 +135,19 @@ class Processes(Prefetching):
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Know what will be asked for, and begin with it where processes are in use."""
-        if self._pool is None:
-            self.announced = list(scenarios)
-        else:
+        self.announced = list(scenarios)
+        if self._pool is not None:
             self._pool.expect(scenarios)
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
         """The trace of an announced run, once; None where the run is to be made in this process."""
         __tracebackhide__ = True
-        self._is_measured = not afresh and scenario in self.announced
-        if self._is_measured:
-            self.announced.remove(scenario)
-        if afresh or self._pool is None or not self._pool.expects(scenario):
+        self._is_measured = False
+        if afresh or scenario not in self.announced:
             return None
-        return trace_from(self._pool.fetch(scenario))
+        self.announced.remove(scenario)
+        self._is_measured = self._pool is None
+        return None if self._pool is None else trace_from(self._pool.fetch(scenario))
 
     def ran_here(self, seconds: float) -> None:
         """Learn how long the last run took; what was not announced is not measured."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.pool import Lost, Raised
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Answer, LostRun
 from pytest_pafot.execution.separate_runs import answers_apart
 from pytest_pafot.scenario import Scenario
@@ -63,7 +63,7 @@ def retry(
     guilty = [each for each in leftover.scenarios if answers is None or not _came_to_its_end(answers[each])]
     for scenario in guilty:
         answer = None if answers is None else answers[scenario]
-        if isinstance(answer, Lost):
+        if isinstance(answer, ProcessLostError):
             keep(leftover, scenario, answer)
         elif not leftover.is_lock_step:
             keep(leftover, scenario, None)
@@ -82,7 +82,7 @@ def retry(
 
 def _came_to_its_end(answer: Answer) -> bool:
     """Whether a run did. One in which the ADS failed may have failed since it was another process."""
-    if isinstance(answer, (Lost, Raised)):
+    if isinstance(answer, Exception):
         return False
     trace, _ = answer
     return trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)

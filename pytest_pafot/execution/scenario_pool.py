@@ -12,7 +12,7 @@ from typing import TypeAlias
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.pool import GRACE, Lost, Raised, WorkerPool
+from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.scenario import Scenario
@@ -23,22 +23,14 @@ METHOD = "fork" if sys.platform == "linux" else "spawn"
 """Forked processes have the factory and the fixtures that it uses. Elsewhere the systems' own libraries do not survive
 it, and the factory must be one that can be pickled."""
 
-LostRun: TypeAlias = Lost[Scenario]
-Answer: TypeAlias = tuple[Trace, CapturedOutput] | Raised | LostRun
-"""A run and what was said in it; or only a run in the session's own process can show what happens; or neither."""
+LostRun: TypeAlias = ProcessLostError[Scenario]
+Answer: TypeAlias = tuple[Trace, CapturedOutput] | Exception
+"""A run and what was said in it. For any exception but a lost process, this process can show what happens."""
 ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, CapturedOutput]]
 
 
 class ExecutionError(Exception):
     """A run must be made in another process, and none can be had; the message says why, and the way out."""
-
-
-class ProcessLostError(Exception):
-    """What a scenario that was asked for shows cannot be told: its process did not come back."""
-
-    def __init__(self, lost: LostRun) -> None:
-        super().__init__(f"the process (pid {lost.pid}) that ran {lost.task!r} {lost.how}")
-        self.lost = lost
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
@@ -88,9 +80,9 @@ def trace_from(answer: Answer) -> Trace | None:
         ProcessLostError: where the process that made it did not come back.
     """
     __tracebackhide__ = True
-    if isinstance(answer, Lost):
-        raise ProcessLostError(answer)
-    if isinstance(answer, Raised):
+    if isinstance(answer, ProcessLostError):
+        raise answer
+    if isinstance(answer, Exception):
         return None
     trace, output = answer
     output.repeat()

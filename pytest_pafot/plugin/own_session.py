@@ -16,8 +16,7 @@ import pytest
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.pool import Lost, ending
-from pytest_pafot.execution.scenario_pool import ProcessLostError
+from pytest_pafot.execution.pool import ProcessLostError, ending
 from pytest_pafot.plugin.stuck_ads import STATUS
 from pytest_pafot.scenario import Scenario
 
@@ -61,7 +60,7 @@ def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario:
         finally:
             session.kill()  # after an interrupt; it has ended by itself otherwise
     if code < 0 or any(leftover.pid == session.pid for leftover in left_by(job.owner, job.records)):
-        raise ProcessLostError(Lost(task=scenario, pid=session.pid, how=ending(code), is_hang=code == STATUS))
+        raise ProcessLostError(scenario, pid=session.pid, how=ending(code), is_hang=code == STATUS)
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RequestError(
             f"{file}: expected a session of its own to replay what a process died in, received {ending(code)} of: "

@@ -13,7 +13,8 @@ from pytest_pafot.campaign.replays import FLAKY, Replays, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.execution.scenario_pool import LostRun, ProcessLostError
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.failure_reports import SUMMARY
@@ -37,7 +38,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     try:
         label, run, verdict = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
-        lost = error.lost
+        lost = error
     for leftover in harness.left_behind(item.nodeid):
         leftover.discard()  # What came of it is told now.
     if lost is not None:  # Outside of the handler, so that the same is not shown twice.

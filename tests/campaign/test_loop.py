@@ -10,8 +10,8 @@ import pytest
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.search import search_seed
 from pytest_pafot.campaign.verdict import Verdict
-from pytest_pafot.execution.pool import Lost
-from pytest_pafot.execution.scenario_pool import ProcessLostError, expectation
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.signature import Failure
@@ -45,7 +45,7 @@ def quiet_run(scenario):
 
 def lost(scenario, *, is_hang=False):
     """A run whose process does not come back."""
-    raise ProcessLostError(Lost(task=scenario, pid=7, how="ended with exit code 9", is_hang=is_hang))
+    raise ProcessLostError(scenario, pid=7, how="ended with exit code 9", is_hang=is_hang)
 
 
 def failed(kind="AssertionError"):
@@ -159,7 +159,7 @@ def test_a_process_that_hangs_is_another_find_than_one_that_dies():
 
 
 def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
-    lost_run = Lost(task=sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
+    lost_run = ProcessLostError(sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
     signature = expectation(lost_run).signature
     covering = Replayed(id="saved", signature=signature, observed=signature)
     found, finds = searched(lambda number: failed(), run=lost, replayed=[covering])

@@ -8,9 +8,9 @@ import pytest
 from pytest_pafot.execution import prefetching
 from pytest_pafot.execution.captured_output import CapturedOutput
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.pool import Lost, Raised
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, ProcessLostError
+from pytest_pafot.execution.scenario_pool import ExecutionError
 from tests.support.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
@@ -26,9 +26,6 @@ class Pool:
 
     def expect(self, scenarios):
         self.expected = list(scenarios)
-
-    def expects(self, scenario):
-        return scenario in self.expected
 
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
@@ -143,7 +140,7 @@ class TestProcesses:
         assert world.ran == [0, 1, 2, 5]
 
     def test_a_run_that_none_of_them_can_make_is_made_in_this_one(self, runner_of):
-        world, pool = World(0.02), Pool({4: Raised(error=ValueError())})
+        world, pool = World(0.02), Pool({4: ValueError()})
         assert asked(runner_of(world, pool)) == list(range(8))
         assert world.ran == [0, 1, 2, 4]
 
@@ -153,11 +150,11 @@ class TestProcesses:
         assert capsys.readouterr().out == "run 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
     def test_a_scenario_whose_process_did_not_come_back_raises(self, runner_of):
-        lost = Lost(task=SCENARIOS[3], pid=7, how="ended with exit code 9")
+        lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
         runner = runner_of(World(0.02), Pool({3: lost}))
         with pytest.raises(ProcessLostError, match=r"pid 7\) that ran .* ended with exit code 9") as raised:
             asked(runner)
-        assert raised.value.lost is lost
+        assert raised.value is lost
 
     def test_where_none_can_be_given_what_it_needs_all_runs_are_made_in_this_one(self, runner_of, monkeypatch):
         def refuse(job, size):
@@ -194,7 +191,7 @@ class TestProcesses:
 
     def test_the_notes_say_what_was_used_and_what_came_back_at_the_second_try(self, runner_of):
         pool = Pool()
-        pool.recovered = [Lost(task=SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
+        pool.recovered = [ProcessLostError(SCENARIOS[3], pid=7, how="was ended by SIGKILL")]
         with runner_of(World(0.02), pool) as runner:
             asked(runner)
         used, recovered = runner.notes

@@ -12,7 +12,6 @@ import pytest
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.pool import Raised
 from pytest_pafot.execution.scenario_pool import ExecutionError, expectation, pool_for, trace_from
 from pytest_pafot.trace import Outcome
 from tests.support.toy_world import Toy, idle, scenario
@@ -66,7 +65,7 @@ def test_what_cannot_be_sent_is_left_to_this_process(pool_of):
     class Local(UserWarning):
         """Of no module, so that it cannot be pickled."""
 
-    assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Raised)
+    assert isinstance(fetched(pool_of(lambda number: warnings.warn("a warning", Local, stacklevel=1))), Exception)
 
 
 def test_the_scenario_is_on_disk_while_it_runs_and_not_after_its_process_died(pool_of, tmp_path):
