@@ -33,16 +33,13 @@ class Checks:
         if arguments is None:
             _refuse_raw_mark(item)
             return
-        problem = ""
         try:
             _check_function(item)
             request = request_of_mark(item.config, arguments, item.config.stash[SHARED].fresh_seed)
             _check_parameter(item, request.arg)
             _check_fixtures(item, request)
         except RequestError as error:
-            problem = str(error)
-        if problem:  # Outside of the handler, so that the same is not shown twice.
-            pytest.fail(problem, pytrace=False)
+            raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
         item.stash[REQUEST] = request
         if is_search(item) and request.settings.generations == 0 and not left_behind(item, request):
             pytest.skip("replay only: --pafot-generations=0")
