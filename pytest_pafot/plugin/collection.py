@@ -73,7 +73,7 @@ class Collection:
         folders = [self._rootpath, *(path for path in given if path.is_dir())]
         return {each for folder in folders for each in (folder, *folder.parents)}
 
-    @pytest.hookimpl(trylast=True)
+    @pytest.hookimpl(trylast=True)  # so that its part of the name stands behind those of marks: test_x[1-search]
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """The search first, then every file that may belong to an item of the function."""
         arguments = arguments_of(metafunc.definition)
@@ -107,6 +107,7 @@ class Collection:
     def pytest_pycollect_makeitem(self, collector: pytest.Collector) -> Generator[None, Any, Any]:
         """Drop the combinations of parameters and files that do not belong together."""
         made = yield
+        # Classes are noted whatever becomes of their members: an orphan's test may be gone together with its class.
         if isinstance(collector, pytest.Class):
             self._collected.opened.add(collector.nodeid)
         if isinstance(made, pytest.Class):
@@ -127,7 +128,7 @@ class Collection:
         saved = None if folder is None else self._saved.get(folder / mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         if saved is None or (frozen is not None and item.nodeid not in frozen):
-            return False
+            return False  # pytest-xdist ends a session whose workers collect different items
         # Now that the parameters are known, so is the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.xfail is not None:

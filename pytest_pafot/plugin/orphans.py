@@ -149,6 +149,7 @@ def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
     """
     inside = folder.is_relative_to(rootpath)
     depth = len(directory.relative_to(rootpath).parts) if directory.is_relative_to(rootpath) else 0
+    # Outside, the corpus itself: below it lie the folders from the rootdir to the test file, its module and its test.
     top = rootpath if inside else folder.parents[1 + depth]
     if any(each.is_symlink() for each in _up(folder, top) if each != top):
         return []

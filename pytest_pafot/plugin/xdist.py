@@ -26,6 +26,7 @@ def is_worker(config: pytest.Config) -> bool:
 
 def shared_by_controller(config: pytest.Config) -> Shared:
     """What the controller of a worker has decided."""
+    # The wall clock is the one that both have; should it have been set back since, the session begins now.
     values = config.workerinput[KEY]  # type: ignore[attr-defined]
     return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
 
@@ -44,7 +45,7 @@ class Controller:
             "fresh_seed": shared.fresh_seed,
             "progress_seconds": shared.progress_seconds,
             "width": shared.width,
-            "began": time.time() - (time.monotonic() - shared.began),  # a clock that another process has too
+            "began": time.time() - (time.monotonic() - shared.began),
             "frozen": shared.frozen,
         }
 
