@@ -174,7 +174,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
-        """See :func:`ego_follows`."""
+        """Whether the NPC's centre is level with the ego's or ahead of it, along the road."""
         follows: npt.NDArray[np.bool_] = self.ahead >= 0
         return follows
 
@@ -185,7 +185,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ettc(self) -> FloatArray:
-        """See :func:`ettc`."""
+        """Time of the ego to where the two lines of travel cross, as in the paper [s]; lower is worse, inf if none."""
         pairs, speed = self.pairs, self.speed
         way = np.where(speed < 0, -1.0, 1.0)
         # In the ego's frame (p2 - p1) x d2 is minus the offset across the NPC's heading, and d1 x d2 the sine of
@@ -201,12 +201,12 @@ class Encounters(RelativePositions):
 
     @cached_property
     def ttc(self) -> FloatArray:
-        """See :func:`ttc`."""
+        """Time until the boxes touch at constant velocity [s]; lower is worse, 0 at overlap, inf if never."""
         return contact_time(self.pairs)
 
     @cached_property
     def centre_distance(self) -> FloatArray:
-        """See :func:`centre_distance`."""
+        """Between the centres of ego and NPC [m]; lower is worse."""
         # Along and across the ego's heading: the same distance, already at hand.
         along, across = self.pairs.offsets[0], self.pairs.offsets[1]
         distance: FloatArray = np.sqrt(along * along + across * across)
@@ -214,18 +214,18 @@ class Encounters(RelativePositions):
 
     @cached_property
     def gap(self) -> FloatArray:
-        """See :func:`gap`."""
+        """Between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
         return box_gap(self.pairs)
 
     @cached_property
     def safety_distance(self) -> FloatArray:
-        """See :func:`safety_distance`."""
+        """By how much the follower gains on the leader within 3 s, as in the paper [m]; higher asks for more."""
         t = MANOEUVRE_SECONDS
         return self.gain * t + self._follower_minus_leader(self.column(ACCELERATION)) * (t * t / 2)
 
     @cached_property
     def safety_shortfall(self) -> FloatArray:
-        """See :func:`safety_shortfall`."""
+        """Share of the safety distance that is missing in one lane, 0 to 1; higher is worse."""
         keep = self.safety_distance
         demanded = self.same_lane & ~(keep <= 0)
         with np.errstate(over="ignore"):  # by the smallest of distances, nothing is missing
@@ -234,7 +234,7 @@ class Encounters(RelativePositions):
 
     @cached_property
     def required_deceleration(self) -> FloatArray:
-        """See :func:`required_deceleration`."""
+        """With which the follower just avoids the leader in one lane [m/s^2]; higher is worse."""
         closing = np.maximum(self.gain, 0.0)
         threatened = self.same_lane & ~(closing <= 0)
         with np.errstate(divide="ignore"):
@@ -243,32 +243,32 @@ class Encounters(RelativePositions):
 
     @property
     def mettc(self) -> float:
-        """See :func:`mettc`."""
+        """Least :attr:`ettc` of the run [s]; lower is worse, inf if none is finite."""
         return _lowest(self.ettc)
 
     @property
     def min_ttc(self) -> float:
-        """See :func:`min_ttc`."""
+        """Least :attr:`ttc` of the run [s]; lower is worse, inf if none is finite."""
         return _lowest(self.ttc) if self._extremes is None else self._extremes.min_ttc
 
     @property
     def min_centre_distance(self) -> float:
-        """See :func:`min_centre_distance`."""
+        """Least :attr:`centre_distance` of the run [m]; lower is worse."""
         return _lowest(self.centre_distance)
 
     @property
     def min_gap(self) -> float:
-        """See :func:`min_gap`."""
+        """Least :attr:`gap` of the run [m]; lower is worse, 0 at a collision."""
         return _lowest(self.gap) if self._extremes is None else self._extremes.min_gap
 
     @property
     def min_safety_distance(self) -> float:
-        """See :func:`min_safety_distance`."""
+        """Least :attr:`safety_distance` of the run [m]."""
         return _lowest(self.safety_distance)
 
     @property
     def max_safety_shortfall(self) -> float:
-        """See :func:`max_safety_shortfall`."""
+        """Largest :attr:`safety_shortfall` of the run, 0 to 1; higher is worse."""
         if self._extremes is not None:
             return self._extremes.max_safety_shortfall
         return float(self.safety_shortfall.max(initial=0.0))

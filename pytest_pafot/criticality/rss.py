@@ -118,16 +118,16 @@ class RoadFrame:
 
     @property
     def gap_along(self) -> FloatArray:
-        """See :func:`longitudinal_gap`."""
+        """Between the boxes along the road [m]; lower is worse, 0 while abreast."""
         return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
 
     @property
     def gap_across(self) -> FloatArray:
-        """See :func:`lateral_gap`."""
+        """Between the boxes across the road [m]; lower is worse, 0 in one track."""
         return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
 
     def safe_along(self, rules: RssRules) -> FloatArray:
-        """See :func:`rss_longitudinal`."""
+        """Longitudinal distance that the follower has to keep [m], at least 0; equation in :func:`rss_longitudinal`."""
         ego_follows = self.ahead >= 0
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
@@ -137,7 +137,7 @@ class RoadFrame:
         return np.maximum(travelled - _stopping(leader, rules.hardest_braking), 0.0).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
-        """See :func:`rss_lateral`."""
+        """Lateral distance that ego and NPC have to keep [m], at least mu; told in :func:`rss_lateral`."""
         towards_npc = np.where(self.right >= 0, 1.0, -1.0)
         ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
         npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)

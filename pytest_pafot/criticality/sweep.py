@@ -27,7 +27,7 @@ LARGE = 1e6
 LONGEST = 1e5
 """A least time to contact from here on, or none at all, is left to the arrays [s]."""
 TINY = 1e-290
-"""As in the arrays: stands in for a relative velocity of zero [m/s]."""
+"""Stands in for a relative velocity of zero [m/s], as in the arrays of :mod:`~pytest_pafot.criticality.boxes`."""
 
 
 def is_compiled() -> bool:
@@ -169,7 +169,7 @@ class Sweep:
         return distance
 
     def _relate(self) -> None:
-        """See :func:`pytest_pafot.criticality.boxes.relate`."""
+        """See the pair along its four axes, as :func:`pytest_pafot.criticality.boxes.relate` does."""
         self._ac, self._as = math.cos(self._heading_a), math.sin(self._heading_a)
         self._bc, self._bs = math.cos(self._heading_b), math.sin(self._heading_b)
         ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
@@ -185,7 +185,7 @@ class Sweep:
         self._offset_2, self._offset_3 = x * bc + y * sb, y * bc - x * sb
 
     def _contact_time(self) -> float:
-        """See :func:`pytest_pafot.criticality.boxes.contact_time`."""
+        """Time to contact [s], as :func:`pytest_pafot.criticality.boxes.contact_time` computes it."""
         ac, sa, bc, sb = self._ac, self._as, self._bc, self._bs
         vx, vy = self._speed_b * bc - self._speed_a * ac, self._speed_b * sb - self._speed_a * sa
         self._begins, self._ends = -math.inf, math.inf
@@ -207,7 +207,7 @@ class Sweep:
         self._ends = last if last < self._ends else self._ends
 
     def _gap(self) -> float:
-        """See :func:`pytest_pafot.criticality.boxes.box_gap`."""
+        """Distance between the boxes [m], as :func:`pytest_pafot.criticality.boxes.box_gap` computes it."""
         if (
             abs(self._offset_0) <= self._reach_0
             and abs(self._offset_1) <= self._reach_1

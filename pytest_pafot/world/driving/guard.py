@@ -43,7 +43,7 @@ class LastResort:
 
 @contextmanager
 def last_resort(resort: LastResort) -> Iterator[None]:
-    """See to the decisions of this process inside."""
+    """Have decisions of this process that cannot be interrupted ended as told, inside of a ``with`` block."""
     before = _WATCHDOG.set_resort(resort)
     try:
         yield

@@ -41,7 +41,7 @@ class RoadPlanner(Planner):
         super().__init__(ads, road, network, ego, physics_hz, 1)
         self._network = network
         self._starts = starts
-        self._places: list[float] = []
+        self._along: list[float] = []
         self._lean = 0.0
 
     def decide(self, tick: int) -> tuple[float, float]:
@@ -54,12 +54,12 @@ class RoadPlanner(Planner):
     def observe(self, tick: int) -> Observation:
         """What the ADS sees: all vehicles as they are now, with the road straightened out."""
         network, vehicles = self._network, self._road.vehicles
-        near = self._places or [
+        near = self._along or [
             min(self._starts, key=lambda along, at=(v.x, v.y): math.dist(at, network.reference(along)[:2]))  # type: ignore[misc]
             for v in vehicles
         ]
         spots = [network.spot(v.x, v.y, v.heading, place) for v, place in zip(vehicles, near, strict=True)]
-        self._places = [spot.along for spot in spots]
+        self._along = [spot.along for spot in spots]
         own = spots[0]
         self._lean = network.lane_at(own.lane, own.along)[2]
         states = [self._state(vehicle, spot, own) for vehicle, spot in zip(vehicles, spots, strict=True)]

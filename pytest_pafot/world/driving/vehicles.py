@@ -38,11 +38,11 @@ class ParallelLanes(RoadNetwork):  # type: ignore[misc]
         self._grid = Lanes(len(lanes), float(first.width), float(first.length))
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """As highway-env's: least lateral distance plus angle, the first of equals."""
+        """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
         return self.closest(float(position[0]), float(position[1]), 0.0 if heading is None else heading)
 
     def closest(self, x: float, y: float, heading: float) -> tuple[str, str, int]:
-        """The same for plain floats."""
+        """highway-env's index of the closest lane to a vehicle at x, y [m] with a heading [rad]."""
         return self._start, self._end, self._grid.closest(x - self._x, y - self._y, heading)
 
 
@@ -61,7 +61,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
         self._low, self._high, self._share = boxes[:, :2], boxes[:, 2:4], boxes[:, 4]
 
     def get_closest_lane_index(self, position: Any, heading: float | None = None) -> tuple[str, str, int]:
-        """As highway-env's: least lateral distance plus angle, the first of equals."""
+        """highway-env's index of the lane of least lateral distance plus angle, the first of equals."""
         aside = np.maximum(np.maximum(self._low - position, position - self._high), 0.0)
         away = np.hypot(aside[:, 0], aside[:, 1])
         first = int(away.argmin())

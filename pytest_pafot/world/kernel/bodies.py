@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+from pytest_pafot.world.limits import TOP_SPEED
+
 NPC_LENGTH, NPC_WIDTH = 5.0, 2.0
-"""highway-env's vehicles [m]."""
-MAX_SPEED = 40.0
-"""highway-env's vehicles speed up to this, forwards and backwards [m/s]."""
+"""Of highway-env's vehicles, and so of NPCs and of egos in SI units [m]."""
+MAX_SPEED = TOP_SPEED
+"""Highest speed, forwards and backwards [m/s]; here a number of C's where compiled."""
 
 
 class Box:

@@ -54,7 +54,7 @@ class IdmEgo(Body):
         self._timer = 0.0
 
     def start(self, x: float, y: float, heading: float, speed: float, changes_lanes: bool) -> None:
-        """As a fresh vehicle."""
+        """Begin a run as a fresh vehicle [m, m, rad, m/s]."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
         self._closest = self._goal = self._lanes.closest(x, y, heading)

@@ -41,13 +41,13 @@ class NetworkFrame:
     Args:
         road: on which they drive.
         network: highway-env's, to see on which lane an ego is that has left the road.
-        places: where along the road each vehicle starts [m], the ego first.
+        starts: where along the road each vehicle starts [m], the ego first.
     """
 
-    def __init__(self, road: NetworkRoad, network: Any, places: Sequence[float]) -> None:
+    def __init__(self, road: NetworkRoad, network: Any, starts: Sequence[float]) -> None:
         self._road = road
         self._network = network
-        self._places = list(places)
+        self._along = list(starts)
         self._rows = array("d")
 
     def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
@@ -56,8 +56,8 @@ class NetworkFrame:
         Across the road bodies are in the measure of lanes, their heading is to the ego's way; see :class:`Trace`.
         """
         road = self._road
-        spots = [road.spot(x, y, heading, near) for (x, y, heading, _), near in zip(states, self._places, strict=True)]
-        self._places = [spot.along for spot in spots]
+        spots = [road.spot(x, y, heading, near) for (x, y, heading, _), near in zip(states, self._along, strict=True)]
+        self._along = [spot.along for spot in spots]
         for body, spot, state in zip(bodies, spots, states, strict=True):
             body.place(spot.along, road.in_lanes(spot), spot.angle, state[3])
             body.lane = road.nearest_lane(body.y)
@@ -71,8 +71,8 @@ class NetworkFrame:
         return [own, *lanes[1:]], ended
 
     def track(self) -> FloatArray:
-        """See :class:`~pytest_pafot.Trace`."""
-        return np.array(self._rows).reshape(-1, len(self._places), 5)
+        """Where all were at every tick, with the columns of :attr:`pytest_pafot.Trace.track`."""
+        return np.array(self._rows).reshape(-1, len(self._along), 5)
 
     def _beside(self, position: FloatArray, spot: Spot) -> tuple[int, Outcome | None]:
         """Of an ego that is on no lane of its way: the lane that it is on, and what that means."""

@@ -162,7 +162,7 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
 
 
 def _spaced(points: FloatArray, owners: Any) -> tuple[FloatArray, Any]:
-    """The same line with points at equal distances along it."""
+    """A line with its points moved to equal distances along it, and the piece that each belongs to."""
     length = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     places = np.arange(0.0, length[-1] + STEP / 2, STEP)
     spaced = np.stack([np.interp(places, length, points[:, axis]) for axis in (0, 1)], axis=-1)
