@@ -1,3 +1,4 @@
+import os
 import unicodedata
 from pathlib import Path
 
@@ -5,7 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.layout import CORPUS, files_in, folder_of_test, safe_name
+from pytest_pafot.corpus.layout import (
+    CORPUS,
+    corpus_root,
+    files_in,
+    folder_of_module,
+    folder_of_test,
+    is_corpus,
+    module_named,
+    module_of_file,
+    safe_name,
+)
 
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
@@ -106,3 +117,63 @@ def test_a_file_in_place_of_the_folder_and_a_loop_of_links_have_no_files(tmp_pat
     (tmp_path / "corpus").write_text("")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     assert files_in(tmp_path / "corpus") == files_in(tmp_path / "loop") == []
+
+
+ROOT = Path("/work/project")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
+@pytest.mark.parametrize(
+    ("corpus", "root"),
+    [
+        ("pafot_corpus", "/work/project/tests/deep/pafot_corpus"),
+        ("found/here", "/work/project/tests/deep/found/here"),
+        ("/all", "/all/tests/deep"),
+    ],
+)
+def test_a_test_file_has_its_corpus_beside_it_or_in_one_place_for_all(corpus, root):
+    test_file = ROOT / "tests" / "deep" / "test_safety.py"
+    assert corpus_root(test_file, corpus, ROOT) == Path(root)
+    assert folder_of_module(test_file, corpus, ROOT) == Path(root) / "test_safety"
+    file = folder_of_test(test_file, "test_it[4-slow]", corpus, ROOT) / "front-2-1f3a9c.pafot.yaml"
+    assert module_of_file(file, corpus, ROOT) == test_file
+
+
+@pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
+def test_a_test_file_outside_of_the_rootdir_has_the_top_of_a_corpus_for_all():
+    assert corpus_root(Path("/elsewhere/test_safety.py"), "/all", ROOT) == Path("/all")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
+@pytest.mark.parametrize(
+    ("file", "corpus"),
+    [
+        ("/work/project/a.pafot.yaml", "pafot_corpus"),
+        ("/a.pafot.yaml", "pafot_corpus"),
+        ("/work/project/other/test_safety/test_it/a.pafot.yaml", "pafot_corpus"),
+        ("/other/test_safety/test_it/a.pafot.yaml", "/all"),
+    ],
+)
+def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
+    assert module_of_file(Path(file), corpus, ROOT) is None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
+@pytest.mark.parametrize(
+    ("path", "corpus", "holds"),
+    [
+        ("/work/tests/pafot_corpus", "pafot_corpus", True),
+        ("/work/tests/found/here", "found/here", True),
+        ("/work/tests/here", "found/here", False),
+        ("/work/all", "/work/all", True),
+        ("/elsewhere/work/all", "/work/all", False),
+    ],
+)
+def test_a_folder_is_a_corpus_where_the_option_names_it(path, corpus, holds):
+    assert is_corpus(Path(path), Path(corpus)) is holds
+
+
+def test_the_test_file_of_a_folder_is_the_one_whose_name_gives_it(tmp_path):
+    (tmp_path / "Test_Safety.py").write_text("")
+    assert module_named(tmp_path, safe_name("Test_Safety")) == tmp_path / "Test_Safety.py"
+    assert module_named(tmp_path, "test_gone") == tmp_path / "test_gone.py"

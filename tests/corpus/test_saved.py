@@ -1,0 +1,50 @@
+"""Saved scenarios as they are found: with a finding, or with the reason why there is none."""
+
+from dataclasses import replace
+
+import pytest
+
+from pytest_pafot.corpus.saved import Saved, read_saved_file, saved_in
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.trace import Outcome
+from tests.findings.builders import plain_finding
+
+NAME = "front-2-1f3a9c.pafot.yaml"
+
+
+def test_a_file_comes_with_its_finding(tmp_path):
+    write(tmp_path / NAME, plain_finding(xfail="planner issue 12"))
+    saved = read_saved_file(tmp_path / NAME)
+    assert (saved.id, saved.finding, saved.error) == ("front-2-1f3a9c", plain_finding(xfail="planner issue 12"), "")
+    assert saved.xfail == "planner issue 12"
+
+
+def test_a_file_that_cannot_be_read_comes_with_the_reason(tmp_path):
+    (tmp_path / NAME).write_text("pafot: 3")
+    saved = read_saved_file(tmp_path / NAME)
+    assert saved.finding is None
+    assert saved.error.startswith(f"{tmp_path / NAME}:1: pafot: expected the format version")
+    assert (saved.xfail, saved.is_crash, saved.needs_own_process) == (None, False, False)
+
+
+def test_the_files_of_a_test_come_by_name_broken_ones_among_them(tmp_path):
+    write(tmp_path / "b-2.pafot.yaml", plain_finding(id="b-2"))
+    (tmp_path / "a-1.pafot.yaml").write_text("broken")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert [(saved.id, saved.finding is None) for saved in saved_in(tmp_path)] == [("a-1", True), ("b-2", False)]
+    assert saved_in(tmp_path / "none") == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_crash", "needs_own_process"),
+    [
+        ({}, False, False),
+        ({"failure": PROCESS_CRASH, "outcome": Outcome.ADS_ERROR}, True, True),
+        ({"outcome": Outcome.HANG}, False, True),
+    ],
+)
+def test_what_may_end_its_process_or_never_end_is_told(tmp_path, changes, is_crash, needs_own_process):
+    finding = plain_finding(expect=replace(plain_finding().expect, **changes))
+    saved = Saved(path=tmp_path / NAME, finding=finding)
+    assert (saved.is_crash, saved.needs_own_process) == (is_crash, needs_own_process)
