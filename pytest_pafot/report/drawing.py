@@ -54,9 +54,10 @@ def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations:
 
 def _palette(npcs: int) -> list[int]:
     """Red, green and blue of every colour in a picture, one after the other: those drawn, and their smooth edges."""
-    grounds = [ImageColor.getrgb(colour) for colour in (PAPER, ROAD)]
-    inks = [ImageColor.getrgb(colour) for colour in (INK, SOFT, EDGE, DANGER, *(NPC_INKS[n % 8] for n in range(npcs)))]
-    tints = [ImageColor.getrgb(colour) for colour in (DASH, *(NPC_TINTS[n % 8] for n in range(npcs)))]
+    grounds, inks, tints = (
+        [ImageColor.getrgb(colour) for colour in colours]
+        for colours in ((PAPER, ROAD), (INK, SOFT, EDGE, DANGER, *NPC_INKS[:npcs]), (DASH, *NPC_TINTS[:npcs]))
+    )
     edges = [
         tuple(round(a + (b - a) * share) for a, b in zip(ground, ink, strict=True))
         for ground in grounds

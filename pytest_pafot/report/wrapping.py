@@ -31,12 +31,5 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """A line in lines of a width, broken between words; each has the prefix and the indentation of the first."""
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
-    wrapped = textwrap.wrap(
-        text.strip(),
-        width=width,
-        initial_indent=indent,
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return wrapped if len(line) > width else [line]
+    wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
+    return wrapper.wrap(text.strip()) if len(line) > width else [line]
