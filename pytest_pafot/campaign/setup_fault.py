@@ -12,7 +12,6 @@ from typing import Any
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
 from pytest_pafot.findings.finding import Cause, first_decision_cause
 from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import first_decision
 
@@ -33,11 +32,19 @@ class SetupFaultError(Exception):
         """The exception for the item: what was raised and where, why it is no finding, and what to do."""
         verdict = self.verdict
         if verdict.is_ads or verdict.exception is None:
+            asked = None if is_vehicle_class(ads) else first_decision(world, self.run.trace.scenario)
+            others = (
+                "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs "
+                "pafot.Highway, which is there without world=."
+            )
+            if asked is not None and asked.is_si:
+                others = 'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
+            told = "" if asked is None else f"\n\n{asked.text} {others}"
             return PlainFailure(
                 f"{verdict.exception}\n\n"
                 f"So it was in {self.runs}, before anything had happened in them: an error of the set-up and no "
                 "finding, so that nothing was saved. Correct the ADS, its factory, or the world= that it drives in, "
-                f"and search again.\n\n{given_in(world, ads, self.run.trace.scenario)}".rstrip()
+                f"and search again.{told}"
             )
         verdict.exception.add_note(
             f"So it was in {self.runs}, whatever happened in them: an error of the test function and no finding, so "
@@ -82,19 +89,6 @@ class FirstGeneration:
             judged = " that were judged" if self.unjudged else ""
             raise SetupFaultError(*self.last, f"all {self.runs} runs of the first generation{judged}")
         self.is_alike = False
-
-
-def given_in(world: Any, ads: Callable[..., Any], scenario: Scenario) -> str:
-    """What the ADS is given at first, what it must return, and where other ADSs drive; empty for a vehicle class."""
-    asked = None if is_vehicle_class(ads) else first_decision(world, scenario)
-    if asked is None:
-        return ""
-    if asked.is_si:
-        return f'{asked.text} A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).'
-    return (
-        f"{asked.text} A policy needs the config= and the wrappers= that it was trained with; a planner in SI units "
-        "needs pafot.Highway, which is there without world=."
-    )
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:

@@ -11,10 +11,11 @@ import pytest
 
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import is_asynchronous
+from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
-from pytest_pafot.plugin.crash_folder import left_behind
+from pytest_pafot.plugin.crash_folder import records_folder
 from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
-from pytest_pafot.plugin.node_ids import SEARCH_PART
+from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
 from pytest_pafot.plugin.options import request_of_mark
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import wrapped_to
@@ -41,7 +42,8 @@ class Checks:
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
         item.stash[REQUEST] = request
-        if is_search(item) and request.settings.generations == 0 and not left_behind(item, request):
+        is_idle = is_search(item) and request.settings.generations == 0
+        if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
             pytest.skip("replay only: --pafot-generations=0")
 
     @pytest.hookimpl(wrapper=True)

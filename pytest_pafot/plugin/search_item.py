@@ -63,7 +63,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         node_id=node_ids.base_id(item),
         saved_node_id=partial(node_ids.saved_node_id, item),
         folder=folder,
-        records=records_folder(item, request),
+        records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
     )
