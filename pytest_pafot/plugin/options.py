@@ -29,8 +29,6 @@ from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
 
-Source = Literal["command line", "marker", "environment", "ini"]
-
 _INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
     "integer": "int",
     "seconds": "float",
@@ -66,7 +64,7 @@ def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | No
     """The option ``corpus`` alone; None where it, or the choice of a profile, is wrong."""
     sources = Sources(config=config, marker=marker, environ=os.environ)
     try:
-        return str(value_of(BY_NAME["corpus"], sources, None, LOCAL))
+        return str(sources.value(BY_NAME["corpus"], None, LOCAL))
     except OptionError:
         return None
 
@@ -116,10 +114,10 @@ def resolve(
         OptionError: naming the source, what was expected and received.
     """
     sources = Sources(config=config, marker=marker, environ=environ)
-    named = sources.first(BY_NAME["profile"], ("command line", "marker", "environment", "ini"))
+    named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
     automatic = FULL if is_ci(environ) else LOCAL
     values = {
-        option.name: value_of(option, sources, named, automatic)
+        option.name: sources.value(option, named, automatic)
         for option in OPTIONS
         if option.everywhere and option.name != "profile"
     }
@@ -135,49 +133,44 @@ class Sources(NamedTuple):
     marker: Mapping[str, object]
     environ: Mapping[str, str]
 
-    def first(self, option: Option, order: tuple[Source, ...]) -> Any:
-        """The value in the first of these sources that has one.
+    def value(self, option: Option, named: str | None, automatic: str) -> Any:
+        """The value of an option, by the precedence; ``named`` and ``automatic`` are profiles.
 
         Raises:
             OptionError: naming the source, what was expected and received.
         """
-        for source in order:
-            place, value = self._raw(option, source)
-            if value is None:
-                continue
-            try:
-                return option.read(value)
-            except OptionError as error:
-                raise OptionError(f"{place}: {error}") from None
-        return None
+        sources = (
+            lambda: self.given(option),
+            lambda: PROFILES[named].get(option.name) if named else None,
+            lambda: self.ini(option),
+            lambda: None if named else PROFILES[automatic].get(option.name),
+        )
+        return next((value for source in sources if (value := source()) is not None), option.default)
 
-    def _raw(self, option: Option, source: Source) -> tuple[str, object]:
-        if source == "command line":
-            return option.flag, self.config.getoption(option.key)
-        if source == "marker":
-            return f"@pafot.search({option.name}=...)", self.marker.get(option.name) if option.is_argument else None
-        if source == "environment":
-            return f"environment variable {option.variable}", self.environ.get(option.variable) or None
-        return f"ini key {option.key}", _ini(self.config, option)
+    def given(self, option: Option) -> Any:
+        """The value on the command line, in the marker or in the environment; None in none of them."""
+        places = {
+            option.flag: self.config.getoption(option.key),
+            f"@pafot.search({option.name}=...)": self.marker.get(option.name) if option.is_argument else None,
+            f"environment variable {option.variable}": self.environ.get(option.variable) or None,
+        }
+        return next((_read(option, place, value) for place, value in places.items() if value is not None), None)
 
-
-def value_of(option: Option, sources: Sources, named: str | None, automatic: str) -> Any:
-    """The value of an option, by the precedence; ``named`` and ``automatic`` are profiles."""
-    value = sources.first(option, ("command line", "marker", "environment"))
-    if value is None and named:
-        value = PROFILES[named].get(option.name)
-    if value is None:
-        value = sources.first(option, ("ini",))
-    if value is None and not named:
-        value = PROFILES[automatic].get(option.name)
-    return option.default if value is None else value
+    def ini(self, option: Option) -> Any:
+        """The value in a file of settings; None where there is none."""
+        place = f"ini key {option.key}"
+        try:
+            value = self.config.getini(option.key)
+        except (TypeError, ValueError, pytest.UsageError) as error:
+            raise OptionError(f"{place}: {error}") from None
+        return None if value is None else _read(option, place, value)
 
 
-def _ini(config: pytest.Config, option: Option) -> object:
+def _read(option: Option, place: str, value: object) -> Any:
     try:
-        return config.getini(option.key)
-    except (TypeError, ValueError, pytest.UsageError) as error:
-        raise OptionError(f"ini key {option.key}: {error}") from None
+        return option.read(value)
+    except OptionError as error:
+        raise OptionError(f"{place}: {error}") from None
 
 
 def _argparse_type(option: Option) -> Callable[[str], Any]:
