@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations, repeat
 from typing import Any
 
 import numpy as np
@@ -80,9 +80,7 @@ def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any]) -> Trace:
     try:
         trace = world.rollout(scenario, ads)
     except Exception as error:
-        raise AssertionError(
-            f"expected that a run ends in a trace, whatever the ADS does, received {error!r}"
-        ) from error
+        raise AssertionError(f"expected a trace of each run, whatever the ADS does, received {error!r}") from error
     if not isinstance(trace, Trace):
         raise AssertionError(f"expected that rollout returns a pafot.Trace, received {trace!r:.200}")
     return trace
@@ -167,11 +165,10 @@ def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> N
 
 def _failing_ads(factory: Ads, fault: Callable[[], Any]) -> Callable[[Any], Any]:
     """An ADS that fails in its second decision."""
-    ads, seen = factory(), []
+    decisions: Iterator[Callable[[Any], Any]] = chain([factory()], repeat(lambda observation: fault()))
 
     def decide(observation: Any) -> Any:
-        seen.append(observation)
-        return ads(observation) if len(seen) == 1 else fault()
+        return next(decisions)(observation)
 
     return decide
 

@@ -21,13 +21,9 @@ from pytest_pafot.world.run_config import Rules, start_positions
 
 
 def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], decisions: Sequence[Any] = ()) -> Trace:
-    """Simulate one scenario with a callable from an observation to (acceleration [m/s^2], steering [rad]).
+    """Simulate a scenario that fits the rules with a callable from an observation to its action.
 
-    Args:
-        rules: of the world.
-        scenario: checked against the world.
-        ads: fresh.
-        decisions: the first ones of the run, which the ADS is not asked for.
+    The ADS is not asked for ``decisions``, the first ones of the run.
     """
     ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
     ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
@@ -42,13 +38,7 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], dec
 
 
 class KernelRun:
-    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
-
-    Args:
-        rules: of the world.
-        scenario: checked against the world.
-        guard: of the decisions.
-    """
+    """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`."""
 
     def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard) -> None:
         ego = Body(NPC_LENGTH, NPC_WIDTH)
@@ -80,13 +70,7 @@ class KernelRun:
 
 
 def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
-    """Simulate one scenario with highway-env's IDM+MOBIL as the ego.
-
-    Args:
-        rules: of the world.
-        scenario: checked against the world.
-        model: its constants.
-    """
+    """Simulate a scenario that fits the rules with highway-env's IDM+MOBIL as the ego."""
     road = rules.straight
     ego = IdmEgo(model.constants, road.grid, road.speed_limit)
     ego.start(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, cast
 
-from highway_env.road.road import Road
+import numpy as np
+from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Outcome, Trace
-from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver
+from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver, Planner, SelfDriving, is_vehicle_class
 from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import Body, Box
 from pytest_pafot.world.kernel.contact import overlap
 from pytest_pafot.world.roads.frame import NetworkFrame, State, StraightFrame
+from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
 
@@ -47,6 +51,29 @@ def run(
         while under_way.trace is None:
             under_way.go_on(decide(driver, record.tick, record, guard))
     return under_way.trace
+
+
+def run_on(network: RoadNetwork, rules: Rules, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
+    """Simulate a scenario on a road with an ADS in SI units or a vehicle class."""
+    road = Road(network, np_random=np.random.default_rng(scenario.seed))
+    if is_vehicle_class(ads):
+        return run(rules, scenario, road, lambda start: SelfDriving(ads, road, start, scenario.ego_speed), decisions)
+    return run(rules, scenario, road, partial(_planner, rules, scenario, road, ads), decisions)
+
+
+def begin_planner(network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard) -> ObjectRun:
+    """A run on a road that is given its decisions in SI units."""
+    road = Road(network, np_random=np.random.default_rng(scenario.seed))
+    return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None), guard)
+
+
+def _planner(rules: Rules, scenario: Scenario, road: Road, ads: Any, start: tuple[float, float, float]) -> Planner:
+    ego = Car(road, start[:2], start[2], scenario.ego_speed)
+    if isinstance(rules.road, NetworkRoad):
+        far = rules.start_distance(scenario)
+        starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
+        return RoadPlanner(ads, road, rules.road, ego, rules.physics_hz, starts)
+    return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)
 
 
 class ObjectRun:
