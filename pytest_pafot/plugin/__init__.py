@@ -54,9 +54,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Register what runs the items, where there are any."""
-    if not any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK)):
-        return
+    """Register what runs the items, where there are any and they will run."""
+    is_marked = any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK))
+    if not is_marked or session.config.getoption("collectonly"):
+        return  # what runs items imports the simulation, for which an editor that lists tests would wait
     from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks  # noqa: PLC0415

@@ -90,6 +90,20 @@ def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 
 
+def test_a_session_that_only_lists_marked_tests_does_not_wait_for_the_simulation(project):
+    project.pytester.makeconftest(
+        """
+import sys
+
+def pytest_unconfigure():
+    print("heavy:", *sorted({"numpy", "highway_env", "gymnasium", "yaml"} & set(sys.modules)))
+"""
+    )
+    project.write("@pafot.search\ndef test_a(run):\n    pass\n")
+    result = project.run("--collect-only", subprocess=True)
+    result.stdout.fnmatch_lines(["pafot: 1 search, 0 saved scenarios*", "*test_a[[]search[]]*", "heavy:"])
+
+
 def test_the_plugin_does_not_import_hypothesis(project):
     project.pytester.makeconftest("")
     project.write(
