@@ -6,14 +6,7 @@ from collections.abc import Sequence
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.scenario_pool import (
-    ExecutionError,
-    LostRun,
-    ScenarioPool,
-    pool_for,
-    recovery_note,
-    trace_from,
-)
+from pytest_pafot.execution.scenario_pool import ExecutionError, ScenarioPool, pool_for, recovery_note, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 
@@ -25,40 +18,7 @@ WARM_RUNS = 2
 """Runs that must have been measured before. The first run of a search is not: it loads what the others use."""
 
 
-class Prefetching:
-    """Makes no run ahead: the base of those that do."""
-
-    def __init__(self) -> None:
-        self.announced: list[Scenario] = []
-        """What will be asked for, as far as nobody has begun with it."""
-
-    @property
-    def notes(self) -> list[str]:
-        """What was used, or why not, where that is worth telling; complete once the processes have ended."""
-        return []
-
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Know what will be asked for; of what was made before, nothing is kept."""
-        self.announced = list(scenarios)
-
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of a run, once; None where the run is to be made in this process and by itself.
-
-        Raises:
-            ProcessLostError: where the process that made it did not come back.
-            ExecutionError: where it must be made in another process, and none can be started.
-            Exception: what the world, the factory or the ADS's ``batch`` raises.
-        """
-
-    def ran_here(self, seconds: float) -> None:
-        """Learn how long the last run took that was to be made in this process."""
-
-    def close(self, *, at_once: bool) -> None:
-        """Forget what was announced, and end processes, where ``at_once`` without waiting for any."""
-        self.announce(())
-
-
-class LockStep(Prefetching):
+class LockStep:
     """Makes announced runs at once, in one batch, when the first of them is asked for.
 
     Args:
@@ -68,10 +28,10 @@ class LockStep(Prefetching):
     """
 
     def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
-        super().__init__()
         self._job = job
         self._record = record
         self._workers = workers
+        self._announced: list[Scenario] = []
         self._made: dict[Scenario, Trace] = {}
 
     @property
@@ -82,24 +42,35 @@ class LockStep(Prefetching):
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Know what will be asked for; of what was made before, nothing is kept."""
-        self.announced, self._made = list(scenarios), {}
+        self._announced, self._made = list(scenarios), {}
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made by itself."""
+        """The trace of an announced run, once; None where the run is to be made by itself.
+
+        Raises:
+            Exception: what the world, the factory or the ADS's ``batch`` raises.
+        """
         __tracebackhide__ = True
         if afresh:
             return None
-        if scenario in self.announced and len(self.announced) > 1:
-            together, self.announced = self.announced, []
+        if scenario in self._announced and len(self._announced) > 1:
+            together, self._announced = self._announced, []
             self._record.write(*together)
             traces = self._job.world.rollout_batch(together, self._job.ads)
             self._made = dict(zip(together, traces, strict=True))
-        elif scenario in self.announced:
-            self.announced.remove(scenario)
+        elif scenario in self._announced:
+            self._announced.remove(scenario)
         return self._made.pop(scenario, None)
 
+    def ran_here(self, seconds: float) -> None:
+        """Nothing depends on how long a run by itself takes."""
 
-class Processes(Prefetching):
+    def close(self, *, at_once: bool) -> None:
+        """Forget what was announced and made."""
+        self.announce(())
+
+
+class Processes:
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
 
     Args:
@@ -108,7 +79,8 @@ class Processes(Prefetching):
     """
 
     def __init__(self, job: Job, *, workers: int) -> None:
-        super().__init__()
+        self.announced: list[Scenario] = []
+        """What will be asked for, as far as it was not yet."""
         self._job = job
         self._workers = workers
         self._pool: ScenarioPool | None = None
@@ -119,7 +91,7 @@ class Processes(Prefetching):
 
     @property
     def notes(self) -> list[str]:
-        """What was used, or why not, where that was asked for."""
+        """What was used, or why not, where that was asked for; complete once the processes have ended."""
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
         option = f"--pafot-workers={self._workers}"
@@ -140,7 +112,11 @@ class Processes(Prefetching):
             self._pool.expect(scenarios)
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made in this process."""
+        """The trace of an announced run, once; None where the run is to be made in this process.
+
+        Raises:
+            ProcessLostError: where the process that made it did not come back.
+        """
         __tracebackhide__ = True
         self._is_measured = False
         if afresh or scenario not in self.announced:
@@ -158,63 +134,43 @@ class Processes(Prefetching):
         is_dear = self._runs > WARM_RUNS and self._warm_seconds >= DEAR * (self._runs - 1)
         if is_dear and self._workers > 1 and not self._failure:
             try:
-                self._pool = pool_for(self._job, self._workers)
+                self._begin()
             except ExecutionError as error:
                 self._failure = str(error)
-            else:
-                self.announce(self.announced)
 
     def close(self, *, at_once: bool) -> None:
-        """Forget what was announced, and end the processes."""
+        """Forget what was announced, and end the processes, where ``at_once`` without waiting for any."""
         self.announced = []
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 
+    def _begin(self) -> ScenarioPool:
+        self._pool = pool_for(self._job, self._workers)
+        self._pool.expect(self.announced)
+        return self._pool
 
-class Isolated(Prefetching):
-    """Makes all runs in other processes, announced or not: the ADS is never called in this one.
 
-    Args:
-        job: what is run.
-        workers: processes at most.
-    """
-
-    def __init__(self, job: Job, *, workers: int) -> None:
-        super().__init__()
-        self._job = job
-        self._workers = workers
-        self._pool: ScenarioPool | None = None
-        self._recovered: list[LostRun] = []
+class Isolated(Processes):
+    """Makes all runs in other processes, announced or not: the ADS is never called in this one."""
 
     @property
     def notes(self) -> list[str]:
         """Which processes died in runs that were made after all."""
-        return [recovery_note(each) for each in (*self._recovered, *(self._pool.recovered if self._pool else ()))]
-
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Begin with these, in this order."""
-        self._started().expect(scenarios)
+        return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of a run; None where only this process can show what was raised beside the ADS."""
+        """The trace of a run; None where only this process can show what was raised beside the ADS.
+
+        Raises:
+            ProcessLostError: where the process that made it did not come back.
+            ExecutionError: where there can be no such process.
+        """
         __tracebackhide__ = True
-        pool = self._started()
+        try:
+            pool = self._pool or self._begin()
+        except ExecutionError as error:
+            raise ExecutionError(f"--pafot-isolate: {error}") from None
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
         return trace_from(answer)
-
-    def close(self, *, at_once: bool) -> None:
-        """Forget what was announced, and end the processes; what is asked for later has others."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.close(at_once=at_once)
-            self._recovered += pool.recovered
-
-    def _started(self) -> ScenarioPool:
-        if self._pool is None:
-            try:
-                self._pool = pool_for(self._job, self._workers)
-            except ExecutionError as error:
-                raise ExecutionError(f"--pafot-isolate: {error}") from None
-        return self._pool

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.prefetching import Isolated, LockStep, Prefetching, Processes
+from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.trace import Trace
@@ -41,14 +41,14 @@ def runner_for(
         clock: seconds, monotonic.
     """
     if isolate:
-        return Runner(job, record, prefetching=Isolated(job, workers=workers), clock=clock)
+        return Runner(job, record, processes=Isolated(job, workers=workers), clock=clock)
     # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
     # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
     # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
     return Runner(
         job,
         record,
-        prefetching=Processes(job, workers=workers),
+        processes=Processes(job, workers=workers),
         lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
         can_resume=can_resume,
         clock=clock,
@@ -67,8 +67,8 @@ class Runner:
     Args:
         job: what is run.
         record: of this process.
-        prefetching: makes announced runs ahead.
-        lock_step: does so in its place, once the ADS shows that it can.
+        processes: make announced runs ahead.
+        lock_step: does so in their place, once the ADS shows that it can.
         can_resume: whether decisions may be taken from earlier runs, once the ADS shows that it is pure.
         clock: seconds, monotonic.
 
@@ -81,7 +81,7 @@ class Runner:
         job: Job,
         record: CrashRecord,
         *,
-        prefetching: Prefetching,
+        processes: Processes,
         lock_step: LockStep | None = None,
         can_resume: bool = False,
         clock: Callable[[], float],
@@ -89,7 +89,8 @@ class Runner:
         self.is_alone = True
         self._job = job
         self._record = record
-        self._prefetching = prefetching
+        self._processes = processes
+        self._prefetching: Processes | LockStep = processes
         self._lock_step = lock_step
         self._can_resume = can_resume
         self._clock = clock
@@ -148,7 +149,7 @@ class Runner:
             if self._can_resume and getattr(ads, "pure", False) is True:
                 self._decisions = DecisionCache()
             if self._lock_step is not None and callable(getattr(ads, "batch", None)):
-                self._lock_step.announce(self._prefetching.announced)
+                self._lock_step.announce(self._processes.announced)
                 self._prefetching = self._lock_step
             return ads
 
