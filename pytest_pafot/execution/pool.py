@@ -32,9 +32,6 @@ GRACE = 5.0
 FAREWELL = 2.0
 """How long a process may take to end by itself [s]; what its libraries started ends with it then."""
 
-STUCK = -1
-"""In the place of a count: a process ends itself since a decision takes no interruption."""
-
 POLL = 0.5
 """How long to wait for answers at most before looking whether those who owe one still live [s]."""
 
@@ -224,7 +221,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if is_done and task in self._wanted:
                     self._answers[task] = said
                 return
-        if worker.beats.value == STUCK:
+        if worker.stuck.value:
             how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
@@ -255,18 +252,19 @@ class _Worker(Generic[TaskT]):
     Attributes:
         task: that it runs now, or None.
         share: that it says is done of it.
-        beats: how often it has told that it is there, when it had begun and in answer to signals; or ``STUCK``.
+        stuck: whether it ended itself since a decision would not.
     """
 
     def __init__(self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.beats = context.RawValue("q", 0)
+        self.stuck = context.RawValue("b", 0)
+        self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self.beats, grace)
+        arguments = (work, end, inherited, self._beats, self.stuck, grace)
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker")
         with warnings.catch_warnings():
             # Python warns of any thread; those of numerical libraries are documented, and this module has none.
@@ -278,7 +276,7 @@ class _Worker(Generic[TaskT]):
     @property
     def has_begun(self) -> bool:
         """Whether it came so far as to wait for tasks."""
-        return bool(self.beats.value)
+        return bool(self._beats.value)
 
     def take(self, task: TaskT, now: float) -> bool:
         """Run a task; False where the process has ended."""
@@ -314,8 +312,8 @@ class _Worker(Generic[TaskT]):
 
     def silence(self, now: float) -> float:
         """Since when it owes an answer to a signal [s]; sends one where it owes none."""
-        if self.beats.value != self._heard:
-            self._heard, self._asked_at = self.beats.value, None
+        if self._beats.value != self._heard:
+            self._heard, self._asked_at = self._beats.value, None
         if self._asked_at is not None:
             return now - self._asked_at
         if hasattr(signal, "SIGUSR2"):
@@ -333,14 +331,25 @@ def ending(code: int | None) -> str:
     return f"ended with exit code {code}"
 
 
-def _serve(work: Work[Any, Any], connection: Connection, inherited: list[Connection], beats: Any, grace: float) -> None:
-    """In a process of the pool: run tasks until there are no more, or nobody waits for them."""
+def _serve(
+    work: Work[Any, Any], connection: Connection, inherited: list[Connection], beats: Any, stuck: Any, grace: float
+) -> None:
+    """In a process of the pool: run tasks until there are no more, or nobody waits for them.
+
+    Args:
+        work: to do with each.
+        connection: to the pool.
+        inherited: connections of others, by a fork.
+        beats: counts that it has begun, and the signals that it answers.
+        stuck: set before it ends since a decision would not.
+        grace: how long a decision may ignore interruptions [s].
+    """
 
     def beat(*signalled: object) -> None:
         beats.value += 1
 
     def end() -> None:
-        beats.value = STUCK
+        stuck.value = 1
         os._exit(1)
 
     for other in inherited:
