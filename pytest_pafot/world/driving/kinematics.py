@@ -6,6 +6,7 @@ highway-env builds it through pandas, which costs more than all the rest of a ru
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,11 +46,10 @@ class FastKinematics:
     def __init__(self, env: Any, stock: Any) -> None:
         self._env = env
         self._stock = stock
-        self._ranges: list[tuple[float, float] | None] | None = None
 
     def __call__(self) -> Any:
         """float32, shape [vehicles_count, features]."""
-        stock, env = self._stock, self._env
+        stock = self._stock
         ego = stock.observer_vehicle
         rows = [_features(vehicle) for vehicle in (ego, *self._close(ego))]
         if not stock.absolute:
@@ -60,7 +60,7 @@ class FastKinematics:
         for index, row in enumerate(rows):
             table[index] = [row[feature] for feature in stock.features]
         if stock.normalize:
-            self._normalize(table[: len(rows)], env)
+            self._normalize(table[: len(rows)])
         return table.astype(np.float32)
 
     def _close(self, ego: Any) -> list[Any]:
@@ -78,9 +78,7 @@ class FastKinematics:
         found.sort(key=lambda pair: pair[0])
         return [vehicle for _, vehicle in found[: self._stock.vehicles_count - 1]]
 
-    def _normalize(self, rows: Any, env: Any) -> None:
-        if self._ranges is None:
-            self._ranges = self._feature_ranges(env)
+    def _normalize(self, rows: Any) -> None:
         for column, bounds in enumerate(self._ranges):
             if bounds is None:
                 continue
@@ -89,10 +87,12 @@ class FastKinematics:
             if self._stock.clip:
                 np.clip(rows[:, column], -1, 1, out=rows[:, column])
 
-    def _feature_ranges(self, env: Any) -> list[tuple[float, float] | None]:
+    @cached_property
+    def _ranges(self) -> list[tuple[float, float] | None]:
+        """Of each feature, what becomes -1 and 1."""
         ranges = self._stock.features_range
         if not ranges:
-            lanes = len(env.road.network.all_side_lanes(self._stock.observer_vehicle.lane_index))
+            lanes = len(self._env.road.network.all_side_lanes(self._stock.observer_vehicle.lane_index))
             top, across = Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * lanes
             ends = {"x": 5.0 * top, "y": across, "vx": 2 * top, "vy": 2 * top}
             ranges = {feature: (-end, end) for feature, end in ends.items()}

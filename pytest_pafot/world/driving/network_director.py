@@ -149,7 +149,7 @@ class NetworkDirector(Director):
         _, later_direction, later_lean = network.lane_at(goal, npc.x + reach)
         npc.steering = driver.steering_in_bend(
             npc.y - network.centre(goal),
-            network.heading_at(npc.x) + npc.heading - direction,
+            network.reference(npc.x)[2] + npc.heading - direction,
             npc.course - direction if self._tick else 0.0,
             npc.speed,
             lean,

@@ -70,7 +70,7 @@ class RoadPlanner(Planner):
         network = self._network
         stretch = (network.stretch(spot.along, spot.across) + network.stretch(own.along, own.across)) / 2
         _, direction, lean = network.lane_at(spot.lane, spot.along)
-        heading = spot.angle + network.heading_at(spot.along) - direction - lean
+        heading = spot.angle + network.reference(spot.along)[2] - direction - lean
         x = own.along + (spot.along - own.along) * stretch
         y = network.in_lanes(spot)
         return VehicleState(x, y, heading, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)

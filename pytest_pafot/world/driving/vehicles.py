@@ -16,8 +16,9 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.trace import Lane
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.roads.straight import StraightRoad, parallel_along_x
+from pytest_pafot.world.roads.straight import StraightRoad
 
 BOX_STEP = 1.0
 """Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""
@@ -110,6 +111,7 @@ class Car(Vehicle):  # type: ignore[misc]
     def __init__(self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0) -> None:
         self._position: Any = None
         self._lane_index: tuple[str, str, int] | None = None
+        self._body = Body(self.LENGTH, self.WIDTH)
         super().__init__(road, position, heading, speed)
         self.check_collisions = False
 
@@ -170,20 +172,13 @@ class Car(Vehicle):  # type: ignore[misc]
             self.action = action
 
     def step(self, dt: float) -> None:
-        """highway-env's kinematic bicycle model, one explicit Euler step of ``dt`` seconds."""
-        speed: float = self.speed
-        acceleration = self.acceleration
-        if speed > self.MAX_SPEED:
-            acceleration = min(acceleration, 1.0 * (self.MAX_SPEED - speed))
-        elif speed < self.MIN_SPEED:
-            acceleration = max(acceleration, 1.0 * (self.MIN_SPEED - speed))
-        self.acceleration = acceleration
-        slip = math.atan(1 / 2 * math.tan(self.steering))
-        course = self.heading + slip
-        self.x += speed * math.cos(course) * dt
-        self.y += speed * math.sin(course) * dt
-        self.heading += speed * math.sin(slip) / (self.LENGTH / 2) * dt
-        self.speed = speed + acceleration * dt
+        """highway-env's kinematic bicycle model, one explicit Euler step of ``dt`` seconds, as the kernel has it."""
+        body = self._body
+        body.place(self.x, self.y, self.heading, self.speed)
+        body.acceleration, body.steering = self.acceleration, self.steering
+        body.step(dt)
+        self.x, self.y, self.heading, self.speed = body.x, body.y, body.heading, body.speed
+        self.acceleration = body.acceleration
         self._position = self._lane_index = None
 
 
@@ -192,12 +187,9 @@ def straight_network(lanes: int, length: float, lane_width: float, speed_limit: 
     network = RoadNetwork()
     stock = RoadNetwork.straight_road_network(lanes, length=length, speed_limit=speed_limit)
     for index, lane in enumerate(stock.lanes_list()):
-        y = index * lane_width
-        network.add_lane(
-            "0",
-            "1",
-            StraightLane([0.0, y], [length, y], width=lane_width, line_types=lane.line_types, speed_limit=speed_limit),
-        )
+        y, types = index * lane_width, lane.line_types
+        own = StraightLane([0.0, y], [length, y], width=lane_width, line_types=types, speed_limit=speed_limit)
+        network.add_lane("0", "1", own)
     return network
 
 
@@ -217,6 +209,13 @@ def straight_road(network: RoadNetwork) -> StraightRoad | None:
         for lane in lanes
         if type(lane) is StraightLane and lane.speed_limit is not None
     )
-    if len(segments) != 1 or len(values) != len(lanes) or not parallel_along_x(values):
+    if len(segments) != 1 or len(values) != len(lanes):
         return None
-    return StraightRoad(values)
+    first = values[0]
+    is_parallel = all(
+        lane.heading == 0.0
+        and (lane.x, lane.length, lane.width) == (first.x, first.length, first.width)
+        and math.isclose(lane.y, first.y + k * first.width)
+        for k, lane in enumerate(values)
+    )
+    return StraightRoad(values) if is_parallel else None

@@ -149,10 +149,6 @@ class NetworkRoad:
             lean[index] + share * (lean[index + 1] - lean[index]),
         )
 
-    def heading_at(self, along: float) -> float:
-        """Direction of the ego's way [rad]."""
-        return self.reference(along)[2]
-
     def speed_at(self, lane: int, along: float) -> float:
         """The highest speed of an NPC in a lane [m/s]."""
         index, share = self._inside(along)

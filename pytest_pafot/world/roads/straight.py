@@ -6,8 +6,6 @@ the start positions know nothing else of a road, so that other shapes can be add
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pytest_pafot.grid import Cell
@@ -82,14 +80,3 @@ class StraightRoad:
     def cells(self, ego_lane: int) -> frozenset[Cell]:
         """The cells whose lane exists when the ego drives in a lane."""
         return self._cells[ego_lane]
-
-
-def parallel_along_x(lanes: Sequence[Lane]) -> bool:
-    """Whether lanes form a :class:`StraightRoad`."""
-    first = lanes[0]
-    return all(
-        lane.heading == 0.0
-        and (lane.x, lane.length, lane.width) == (first.x, first.length, first.width)
-        and math.isclose(lane.y, first.y + k * first.width)
-        for k, lane in enumerate(lanes)
-    )
