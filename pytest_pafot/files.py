@@ -65,7 +65,7 @@ def way_out(error: OSError, elsewhere: str) -> str:
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
-def sweep(folder: Path) -> None:
+def remove_unfinished(folder: Path) -> None:
     """Remove what processes that were killed left half written; what a live one writes stays."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
         with contextlib.suppress(OSError):  # what cannot be removed does no harm: nobody reads a file of its name
@@ -79,7 +79,7 @@ def sweep(folder: Path) -> None:
 
 def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:
     path.parent.mkdir(parents=True, exist_ok=True)
-    sweep(path.parent)
+    remove_unfinished(path.parent)
     temporary, file = _create(path.parent)
     try:
         with file:

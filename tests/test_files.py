@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot import files, locks
-from pytest_pafot.files import sweep, write_if_free, write_whole
+from pytest_pafot.files import remove_unfinished, write_if_free, write_whole
 
 
 @pytest.fixture
@@ -128,11 +128,11 @@ def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypa
 
     monkeypatch.setattr(locks, "_lock", no_locks)
     process, temporary = writer
-    sweep(path.parent)
+    remove_unfinished(path.parent)
     assert temporary.exists()
     process.kill()
     process.wait()
-    sweep(path.parent)
+    remove_unfinished(path.parent)
     assert not temporary.exists()
 
 

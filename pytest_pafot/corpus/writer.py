@@ -40,7 +40,7 @@ def write(path: Path, finding: Finding) -> bool:
     Raises:
         CorpusWriteError: when it cannot be written.
     """
-    return _written(Path(path), finding, write_if_free)
+    return _written(path, finding, write_if_free)
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
@@ -54,7 +54,6 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     Raises:
         CorpusWriteError: when it cannot be written.
     """
-    path = Path(path)
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
         try:
@@ -81,13 +80,13 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
     number = 1
     while True:
         name = finding.id if number == 1 else f"{finding.id}-{number}"
-        path = Path(folder) / f"{name}{SUFFIX}"
+        path = folder / f"{name}{SUFFIX}"
         if not os.path.lexists(path) or _holds(path, finding, shrunk=path not in passed):
             return path, replace(finding, id=name)
         number += 1
 
 
-def _holds(path: Path, finding: Finding, *, shrunk: bool = True) -> bool:
+def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
     """Whether a file is of a finding; ``shrunk`` says whether one that was shrunk from it is."""
     try:
         saved = load(path)

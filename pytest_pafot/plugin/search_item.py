@@ -22,7 +22,7 @@ from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import folder_of_test
-from pytest_pafot.files import sweep
+from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import is_search
@@ -49,7 +49,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
     check_world(world, f"the fixture {WORLD_FIXTURE} to give" if request.world is None else "world= to be")
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
-    sweep(folder)
+    remove_unfinished(folder)
     ads = request.ads
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
