@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pytest_pafot.attribution.near_misses import near_misses
-from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, position_rule
+from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, world_of
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
@@ -41,7 +41,6 @@ class RunFacts:
     responsibility: str
     position_responsibility: str
     signature: str | None
-    fault: Fault | None
     error: AdsError | None
 
 
@@ -84,18 +83,32 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     tick(1.0)
 
 
-def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: bool) -> Evaluation:
-    """A run judged by who is responsible for it, with its :class:`RunFacts` as its note."""
-    facts = facts_of(trace)
-    is_blamed = blame == "any" or facts.responsibility in ("ego", "both")
+def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: bool = False) -> Evaluation:
+    """A run judged by who is responsible for it, with its :class:`RunFacts` as its note.
+
+    The text of a signature can be read, and is equal exactly for equal signatures.
+    """
+    run, signature = Run(trace), None
+    failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
+    if failure is not None:
+        found = of_failure(run, failure)
+        signature = f"{found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+    responsibility, fault = run.attribution.responsibility, run.attribution.fault
+    is_blamed = blame == "any" or responsibility in ("ego", "both")
     failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)
     evaluation = Evaluation.of(
         trace,
         fitness=fitness(trace),
         failing=failing,
-        kind=facts.signature if failing else None,
-        fault=facts.fault if failing else None,
+        kind=signature if failing else None,
+        fault=fault if failing else None,
         near_misses=near_misses(trace) if is_near_missed else (),
+    )
+    facts = RunFacts(
+        responsibility=responsibility,
+        position_responsibility=position_rule(trace),
+        signature=signature,
+        error=trace.error,
     )
     return replace(evaluation, note=facts)
 
@@ -129,25 +142,6 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
         genes_started=evaluation.genes_started,
         genes_reached=evaluation.genes_reached,
         executed=evaluation.executed.canonical(),
-    )
-
-
-def facts_of(trace: Trace) -> RunFacts:
-    """Who is responsible for a run's collision, and which failure the run shows.
-
-    The text of a signature can be read, and is equal exactly for equal signatures.
-    """
-    run, text = Run(trace), None
-    failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
-    if failure is not None:
-        signature = of_failure(run, failure)
-        text = f"{signature.slug}-{hashlib.sha256(repr(signature).encode()).hexdigest()[:6]}"
-    return RunFacts(
-        responsibility=run.attribution.responsibility,
-        position_responsibility=position_rule(trace),
-        signature=text,
-        fault=run.attribution.fault,
-        error=trace.error,
     )
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +96,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         plan = checked(plan_of(arguments))
         if arguments.workers is not None and arguments.workers < 1:
             raise PlanError(f"--workers: expected at least 1, received {arguments.workers}")
-        _check_libraries()  # What is wrong on the command line is told before anything is installed for it.
+        # What is wrong on the command line is told before anything is installed for it.
+        missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
+        if missing:
+            raise PlanError(
+                f"expected the library {missing} for the report, received an environment without it; "
+                "run `pip install 'pytest-pafot[compare]'`"
+            )
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=arguments.workers or cores(), told=sys.stderr, clock=time.monotonic)
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, WorkerDied) as error:
@@ -161,14 +167,3 @@ def _world(arguments: argparse.Namespace) -> Highway | World:
     world = replace(World(arguments.env), **given)
     world.check()
     return world
-
-
-def _check_libraries() -> None:
-    for name in LIBRARIES:
-        try:
-            importlib.import_module(name)
-        except ModuleNotFoundError:
-            raise PlanError(
-                f"expected the library {name} for the report, received an environment without it; "
-                "run `pip install 'pytest-pafot[compare]'`"
-            ) from None

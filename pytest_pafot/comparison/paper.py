@@ -27,11 +27,6 @@ class Reported:
     seconds_per_scenario: float
     hours: float
 
-    @property
-    def share(self) -> float:
-        """Of the scenarios that collide."""
-        return self.collisions / self.scenarios
-
 
 PAPER_GENERATIONS = 100
 """Of each run."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -142,8 +143,7 @@ def first_failures(runs: pd.DataFrame) -> tuple[list[float], list[bool]]:
     return runs["first_failure"].where(~is_censored, runs["seconds"]).tolist(), is_censored.tolist()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class Comparison(NamedTuple):
     """One test of one algorithm against another.
 
     Attributes:
@@ -161,7 +161,7 @@ class Comparison:
     first: str
     second: str
     values: tuple[float, float]
-    effect: Effect | None = None
+    effect: Effect | None
     p: float
     test: str
 
@@ -180,17 +180,9 @@ def comparisons(whole: pd.DataFrame, equal: pd.DataFrame, algorithms: Sequence[s
         for at, runs in (("generations", whole), ("seconds", equal)):
             found += _at_one_budget(at, first, second, of(first, runs), of(second, runs))
         times = [first_failures(of(name, equal)) for name in (first, second)]
-        found.append(
-            Comparison(
-                measure="simulated s to the first ego-responsible failure",
-                at="seconds",
-                first=first,
-                second=second,
-                values=(statistics.survival(*times[0]).median, statistics.survival(*times[1]).median),
-                p=statistics.log_rank(*times[0], *times[1]),
-                test="log-rank",
-            )
-        )
+        medians = statistics.survival(*times[0]).median, statistics.survival(*times[1]).median
+        p, measure = statistics.log_rank(*times[0], *times[1]), "simulated s to the first ego-responsible failure"
+        found.append(Comparison(measure, "seconds", first, second, medians, None, p, "log-rank"))
     return found
 
 
@@ -199,17 +191,8 @@ def _at_one_budget(at: str, first: str, second: str, a: pd.DataFrame, b: pd.Data
     for measure, column in TESTED.items():
         effect = statistics.compared(a[column].tolist(), b[column].tolist())
         medians = float(np.median(a[column])), float(np.median(b[column]))
-        found.append(
-            Comparison(
-                measure=measure, at=at, first=first, second=second, values=medians, effect=effect, p=effect.p,
-                test="Mann-Whitney U",
-            )
-        )  # fmt: skip
+        found.append(Comparison(measure, at, first, second, medians, effect, effect.p, "Mann-Whitney U"))
     counts = int((a["distinct"] > 0).sum()), int((b["distinct"] > 0).sum())
-    return [
-        *found,
-        Comparison(
-            measure="runs that found an ego-responsible failure", at=at, first=first, second=second, values=counts,
-            p=statistics.found_in((counts[0], len(a)), (counts[1], len(b))), test="Fisher exact",
-        ),
-    ]  # fmt: skip
+    p = statistics.found_in((counts[0], len(a)), (counts[1], len(b)))
+    measure = "runs that found an ego-responsible failure"
+    return [*found, Comparison(measure, at, first, second, counts, None, p, "Fisher exact")]

@@ -115,13 +115,10 @@ def log_rank(
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """P-values adjusted for their number (Holm, "A simple sequentially rejective multiple test procedure", 1979)."""
-    order = sorted(range(len(p_values)), key=lambda index: p_values[index])
-    adjusted = [0.0] * len(p_values)
-    highest = 0.0
-    for rank, index in enumerate(order):
-        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[index]))
-        adjusted[index] = highest
-    return adjusted
+    values = np.asarray(p_values, dtype=float)
+    order = np.argsort(values, kind="stable")
+    stepped = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
+    return [float(p) for p in stepped[np.argsort(order)]]
 
 
 def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> stats.CensoredData:

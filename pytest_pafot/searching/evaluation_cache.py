@@ -23,17 +23,11 @@ class EvaluationCache:
     a fixed point of the repair whatever the seed; or with the chains as asked for and with the seed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, evaluations: Iterable[Evaluation] = ()) -> None:
         self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
         self._depths: list[int] = []
-
-    @classmethod
-    def of(cls, evaluations: Iterable[Evaluation]) -> EvaluationCache:
-        """A memory of these evaluations."""
-        memory = cls()
         for evaluation in evaluations:
-            memory.add(evaluation)
-        return memory
+            self.add(evaluation)
 
     def add(self, evaluation: Evaluation) -> None:
         """Remember a run; of several with the same key the first stays."""

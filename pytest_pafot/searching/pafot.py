@@ -143,7 +143,7 @@ class PafotSearch:
         local = state.local_generation > 0
         population = state.local_population if local else state.population
         kept = elites(population, self.elite_share)
-        known = EvaluationCache.of(population)
+        known = EvaluationCache(population)
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
         while len(children) < self.population - len(kept):
@@ -179,7 +179,7 @@ class PafotSearch:
             if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
                 return replace(state, generation=generation + 1), (best,)
             # A fresh population: the incumbent, and mutants of it that each differ from it by one mutation.
-            known = EvaluationCache.of([candidate])
+            known = EvaluationCache([candidate])
             mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
             state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
             return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))

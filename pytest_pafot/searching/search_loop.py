@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -72,8 +71,15 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
     if max_seconds is not None and clock is None:
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
-    limits = _Limits(max_seconds, clock or (lambda: 0.0), stop)
-    return _campaign(algorithm, _Evaluator(evaluate, batch, foresee), limits, generations=generations, seed=seed)
+    now = clock or (lambda: 0.0)
+
+    def exceeded(seconds: float) -> EndReason | None:
+        if stop is not None and stop():
+            return "stopped"
+        return "time" if max_seconds is not None and seconds >= max_seconds else None
+
+    evaluator = _Evaluator(evaluate, batch, foresee)
+    return _campaign(algorithm, evaluator, exceeded, now, generations=generations, seed=seed)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -81,25 +87,16 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
-class _Limits(NamedTuple):
-    """What ends a campaign before its generations are finished."""
-
-    max_seconds: float | None
-    clock: Callable[[], float]
-    stop: Callable[[], bool] | None
-
-    def exceeded(self, started: float) -> EndReason | None:
-        if self.stop is not None and self.stop():
-            return "stopped"
-        if self.max_seconds is not None and self.clock() - started >= self.max_seconds:
-            return "time"
-        return None
-
-
 def _campaign(
-    algorithm: Algorithm[StateT], evaluator: _Evaluator, limits: _Limits, *, generations: int, seed: int
+    algorithm: Algorithm[StateT],
+    evaluator: _Evaluator,
+    exceeded: Callable[[float], EndReason | None],
+    now: Callable[[], float],
+    *,
+    generations: int,
+    seed: int,
 ) -> Generator[Event, None, None]:
-    started = limits.clock()
+    started = now()
     end = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
     yield CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
     state = algorithm.start(generation_rng(seed))
@@ -109,9 +106,9 @@ def _campaign(
         evaluations: list[Evaluation] = []
         evaluator.foresee(scenarios)
         for batch in evaluator.batches(scenarios):
-            reason = limits.exceeded(started) if end.evaluated else None
+            reason = exceeded(now() - started) if end.evaluated else None
             if reason is not None:
-                yield replace(end, reason=reason, seconds=limits.clock() - started)
+                yield replace(end, reason=reason, seconds=now() - started)
                 return
             for evaluation, reused in evaluator.evaluated(batch):
                 event = Evaluated(
@@ -131,7 +128,7 @@ def _campaign(
                 if isinstance(told, GenerationFinished) and told.local_generation == 0:
                     end = replace(end, generations=end.generations + 1)
                 yield told
-    yield replace(end, seconds=limits.clock() - started)
+    yield replace(end, seconds=now() - started)
 
 
 def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:

@@ -9,11 +9,12 @@ import pytest
 
 from pytest_pafot import Highway
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
-from pytest_pafot.comparison.algorithm_run import facts_of, run_rows
+from pytest_pafot.comparison.algorithm_run import evaluated, run_rows
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.rows import COLUMNS, text_of
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
+from pytest_pafot.searching.fitness import resolve
 
 
 def again(row):
@@ -35,7 +36,7 @@ def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
         assert (str(trace.outcome), trace.duration) == (row.outcome, row.duration)
         assert rss_rule(trace).responsibility == row.responsibility
         assert position_rule(trace) == row.position_responsibility
-        assert facts_of(trace).signature == row.signature
+        assert evaluated(trace, resolve(), "any").note.signature == row.signature
         assert (trace.collision is None) == (row.collision_time is None)
     assert any(row.outcome == "collision" for row in rows)
 

@@ -244,7 +244,7 @@ def test_a_local_search_never_swaps_npcs(make_population):
 def test_a_child_whose_run_is_known_from_the_population_is_bred_again(make_population, local):
     crashed_early = tuple(replace(member, genes_started=2) for member in make_population())
     state = PafotState(population=crashed_early, local_population=crashed_early, local_generation=2 * local)
-    known = EvaluationCache.of(crashed_early)
+    known = EvaluationCache(crashed_early)
     children = [child for generation in bred(PafotSearch(), state, 100) for child in generation]
     assert all(known.recall(child) is None for child in children)
 

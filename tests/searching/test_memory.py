@@ -118,6 +118,6 @@ def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
 def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
     """Where their NPCs start is repaired by the seed."""
     scenario = Scenario(npcs=((LaneInstruction("keep", 20.0),),), seed=3)
-    memory = EvaluationCache.of([make_evaluation(scenario)])
+    memory = EvaluationCache([make_evaluation(scenario)])
     assert memory.recall(scenario) is not None
     assert memory.recall(replace(scenario, seed=4)) is None
