@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.page_data import LaneView, Pose, RoadView
 from pytest_pafot.trace import ALONG, LANE, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.world.roads.route import wrapped
 from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
 DENSE = 0.5
@@ -108,7 +109,7 @@ class _DenseLanes:
         if column:
             heading = self.heading[base]
             x, y = self.x[base] - column * width * np.sin(heading), self.y[base] + column * width * np.cos(heading)
-            turned = np.abs((self.heading - heading + np.pi) % (2 * np.pi) - np.pi)
+            turned = np.abs(wrapped(self.heading - heading))
             distance = np.hypot(self.x - x, self.y - y)
             distance[(turned > SAME_DIRECTION) | (self.lane == self.lane[base])] = np.inf
             best = int(distance.argmin())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.errors import WorldError
@@ -163,7 +163,7 @@ class World(BuiltInWorld):
         """
         self.check_fits(scenario)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
-            ads = made(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
+            ads = make_ads(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
             ads_factory = ads if is_vehicle_class(ads) else lambda: ads
         if self.wrappers is not None or self.environment.steps_itself(drives_itself=is_vehicle_class(ads_factory)):
             return self.rollout_in_gym(scenario, ads_factory)

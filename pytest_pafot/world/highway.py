@@ -10,7 +10,7 @@ from typing import Any
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines import selection
 from pytest_pafot.world.engines.lock_step import SteppedRun
@@ -102,7 +102,7 @@ class Highway(BuiltInWorld):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads = made(ads_factory)
+        ads = make_ads(ads_factory)
         if is_vehicle_class(ads):
             return selection.rollout_vehicle(self, scenario, ads, decisions)
         return selection.rollout_planner(self, self.rules, scenario, ads, decisions)

@@ -81,7 +81,7 @@ def wants_env(factory: AdsFactory) -> bool:
         return False
 
 
-def made(factory: AdsFactory, **arguments: Any) -> Any:
+def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
     """A fresh ADS.
 
     Raises:
@@ -163,7 +163,7 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         ) from None
 
 
-def follow(vehicle: Any, route: Sequence[Any] | None) -> None:
+def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
     """Give a vehicle the environment's route, if both have one; highway-env shortens the list as it drives."""
     if route is not None and hasattr(vehicle, "route"):
         vehicle.route = list(route)
@@ -185,7 +185,7 @@ class SelfDriving:
         x, y, heading = start
         self.vehicle = vehicle_class(road, [x, y], heading, speed)
         self.vehicle.check_collisions = False
-        follow(self.vehicle, route)
+        give_route(self.vehicle, route)
 
     def decide(self, tick: int) -> None:
         """The vehicle's own ``act``."""

@@ -111,7 +111,7 @@ def _hint_at_choice(array: Any, space: Any) -> str:
     return ""
 
 
-def moved(objects: Sequence[Any], road: Road) -> list[Any]:
+def copies_on(objects: Sequence[Any], road: Road) -> list[Any]:
     """Copies of a road's fixed objects on another road."""
     copies = [copy.copy(each) for each in objects]
     for each in copies:
@@ -145,7 +145,7 @@ class View:
         ego.position = np.array(source.vehicle.position)
         ego.action = dict(source.vehicle.action)
         ego.check_collisions = True
-        road.objects = moved(source.road.objects, road)
+        road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
         for each in source.road.vehicles[1:]:
             road.vehicles.append(self._traffic(road, np.array(each.position), float(each.heading), float(each.speed)))

@@ -19,7 +19,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
@@ -169,7 +169,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
     put_ego(env, _ego(StockVehicle, rules, scenario, env), None)
-    return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, made(ads_factory), None))
+    return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, make_ads(ads_factory), None))
 
 
 def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -187,7 +187,7 @@ def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scen
                 f"environment knows it as it is, and decides in its own actions"
             )
         view = View(environment.make().unwrapped, env)
-    ads = made(ads_factory) if view is None else made(ads_factory, env=view.env)
+    ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
     if is_vehicle_class(ads):
         return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, ads, route))
     policy = StockPolicy(ads, env if environment.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.errors import AdsFactoryError
@@ -44,7 +44,7 @@ def batching_ads(factory: AdsFactory) -> Any:
     """
     if is_vehicle_class(factory) or wants_env(factory):
         return None
-    ads = made(factory)
+    ads = make_ads(factory)
     return ads if not is_vehicle_class(ads) and callable(getattr(ads, "batch", None)) else None
 
 

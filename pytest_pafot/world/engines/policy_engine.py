@@ -11,9 +11,17 @@ from highway_env.road.road import Road
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory, EgoDriver, SelfDriving, follow, is_vehicle_class, made, wants_env
+from pytest_pafot.world.driving.ads import (
+    AdsFactory,
+    EgoDriver,
+    SelfDriving,
+    give_route,
+    is_vehicle_class,
+    make_ads,
+    wants_env,
+)
 from pytest_pafot.world.driving.guard import HangGuard
-from pytest_pafot.world.driving.policy import Policy, View, moved
+from pytest_pafot.world.driving.policy import Policy, View, copies_on
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.run_config import Rules
@@ -29,8 +37,8 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
             _put_own_ego(env, start, scenario.ego_speed, route)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
-                return Policy(made(ads_factory, env=view.env), env, every, view)
-            ads = made(ads_factory)
+                return Policy(make_ads(ads_factory, env=view.env), env, every, view)
+            ads = make_ads(ads_factory)
         if is_vehicle_class(ads):
             return SelfDriving(ads, env.road, start, scenario.ego_speed, route)
         return Policy(ads, env, every)
@@ -52,7 +60,7 @@ def begin(environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: 
 def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
     """Make a vehicle the only one of an environment, on a route if it follows one; pafot looks for contact itself."""
     ego.check_collisions = False
-    follow(ego, route)
+    give_route(ego, route)
     env.road.vehicles = [ego]
     env.controlled_vehicles = [ego]
     env.define_spaces()
@@ -73,5 +81,5 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
         np_random=env.np_random,
         neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
     )
-    env.road.objects = moved(environment.unwrapped.road.objects, env.road)
+    env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
     return env
