@@ -71,7 +71,7 @@ def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, q
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill")
 def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whole):
     root = str(Path(__file__).parents[2])
-    program = "import sys; from tests.comparison.test_session import forever; forever(sys.argv[1])"
+    program = "import sys; from tests.comparison.test_resumable_runs import forever; forever(sys.argv[1])"
     process = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], cwd=root, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob("runs/*.csv")) and time.monotonic() < deadline:
@@ -147,7 +147,7 @@ def dying():
 
 
 def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_session:dying", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.comparison.test_resumable_runs:dying", algorithms=("random",), runs=1)
     with pytest.raises(WorkerDied, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
 
@@ -157,7 +157,7 @@ def raising():
 
 
 def test_what_a_worker_raises_is_raised_with_the_place(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_session:raising", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.comparison.test_resumable_runs:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
     assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]

@@ -90,7 +90,7 @@ def test_rows_are_read_as_they_were_written(quick):
 
 
 def test_an_ads_that_raises_is_a_failure_with_a_signature(quick):
-    rows = list(run_rows(quick(ads="tests.comparison.test_running:raising", generations=1), "random", 0))
+    rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:raising", generations=1), "random", 0))
     assert {row.outcome for row in rows} == {"ads_error"}
     assert all(row.failing and row.signature.startswith("ads-error") for row in rows)
 
@@ -108,7 +108,7 @@ def raising():
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_ads_that_fails_at_its_first_decision_in_the_whole_first_generation_ends_the_run(quick, algorithm, budget):
     """By simulated seconds too, of which none would ever pass."""
-    plan = quick(ads="tests.comparison.test_running:failing_at_once", **budget)
+    plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)
     with pytest.raises(PlanError, match=r"in all \d+ runs of the first generation"):
         list(run_rows(plan, algorithm, 0))
 
@@ -121,8 +121,8 @@ def failing_at_once():
 
 
 def test_where_one_run_of_the_first_generation_was_driven_the_others_are_failures(quick, monkeypatch):
-    monkeypatch.setattr("tests.comparison.test_running.MADE", count())
-    rows = list(run_rows(quick(ads="tests.comparison.test_running:failing_but_once", generations=2), "random", 0))
+    monkeypatch.setattr("tests.comparison.test_algorithm_run.MADE", count())
+    rows = list(run_rows(quick(ads="tests.comparison.test_algorithm_run:failing_but_once", generations=2), "random", 0))
     assert [row.outcome for row in rows].count("ads_error") == len(rows) - 1
 
 

@@ -92,7 +92,7 @@ def test_algorithms_are_found_by_name():
 def test_an_algorithm_of_ones_own_is_a_class_or_its_module_and_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
-    assert resolve_algorithm("tests.searching.test_catalogue:Own") == of_class
+    assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
     assert (of_class.name, of_class.fitness, of_class.knows_grid) == ("own", "default", True)
     assert (of_class.reads_near_misses, of_class.library) == (False, None)
 
@@ -123,9 +123,9 @@ def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, a
         ("rand", r"received 'rand'; did you mean 'random'\?"),
         ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
         (
-            "tests.searching.test_catalogue:Onw",
-            r"expected a name in the module tests.searching.test_catalogue, received "
-            r"'tests.searching.test_catalogue:Onw'; did you mean 'tests.searching.test_catalogue:Own'\?",
+            "tests.searching.test_algorithms:Onw",
+            r"expected a name in the module tests.searching.test_algorithms, received "
+            r"'tests.searching.test_algorithms:Onw'; did you mean 'tests.searching.test_algorithms:Own'\?",
         ),
         (
             RandomSearch(),
@@ -157,11 +157,11 @@ def test_each_algorithm_has_a_fitness_of_its_own_by_default():
 
 
 def test_a_fitness_of_ones_own_is_a_function_or_its_module_and_name(make_evaluation):
-    assert resolve("tests.searching.test_catalogue:own_fitness") == resolve(own_fitness)
+    assert resolve("tests.searching.test_algorithms:own_fitness") == resolve(own_fitness)
     with pytest.raises(
         FitnessError, match=r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
     ):
-        resolve("tests.searching.test_catalogue:own_fitnes")
+        resolve("tests.searching.test_algorithms:own_fitnes")
 
 
 def test_random_manoeuvres_are_drawn_anew_in_the_slices_of_av_fuzzer():
