@@ -140,3 +140,8 @@ def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monke
     assert told
     assert max(map(len, told)) <= 60
     assert summary(result)[0] == f"1 new finding: {explained.only_id}"
+
+
+def test_a_run_is_short_in_the_header_of_a_traceback(failing):
+    (header,) = re.findall(r"^run = .*$", failing.run("-v").stdout.str(), re.MULTILINE)
+    assert len(header) < 80

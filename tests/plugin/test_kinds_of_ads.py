@@ -1,4 +1,4 @@
-"""Edge cases of the ADS: of which kind it is, how it is given, and what it raises."""
+"""Every kind of ADS is searched as it is given, and what it raises is a finding."""
 
 import sys
 import textwrap

@@ -1,4 +1,4 @@
-"""Edge cases 1 to 5: what kind of function is marked, and what it raises."""
+"""What kind of function may be marked, and what becomes of what it raises."""
 
 import pytest
 

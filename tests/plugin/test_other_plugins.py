@@ -1,4 +1,4 @@
-"""Edge cases 13 and 14: other plugins, and pytest's own ways to stop early or to run nothing."""
+"""Beside other plugins, and under pytest's own ways to stop early or to run nothing."""
 
 import pytest
 
@@ -195,3 +195,16 @@ def test_durations_and_summaries_know_nothing_of_messages(failing):
 def test_a_log_gets_a_line_of_progress_every_ten_seconds_and_not_more(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     assert "generations, " not in project.run(generations=3).stdout.str().partition("pafot ====")[0]
+
+
+def test_other_plugins_randomness_changes_nothing(project):
+    pytest.importorskip("pytest_randomly")
+    project.write(
+        "@pafot.search(SHORT)\ndef test_a(run):\n    assert run.scenario.id == ''\n\ndef test_b():\n    pass\n"
+    )
+    project.run(generations=2)
+    plain = project.contents
+    for name in plain:
+        (project.path / name).unlink()
+    project.run(generations=2, plugins=("randomly",))
+    assert project.contents == plain

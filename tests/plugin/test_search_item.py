@@ -291,3 +291,12 @@ def test_a_search_that_finds_nothing_in_the_few_generations_of_its_default_says_
 def test_no_other_search_is_called_short(project, bound, options):
     project.write(KEEPS.replace("BOUND", bound))
     project.run(*options, generations=None).stdout.no_fnmatch_line("*short search*")
+
+
+def test_the_output_is_ascii_and_its_own_lines_fit_in_80_columns(project, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
+    lines = project.run("-v", generations=2).outlines
+    section = lines[next(index for index, line in enumerate(lines) if " pafot " in line) :]
+    assert all(line.isascii() for line in section)
+    assert max(map(len, section)) <= 80

@@ -1,4 +1,4 @@
-"""Edge cases 6 and 11, and what must not depend on processes: workers, kills, hash seeds."""
+"""Workers of pytest-xdist, hash seeds and kills change nothing of what is found, saved and told."""
 
 import re
 import subprocess

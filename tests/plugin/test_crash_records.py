@@ -1,0 +1,80 @@
+"""What a process was running when it died is reported and saved by the next session."""
+
+
+def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(project):
+    project.write(
+        """
+import os
+
+SESSION = os.getpid()
+
+@pafot.search(SHORT)
+def test_dies(run):
+    if os.environ.get("DIE") or (os.getpid() != SESSION and not os.environ.get("MENDED")):
+        os._exit(9)
+"""
+    )
+    project.pytester._monkeypatch.setenv("DIE", "1")
+    assert project.run(subprocess=True).ret == 9
+    assert project.files == []
+    project.pytester._monkeypatch.delenv("DIE")
+    result = project.run()
+    result.assert_outcomes(failed=2)
+    assert project.only_id.startswith("crash-")
+    result.stdout.fnmatch_lines(["*died while it ran this scenario*"])
+    # Reported once: from now on the file speaks for itself.
+    project.pytester._monkeypatch.setenv("MENDED", "1")
+    result = project.run()
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*1 fixed"])
+
+
+PASSES = """
+@pafot.search(SHORT)
+def test_lives(run):
+    pass
+"""
+
+
+def test_what_a_died_process_ran_is_reported_even_when_only_replays_run(project):
+    project.write(PASSES)
+    project.leave_crash("test_it.py::test_lives")
+    project.run(generations=0).assert_outcomes(failed=2)
+    project.mend()
+    project.run(generations=0).assert_outcomes(passed=1, skipped=1)
+
+
+def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
+    failing.leave_crash("test_it.py::test_fails")
+    failing.run(generations=0)
+    failing.mend()
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
+
+
+def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers_further_deaths(project):
+    project.write(PASSES)
+    project.leave_crash("test_it.py::test_lives")
+    project.run().assert_outcomes(failed=2)
+    project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
+    result = project.run("test_it.py::test_lives[search]")
+    result.assert_outcomes(failed=1)  # an ADS that ends all other processes: there is no valid run
+    result.stdout.fnmatch_lines([f"*known: 4 runs covered by saved-{project.only_id}*", "*note: ran as with *"])
+
+
+def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
+    failing.run()
+    failing.leave_behind(f"test_it.py::test_fails[saved-{failing.only_id}]")
+    for _ in range(2):
+        result = failing.run(generations=0)
+        result.assert_outcomes(failed=1, skipped=1)
+        result.stdout.fnmatch_lines(["replay: still failing"])
+
+
+def test_what_a_died_process_ran_is_told_even_when_its_test_does_not_run(project):
+    project.write(PASSES)
+    project.leave_behind("test_old.py::test_dies")
+    result = project.run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran*"])

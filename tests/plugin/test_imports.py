@@ -1,0 +1,64 @@
+"""What a session imports for the plugin, and what the plugin uses of pytest."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+import pytest_pafot
+import pytest_pafot.plugin
+
+SOURCES = sorted(Path(pytest_pafot.plugin.__file__).parent.glob("*.py"))
+
+
+MODULES = """
+import json, sys
+
+def test_modules():
+    with open({name!r}, "w") as file:
+        json.dump(sorted(sys.modules), file)
+"""
+
+
+def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
+    project.pytester.makeconftest("")
+    found = []
+    # With another plugin in both: for the first that is installed as a package, pytest reads that package's metadata.
+    for name, options in (("with.json", ["-p", "xdist", "-p", "pafot"]), ("without.json", ["-p", "xdist"])):
+        project.pytester.makepyfile(test_it=MODULES.format(name=name))
+        project.pytester.runpytest_subprocess(*options).assert_outcomes(passed=1)
+        found.append(set(json.loads((project.path / name).read_text())))
+    gained = found[0] - found[1]
+    light = {"pytest_pafot", "pytest_pafot.campaign", "pytest_pafot.campaign.options"}
+    light |= {"pytest_pafot.corpus", "pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
+    assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
+
+
+def test_the_plugin_does_not_import_hypothesis(project):
+    project.pytester.makeconftest("")
+    project.write(
+        """
+import sys
+
+@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))
+def test_a(run):
+    assert "hypothesis" not in sys.modules
+"""
+    )
+    project.run(subprocess=True).assert_outcomes(passed=1)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.name)
+def test_the_plugin_uses_no_private_names_of_pytest(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    imported += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    assert not [name for name in imported if name.split(".")[0] == "_pytest"]
+    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr.startswith("_")]
+    foreign = [
+        node.attr for node in attributes if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+    ]
+    of_python = ("_exit", "_current_frames")  # documented, of os and sys
+    assert [name for name in foreign if not name.startswith("__") and name not in of_python] == []
+    assert not [node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "callspec"]

@@ -1,0 +1,187 @@
+"""Saved scenarios that no test runs are told and kept; only what is no test's own is pruned."""
+
+import pytest
+
+
+def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(failing):
+    failing.run()
+    failing.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
+    result = failing.run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
+    )
+    assert failing.files
+
+
+def test_a_renamed_module_leaves_an_orphan(failing):
+    failing.run()
+    failing.write("def test_other():\n    pass\n", name="test_other")
+    (failing.path / "test_it.py").unlink()
+    failing.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
+
+
+METHOD = """
+class TestClass:
+    @pafot.search(SHORT, stop_after=1)
+    def test_fails(self, run):
+        assert not run
+"""
+
+
+def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
+    source = METHOD
+    project.write(source)
+    project.run()
+    project.write(source.replace("TestClass", "TestOther").replace("assert not run", "pass"))
+    assert "orphaned: 1" in project.run().stdout.str()
+    project.write(source.replace("test_fails", "test_renamed").replace("assert not run", "pass"))
+    assert "orphaned: 1" in project.run().stdout.str()
+
+
+def test_a_removed_parameter_leaves_an_orphan(project):
+    source = """
+@pytest.mark.parametrize("limit", [1, 2])
+@pafot.search(SHORT, stop_after=1)
+def test_it(run, limit):
+    assert not limit
+"""
+    project.write(source)
+    project.run()
+    project.write(source.replace("[1, 2]", "[2]"))
+    project.run(generations=0).stdout.fnmatch_lines(
+        ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"]
+    )
+
+
+@pytest.mark.parametrize("place", ["pafot_corpus/test_it", "pafot_corpus", "."])
+def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(failing, place):
+    failing.run()
+    home, id_ = failing.only_file.parent, failing.only_id
+    failing.only_file.rename(failing.path / place / failing.only_file.name)
+    result = failing.run(generations=0)
+    result.assert_outcomes(skipped=1)
+    assert told(result) == [
+        f"{failing.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
+    ]
+    failing.only_file.rename(home / failing.only_file.name)
+    again = failing.run(generations=0)
+    again.assert_outcomes(failed=1, skipped=1)
+    assert (failing.only_id, told(again)) == (id_, [])
+
+
+def told(result):
+    return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
+
+
+def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(failing):
+    failing.run()
+    for folder in ("safety/near", "notes"):
+        (failing.path / folder).mkdir(parents=True)
+    (failing.path / "test_it.py").rename(failing.path / "safety" / "near" / "test_it.py")
+    content = failing.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
+    failing.only_file.unlink()
+    for folder in ("safety", "notes"):
+        (failing.path / folder / "a.pafot.yaml").write_text(content)
+    place = "safety/near/pafot_corpus/test_it/test_fails"
+    expected = [f"safety/a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+    assert told(failing.run(generations=0)) == expected
+    assert told(failing.run("--pafot-corpus", failing.path / "all", generations=0)) == [
+        expected[0].replace(place, "all/safety/near/test_it/test_fails")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [("test: test_old.py::test_it", "the folder of test_old.py::test_it"), ("", "the folder of its test")],
+)
+def test_a_file_that_lies_too_high_and_names_no_collected_test_is_told(failing, line, place):
+    (failing.path / "a.pafot.yaml").write_text(line)
+    assert told(failing.run(generations=0)) == [f"a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+
+
+def test_without_a_search_nobody_looks_for_files_that_lie_too_high(project):
+    project.write("def test_ordinary():\n    pass\n")
+    (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_ordinary")
+    assert "pafot.yaml" not in project.run(generations=None).stdout.str()
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [
+        ["-k", "other"],
+        ["test_it.py::test_other"],
+        ["test_it.py::TestOther"],
+        ["test_it.py::TestOther::test_method"],
+        ["-m", "not pafot"],
+        ["test_other.py"],
+        ["--deselect", "test_it.py::test_fails"],
+    ],
+    ids=" ".join,
+)
+def test_a_selection_makes_no_orphans(project, selection):
+    project.write(
+        """
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    assert not run
+
+def test_other():
+    pass
+
+class TestClass:
+    @pafot.search(SHORT, stop_after=1)
+    def test_fails(self, run):
+        assert not run
+
+class TestOther:
+    def test_method(self):
+        pass
+"""
+    )
+    project.write("def test_other():\n    pass\n", name="test_other")
+    project.run()
+    assert len(project.files) == 2
+    assert "orphaned:" not in project.run(*selection, generations=0).stdout.str()
+
+
+def test_a_skipped_test_is_no_orphan(failing):
+    failing.run()
+    source = (failing.path / "test_it.py").read_text()
+    (failing.path / "test_it.py").write_text(source.replace("def test_fails", "@pytest.mark.skip\ndef test_fails"))
+    assert "orphaned:" not in failing.run(generations=0).stdout.str()
+    (failing.path / "test_it.py").write_text(f"import pytest\npytest.skip('all', allow_module_level=True)\n{source}")
+    assert "orphaned:" not in failing.run(generations=0).stdout.str()
+
+
+def test_a_module_that_cannot_be_imported_makes_no_orphans(failing):
+    failing.run()
+    failing.write("import nothing_of_this_name\n")
+    assert "orphaned:" not in failing.run("--pafot-prune").stdout.str()
+    assert failing.files
+
+
+def test_prune_removes_orphans_and_nothing_else(project):
+    source = "@pafot.search(SHORT, stop_after=1)\ndef test_a(run):\n    assert not run\n"
+    project.write(source + source.replace("test_a", "test_b"))
+    project.run()
+    project.write(source)
+    result = project.run("--pafot-prune", generations=0)
+    result.stdout.fnmatch_lines(["removed: 1 saved scenario of no test in pafot_corpus/test_it/test_b"])
+    assert [name.split("/")[2] for name in project.files] == ["test_a"]
+
+
+def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
+    one = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert not run\n"
+    project.write(one, name="test_top")
+    project.write(one, name="tests/test_low")
+    corpus = project.path / "all"
+    project.run("--pafot-corpus", corpus)
+    files = project.files
+    assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
+    (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")
+    result = project.run("--pafot-corpus", corpus, "--pafot-prune", generations=0)
+    assert set(files) < set(project.files)
+    assert told(result) == [
+        "all/tests/test_low/a.pafot.yaml, which lies in no folder of a test; move it to all/tests/test_low/test_fails"
+    ]
