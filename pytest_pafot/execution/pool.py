@@ -213,14 +213,13 @@ class WorkerPool(Generic[TaskT, ResultT]):
         if task is None:
             return
         if worker.connection.poll():
-            try:
-                is_done, said = worker.hear()
-            except (EOFError, OSError):
-                is_gone = True
-            else:
+            heard = worker.hear()
+            if heard is not None:
+                is_done, said = heard
                 if is_done and task in self._wanted:
                     self._answers[task] = said
                 return
+            is_gone = True
         if worker.stuck.value:
             how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
@@ -292,16 +291,12 @@ class _Worker(Generic[TaskT]):
             return False
         return True
 
-    def hear(self) -> tuple[bool, Any]:
-        """Whether its task is done, and the result.
-
-        Raises:
-            EOFError, OSError: where it ended before it was done.
-        """
+    def hear(self) -> tuple[bool, Any] | None:
+        """Whether its task is done, and the result, or else the share that is; None where it ended before."""
         try:
             is_done, said = self.connection.recv()
         except (EOFError, OSError):
-            raise
+            return None
         except Exception as error:  # noqa: BLE001  (made of what cannot be had here)
             is_done, said = True, error
         if is_done:
@@ -365,29 +360,21 @@ def _serve(
 
 
 def _answer(work: Work[Any, Any], task: Any, connection: Connection) -> None:
-    """Do a task, and send what came of it."""
+    """Do a task, and send what came of it: also what it raised, and why its result cannot be sent."""
     try:
-        answer = work(task, lambda share: connection.send((False, share)))
+        said = pickle.dumps((True, work(task, lambda share: connection.send((False, share)))))
     except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
-        answer = _portable(error)
-    try:
-        connection.send((True, answer))
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001  (whatever somebody's result does when it is pickled)
-        connection.send((True, _worded(error)))
+        said = pickle.dumps((True, _portable(error)))
+    connection.send_bytes(said)
 
 
 def _portable(error: BaseException) -> Exception:
     """The error with its traceback as a note; where it cannot be sent to another process, one that says the same."""
-    told = error if isinstance(error, Exception) else _worded(error)
+    worded = RuntimeError("".join(traceback.format_exception_only(error)).strip())
+    told = error if isinstance(error, Exception) else worded
     try:
         pickle.loads(pickle.dumps(told))  # noqa: S301  (what this very process has made)
     except Exception:  # noqa: BLE001  (whatever somebody's error does when it is pickled)
-        told = _worded(error)
+        told = worded
     told.add_note("In a worker:\n" + "".join(traceback.format_exception(error)))  # Its own traceback does not travel.
     return told
-
-
-def _worded(error: BaseException) -> Exception:
-    return RuntimeError("".join(traceback.format_exception_only(error)).strip())

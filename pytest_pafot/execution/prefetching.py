@@ -62,13 +62,6 @@ class LockStep:
             self._announced.remove(scenario)
         return self._made.pop(scenario, None)
 
-    def ran_here(self, seconds: float) -> None:
-        """Nothing depends on how long a run by itself takes."""
-
-    def close(self, *, at_once: bool) -> None:
-        """Forget what was announced and made."""
-        self.announce(())
-
 
 class Processes:
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
@@ -118,7 +111,6 @@ class Processes:
             ProcessLostError: where the process that made it did not come back.
         """
         __tracebackhide__ = True
-        self._is_measured = False
         if afresh or scenario not in self.announced:
             return None
         self.announced.remove(scenario)
@@ -129,6 +121,7 @@ class Processes:
         """Learn how long the last run took; what was not announced is not measured."""
         if not self._is_measured:
             return
+        self._is_measured = False
         self._runs += 1
         self._warm_seconds += seconds if self._runs > 1 else 0.0
         is_dear = self._runs > WARM_RUNS and self._warm_seconds >= DEAR * (self._runs - 1)
@@ -139,8 +132,7 @@ class Processes:
                 self._failure = str(error)
 
     def close(self, *, at_once: bool) -> None:
-        """Forget what was announced, and end the processes, where ``at_once`` without waiting for any."""
-        self.announced = []
+        """End the processes, where ``at_once`` without waiting for any."""
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 

@@ -107,7 +107,8 @@ class Runner:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        self._prefetching.close(at_once=kind is not None)
+        self._prefetching.announce(())
+        self._processes.close(at_once=kind is not None)
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Say what will be asked for next, in this order; what was announced before is forgotten."""
@@ -134,7 +135,7 @@ class Runner:
             started = self._clock()
             given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
             trace = self._job.world.rollout(scenario, self._factory, **given)
-            self._prefetching.ran_here(self._clock() - started)
+            self._processes.ran_here(self._clock() - started)
         if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
             self._decisions.remember(trace)
         return trace
