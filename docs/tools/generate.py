@@ -30,7 +30,7 @@ from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
-from pytest_pafot.world import Highway, NpcLimits, Observation, VehicleState, World
+from pytest_pafot.world import Highway, NpcLimits, Observation, VehicleState, World, WorldLike
 
 REFERENCE = Path(__file__).parents[1] / "reference.md"
 
@@ -107,6 +107,7 @@ def sections() -> dict[str, str]:
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
+        "world-like": _properties_table(WorldLike),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),
         "weights": _fields_table(Weights),

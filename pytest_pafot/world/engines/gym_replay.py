@@ -253,7 +253,7 @@ class _Loop:
         self._env, self._driver, self._guard = env, driver, guard
         self._traffic = Traffic(rules, scenario, driver, npc)
         env.road.vehicles = self._traffic.vehicles
-        self._ticks = self._left = rules.ticks(scenario)
+        self._last = rules.ticks(scenario)
         self._ended: Trace | None = None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
@@ -267,7 +267,7 @@ class _Loop:
         driver, record, guard = self._driver, self._traffic.record, self._guard
         if isinstance(driver, StockPolicy):
             driver.begin(record.scenario.seed)
-        while self._left > 0:
+        while record.tick < self._last:
             tick = record.tick
             error = decide(driver, tick, record, guard)
             if error is not None:
@@ -296,9 +296,8 @@ class _Loop:
         record = self._traffic.record
         error = step_ego(record.tick, self._guard, lambda: self._road_step(dt))
         if not self._is_over:
-            self._left -= 1
             self._ended = self._traffic.note() if error is None else record.trace(error=error)
 
     @property
     def _is_over(self) -> bool:
-        return self._ended is not None or self._left == 0
+        return self._ended is not None or self._traffic.record.tick == self._last
