@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -45,11 +46,8 @@ def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
     of :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego's front had touched the NPC when the
     danger was most severe. The danger that ended in the impact of the run is none of these.
     """
-    worst: dict[Fault, NearMiss] = {}
-    for each in _all(trace):
-        if each.fault not in worst or each.severity > worst[each.fault].severity:
-            worst[each.fault] = each
-    return tuple(worst[fault] for fault in sorted(worst))
+    by_severity = sorted(_all(trace), key=lambda each: (each.fault, -each.severity))  # stable: of equals the first
+    return tuple(next(group) for _, group in groupby(by_severity, key=lambda each: each.fault))
 
 
 def _all(trace: Trace) -> Iterator[NearMiss]:

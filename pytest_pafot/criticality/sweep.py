@@ -59,10 +59,6 @@ class Sweep:
         min_ttc, min_gap, max_safety_shortfall: see the functions of these names; they hold if :meth:`run` says so.
     """
 
-    min_ttc: float
-    min_gap: float
-    max_safety_shortfall: float
-
     def __init__(
         self, states: FloatArray, sizes: FloatArray, road: tuple[float, float], manoeuvre_seconds: float
     ) -> None:

@@ -15,12 +15,6 @@ MAX_SPEED = TOP_SPEED
 class Box:
     """An oriented rectangle: centre [m], heading [rad], length and width [m]."""
 
-    x: float
-    y: float
-    heading: float
-    length: float
-    width: float
-
     def __init__(self, x: float, y: float, heading: float, length: float, width: float) -> None:
         self.x = x
         self.y = y
@@ -38,11 +32,6 @@ class Body(Box):
         steering: [rad].
         lane: index of the nearest lane; whoever moves a body keeps it true.
     """
-
-    speed: float
-    acceleration: float
-    steering: float
-    lane: int
 
     def __init__(self, length: float, width: float) -> None:
         self.x = self.y = self.heading = self.speed = self.acceleration = self.steering = 0.0

@@ -46,16 +46,12 @@ class Npc(Body):
         course: direction of motion that the previous tick's steering gave [rad].
     """
 
-    chain: Chromosome
-    executed: list[Cell]
-    arrivals: list[int | None]
-
     def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
         super().__init__(length, width)
         self.index = index
         self.chain = chain
-        self.executed = []
-        self.arrivals = []
+        self.executed: list[Cell] = []
+        self.arrivals: list[int | None] = []
         self.row = 0
         self.column = 0
         self.target = 0.0
@@ -85,10 +81,6 @@ class Director:
         skips: whether steps on the ring skip cells that do not exist.
     """
 
-    npcs: list[Npc]
-    skips: bool
-    _road: Any
-
     def __init__(
         self,
         scenario: Scenario,
@@ -106,7 +98,7 @@ class Director:
         self._scenario = scenario
         self._positions = scenario.positions
         self.skips = False
-        self._road = road
+        self._road: Any = road
         self._clearance = clearance
         self._row = (ego_length + length) / 2.0
         self._length = length

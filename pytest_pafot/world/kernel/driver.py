@@ -89,8 +89,6 @@ class NpcDriver:
         course: direction of motion that the last steering gives, to the lane [rad].
     """
 
-    course: float
-
     def __init__(self, limits: NpcLimits, top_speed: float, length: float, dt: float) -> None:
         lateral = limits.lateral_acceleration
         self._dt = dt

@@ -13,10 +13,6 @@ ALMOST = 1e-6
 class Lanes:
     """So many lanes of one width, from the left, and their length [m]."""
 
-    count: int
-    width: float
-    length: float
-
     def __init__(self, count: int, width: float, length: float) -> None:
         self.count = count
         self.width = width

@@ -31,8 +31,6 @@ class Pilot:
         every: physics ticks from one decision to the next.
     """
 
-    every: int
-
     def __init__(self, every: int) -> None:
         self.every = every
 
@@ -70,15 +68,12 @@ class GivenPilot(Pilot):
         slowest: the longest decision [s].
     """
 
-    actions: list[tuple[float, float]]
-    slowest: float
-
     def __init__(self, ego: Body, *, every: int, dt: float) -> None:
         super().__init__(every)
         self._ego = ego
         self._dt = dt
         self._wanted = 0.0
-        self.actions = []
+        self.actions: list[tuple[float, float]] = []
         self.slowest = 0.0
 
     def take(self, action: Any, seconds: float) -> None:

@@ -45,9 +45,6 @@ class Observer:
         physics_hz: ticks per second.
     """
 
-    record: array[float]
-    lanes: Lanes
-
     def __init__(
         self, record: array[float], sizes: list[tuple[float, float]], lanes: Lanes, speed_limit: float, physics_hz: int
     ) -> None:
