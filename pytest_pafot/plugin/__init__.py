@@ -15,7 +15,7 @@ from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.options import add_options
 from pytest_pafot.plugin.report_pages import Pages
-from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, begin
+from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, Shared, SummaryLines
 from pytest_pafot.plugin.terminal_reporter import Reporter
 
 
@@ -40,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker(config)
     else:
-        config.stash[SHARED] = begin()
+        config.stash[SHARED] = Shared.of_new_session()
         features |= {"reporting": Reporter(config), "pages": Pages(config)}
     if config.getoption("dist", "no") != "no":
         from pytest_pafot.plugin.xdist import Controller  # noqa: PLC0415

@@ -7,7 +7,7 @@ CI gets the message as a whole, and in files for other tools. Frames in full com
 from __future__ import annotations
 
 import re
-from collections.abc import Generator, Iterable
+from collections.abc import Generator
 from itertools import takewhile
 from typing import Any
 
@@ -69,11 +69,8 @@ def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
     """Fit the lines of a failure's message into the width; lines of code stay as they are."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
-        lines = list(_told_once(entry.lines) if is_brief else entry.lines)
+        lines = list(entry.lines)
+        if is_brief and any(map(SCENARIO.fullmatch, lines)):
+            lines = [line for line in lines if not any(each.fullmatch(line) for each in REPEATED)]
         code = [] if entry.style == "value" else list(takewhile(lambda line: not line.startswith(MARKER), lines))
         entry.lines = [*code, *fitted_lines(lines[len(code) :], width)]
-
-
-def _told_once(lines: list[str]) -> Iterable[str]:
-    is_explained = any(SCENARIO.fullmatch(line) for line in lines)
-    return (line for line in lines if not (is_explained and any(each.fullmatch(line) for each in REPEATED)))

@@ -37,8 +37,7 @@ class Checks:
         try:
             _check_function(item)
             request = request_of_mark(item.config, arguments, item.config.stash[SHARED].fresh_seed)
-            _check_parameter(item, request.arg)
-            _check_fixtures(item, request)
+            _check_parameters(item, request)
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
         item.stash[REQUEST] = request
@@ -96,7 +95,8 @@ def _check_function(item: pytest.Item) -> None:
         )
 
 
-def _check_parameter(item: pytest.Item, arg: str) -> None:
+def _check_parameters(item: pytest.Item, request: Request) -> None:
+    arg = request.arg
     names = list(inspect.signature(item.obj).parameters)  # type: ignore[attr-defined]
     if arg not in names:
         example = f"name it, as in `def {item.name.partition('[')[0]}({arg})`"
@@ -109,12 +109,8 @@ def _check_parameter(item: pytest.Item, arg: str) -> None:
             f"expected the parameter {arg!r} to be free for the simulated run, but the test is "
             "parametrised by it already; rename one of the two, with @pafot.search(arg=...)"
         )
-
-
-def _check_fixtures(item: pytest.Item, request: Request) -> None:
-    names = item.fixturenames  # type: ignore[attr-defined]
     for name in (request.ads, WORLD_FIXTURE):
-        if isinstance(name, str) and name not in names:
+        if isinstance(name, str) and name not in item.fixturenames:  # type: ignore[attr-defined]
             raise RequestError(
                 f"expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
                 f"which asks for it, and not with @pytest.mark.{SEARCH_MARK}"

@@ -117,20 +117,15 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
         return True
     if module not in collected.files:
         return False
+    named = next(filter(None, map(_named_test, files_in(folder))), "")
     prefix = relative(module, collected.rootpath)
-    for name in _classes(folder):
+    for name in named.partition("[")[0].split("::")[1:-1]:  # the classes around the test
         prefix = f"{prefix}::{name}"
         if prefix not in collected.classes:
             return True
         if prefix not in collected.opened:
             return False  # Its members were not collected, since another node id was asked for.
     return True
-
-
-def _classes(folder: Path) -> list[str]:
-    """The classes around the test that a folder belongs to, from the first file that names it."""
-    name = next(filter(None, map(_named_test, files_in(folder))), "")
-    return name.partition("[")[0].split("::")[1:-1]
 
 
 def _named_test(file: Path) -> str:

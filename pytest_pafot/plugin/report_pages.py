@@ -59,7 +59,12 @@ class Pages:
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
         if report.when == "call" and report.nodeid in self._rows:
-            self._add_row(report, self._rows.pop(report.nodeid))
+            from pytest_html import extras  # noqa: PLC0415
+
+            from pytest_pafot.report.page import render_frame  # noqa: PLC0415
+
+            row = extras.html(render_frame(self._completed(self._rows.pop(report.nodeid))))
+            report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:
         """Write the pages, also when the session was interrupted."""
@@ -111,14 +116,6 @@ class Pages:
             is_interrupted=is_interrupted,
         )
         return write_report(draft.target, path, report)
-
-    def _add_row(self, report: pytest.TestReport, finding: FindingView) -> None:
-        from pytest_html import extras  # noqa: PLC0415
-
-        from pytest_pafot.report.page import render_frame  # noqa: PLC0415
-
-        row = extras.html(render_frame(self._completed(finding)))
-        report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def _completed(self, finding: FindingView) -> FindingView:
         """With what is known only at the end of its search."""

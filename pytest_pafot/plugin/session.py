@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Self
 
 import pytest
 
@@ -39,6 +40,16 @@ class Shared:
     frozen: frozenset[str] | None = None
     begun: set[str] = field(default_factory=set)
 
+    @classmethod
+    def of_new_session(cls) -> Self:
+        """The values of a session that begins now."""
+        return cls(
+            fresh_seed=int.from_bytes(os.urandom(4), "big"),
+            progress_seconds=LOG_SECONDS,
+            width=terminal_width(),
+            began=time.monotonic(),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class SummaryLines:
@@ -66,16 +77,6 @@ class SummaryLines:
 
 SHARED = pytest.StashKey[Shared]()
 SUMMARY_LINES = pytest.StashKey[SummaryLines]()
-
-
-def begin() -> Shared:
-    """The values of a session that begins now."""
-    return Shared(
-        fresh_seed=int.from_bytes(os.urandom(4), "big"),
-        progress_seconds=LOG_SECONDS,
-        width=terminal_width(),
-        began=time.monotonic(),
-    )
 
 
 def terminal_width() -> int:
