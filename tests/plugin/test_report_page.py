@@ -314,7 +314,7 @@ atexit.register(dump)
     project.run(subprocess=True).assert_outcomes(failed=2)
     names = set(json.loads((project.path / "modules.json").read_text()))
     own = {name for name in names if name.startswith("pytest_pafot.report")}
-    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("simplified", "terminal", "wrapping"))}
+    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("terminal", "wrapping"))}
     assert own == texts
     assert "pytest_pafot.plugin.page_messages" not in names
 
