@@ -1,0 +1,150 @@
+"""Single runs in another process: what they show, and what becomes of what was in flight when a process died."""
+
+import json
+import os
+import sys
+
+import pytest
+
+from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.crash_records import leftovers
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.retrying import retry
+from pytest_pafot.execution.separate_runs import answers_apart, run_apart
+from tests.support.toy_world import Toy, scenario
+
+needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+
+ONE, TWO = scenario(1), scenario(2)
+
+
+@pytest.fixture
+def job_of(tmp_path):
+    """Makes jobs whose ADS is a function of the number of the scenario."""
+    return lambda drive: Job(world=Toy(), ads=lambda: drive, records=tmp_path / "records", owner="test_it.py::test_it")
+
+
+@pytest.fixture
+def no_fork(monkeypatch):
+    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+
+
+def idle(number):
+    """Drives without harm."""
+
+
+def praise(trace):
+    """Judges nothing."""
+
+
+def die_in_first(number):
+    if number == 1:
+        os._exit(9)
+
+
+@needs_fork
+def test_each_scenario_is_run_and_judged_in_another_process(job_of, tmp_path, capfd):
+    def judge(trace):
+        print("judged")
+        (tmp_path / f"{trace.scenario.seed}").write_text(f"{os.getpid()}")
+
+    answers = answers_apart(job_of(idle), [ONE, TWO], judge, isolate=False)
+    assert [trace.scenario for trace, _ in answers.values()] == [ONE, TWO]
+    assert {(tmp_path / "1").read_text(), (tmp_path / "2").read_text()}.isdisjoint({f"{os.getpid()}"})
+    assert capfd.readouterr().out == ""
+
+
+@needs_fork
+@pytest.mark.parametrize("part", ["run", "verdict"])
+def test_a_process_that_dies_in_the_run_or_in_the_verdict_is_lost(job_of, part):
+    drive, judge = (os._exit, praise) if part == "run" else (idle, lambda trace: os._exit(trace.scenario.seed))
+    with pytest.raises(ProcessLostError, match="ended with exit code 1"):
+        run_apart(job_of(drive), ONE, judge, isolate=False, in_own_session=pytest.fail)
+
+
+@needs_fork
+def test_a_process_counts_as_lost_that_lived_when_it_was_tried_again(job_of, tmp_path):
+    def die_once(number):
+        if not (tmp_path / "died").exists():
+            (tmp_path / "died").touch()
+            os._exit(9)
+
+    answer = answers_apart(job_of(die_once), [ONE], praise, isolate=False)[ONE]
+    assert isinstance(answer, ProcessLostError)
+
+
+@needs_fork
+def test_what_raises_beside_the_ads_is_to_be_run_in_this_process(job_of):
+    def fail(trace):
+        raise LookupError("no such fixture")
+
+    assert run_apart(job_of(idle), ONE, fail, isolate=False, in_own_session=pytest.fail) is None
+
+
+def test_where_no_process_can_be_forked_a_session_of_its_own_goes_first(job_of, no_fork):
+    went = []
+    assert run_apart(job_of(idle), ONE, praise, isolate=False, in_own_session=lambda: went.append(1)) is None
+    assert went == [1]
+    assert answers_apart(job_of(idle), [ONE], praise, isolate=True) is None, "its factory cannot be pickled"
+
+
+class TestRetrying:
+    @pytest.fixture
+    def retried(self, job_of, tmp_path):
+        """What came of the record of a process that died, what was kept, and what was run in this process."""
+
+        def retried(*scenarios, drive=idle, job=job_of):
+            folder = tmp_path / "records"
+            plain = [json.loads(each.canonical()) for each in scenarios]
+            several = {"scenario": None, "together": plain} if len(plain) > 1 else {"scenario": plain[0]}
+            folder.mkdir(exist_ok=True)
+            (folder / "1-x.inflight").write_text(json.dumps({"owner": "it", "pid": 1, "world": None, **several}))
+            return again(drive, job)
+
+        def again(drive=idle, job=job_of):
+            (leftover,) = leftovers(tmp_path / "records")
+            kept, here = [], []
+            came = retry(
+                leftover,
+                job and job(drive),
+                praise,
+                isolate=False,
+                keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.how)),
+                run_here=lambda leftover: here.append(leftover.scenarios),
+            )
+            return came, kept, here
+
+        retried.again = again
+        return retried
+
+    @needs_fork
+    @pytest.mark.parametrize("scenarios", [(ONE,), (ONE, TWO)])
+    def test_what_runs_to_its_end_is_told_and_pending_until_the_search_is_through(self, retried, tmp_path, scenarios):
+        came, kept, here = retried(*scenarios)
+        assert (kept, here) == ([], [])
+        assert "ran to its end when it was tried again" in came.notes[0]
+        assert came.pending.is_tried
+        assert [each.path for each in leftovers(tmp_path / "records")] == [came.pending.path]
+
+    @needs_fork
+    def test_what_dies_again_is_kept_and_its_record_removed(self, retried, tmp_path):
+        came, kept, here = retried(ONE, TWO, drive=die_in_first)
+        assert (kept, here) == ([(ONE, "ended with exit code 9")], [])
+        assert (came.notes, came.pending) == ((), None)
+        assert leftovers(tmp_path / "records") == ()
+
+    @needs_fork
+    def test_what_was_tried_before_the_next_session_died_as_well_is_kept(self, retried):
+        retried(ONE)
+        came, kept, _ = retried.again()
+        assert (kept, came.pending) == ([(ONE, None)], None)
+
+    def test_where_nothing_can_be_tried_one_death_is_enough_for_what_was_alone_in_flight(self, retried):
+        _, kept, here = retried(ONE, job=None)
+        assert (kept, here) == ([(ONE, None)], [])
+
+    def test_where_nothing_can_be_tried_what_was_in_lock_step_runs_in_this_process(self, retried):
+        came, kept, here = retried(ONE, TWO, job=None)
+        assert (kept, here) == ([], [(ONE, TWO)])
+        assert came.pending is None
