@@ -18,7 +18,7 @@ from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import hint_at_object, is_vehicle_class, wants_env
+from pytest_pafot.world.driving.ads import hint_at_object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,23 +65,6 @@ class Harness:
         with refusals():  # whether a pafot.World can be used shows when its environment is made
             data = codec.described(world)
         return Job(world=world, ads=self.ads, records=self.records, owner=owner or self.node_id, world_data=data)
-
-    @property
-    def can_lock_step(self) -> bool:
-        """Whether an ADS with a method ``batch`` would decide for many runs at once.
-
-        Not in a world that cannot do that, not for an ADS that needs the environment of its run, and not where
-        decisions have a limit of time, which decisions for many runs do not tell.
-        """
-        if is_vehicle_class(self.ads) or wants_env(self.ads) or self.request.decision_limit is not None:
-            return False
-        with refusals():
-            return protocol.lock_stepping(self.world) is not None
-
-    @property
-    def can_resume(self) -> bool:
-        """Whether decisions of a pure ADS could be taken from earlier runs, which tell no time that they took."""
-        return protocol.resumable(self.world) is not None and self.request.decision_limit is None
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """The run that a trace is the record of, in the world of new scenarios unless another is given."""

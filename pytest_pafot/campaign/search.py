@@ -17,7 +17,7 @@ from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.confirmation import difference
 from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
-from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder
@@ -182,14 +182,14 @@ class Search:
             raise request.error("fitness=...", error) from None
         job, settings = harness.job(), request.settings
         self._record = stack.enter_context(harness.recording(job))
-        self._runner = runner_for(
-            job,
-            self._record,
-            workers=settings.workers,
-            isolate=settings.isolate,
-            can_lock_step=not settings.isolate and harness.can_lock_step,
-            can_resume=harness.can_resume,
-        )
+        with refusals():
+            self._runner = runner_for(
+                job,
+                self._record,
+                workers=settings.workers,
+                isolate=settings.isolate,
+                times_decisions=request.decision_limit is not None,
+            )
         stack.push(self._runner.__exit__)  # What runs after the search begins processes anew.
         self._simulation = Simulation(harness, self._runner, self._record)
         self._recorder = Recorder(

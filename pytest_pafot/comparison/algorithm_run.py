@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import math
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, world_of
 from pytest_pafot.comparison.rows import Row
+from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
@@ -57,30 +62,42 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     generations = plan.generations or UNBOUNDED
     seconds = 0.0
 
-    def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
-        nonlocal seconds
-        traces = [world.rollout(scenario, factory) for scenario in scenarios]
-        seconds += sum(trace.duration for trace in traces)
-        return [evaluated(trace, fitness, plan.blame, is_near_missed=asks_for_near_misses) for trace in traces]
+    with _runner(world, factory) as runner:
 
-    events = run_campaign(
-        chosen.make(SearchSpace(**plan.space), **plan.parameters),
-        evaluate,
-        generations=generations,
-        seed=seed,
-        stop=lambda: seconds >= budget,
-    )
-    first: list[Evaluation] = []
-    for event in events:
-        if isinstance(event, GenerationFinished) and first:
-            check_set_up(world, factory, first)
-            first.clear()
-        if isinstance(event, Evaluated):
-            if event.generation == 0 and event.local_generation == 0:
-                first.append(event.evaluation)
-            tick(max(event.generation / generations, seconds / budget))
-            yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=seconds)
+        def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
+            nonlocal seconds
+            traces = [runner.run(scenario) for scenario in scenarios]
+            seconds += sum(trace.duration for trace in traces)
+            return [evaluated(trace, fitness, plan.blame, is_near_missed=asks_for_near_misses) for trace in traces]
+
+        events = run_campaign(
+            chosen.make(SearchSpace(**plan.space), **plan.parameters),
+            evaluate,
+            generations=generations,
+            seed=seed,
+            stop=lambda: seconds >= budget,
+            foresee=runner.announce,
+        )
+        first: list[Evaluation] = []
+        for event in events:
+            if isinstance(event, GenerationFinished) and first:
+                check_set_up(world, factory, first)
+                first.clear()
+            if isinstance(event, Evaluated):
+                if event.generation == 0 and event.local_generation == 0:
+                    first.append(event.evaluation)
+                tick(max(event.generation / generations, seconds / budget))
+                yield row_of(event, algorithm=algorithm, run=run, seed=seed, clock=seconds)
     tick(1.0)
+
+
+@contextmanager
+def _runner(world: WorldLike, factory: Callable[..., Any]) -> Iterator[Runner]:
+    """Who makes the runs of a policy; crash records are of no use where each run of an algorithm is done anew."""
+    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
+        job = Job(world=world, ads=factory, records=Path(records), owner="compare")
+        with job.crash_record() as record, runner_for(job, record) as runner:
+            yield runner
 
 
 def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: bool = False) -> Evaluation:

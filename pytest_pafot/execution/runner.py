@@ -16,7 +16,8 @@ from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.driving.ads import is_vehicle_class, wants_env
+from pytest_pafot.world.protocol import lock_stepping, resumable
 
 
 def runner_for(
@@ -25,8 +26,7 @@ def runner_for(
     *,
     workers: int = 1,
     isolate: bool = False,
-    can_lock_step: bool = False,
-    can_resume: bool = False,
+    times_decisions: bool = False,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Runner:
     """Who makes the runs of a job.
@@ -36,12 +36,17 @@ def runner_for(
         record: of this process, open; the caller clears it after each verdict, and closes it.
         workers: processes at most beside this one; with 1, all runs are made in this one unless ``isolate`` is set.
         isolate: whether the ADS shall never run in this process.
-        can_lock_step: whether an ADS with a method ``batch`` may decide for many runs at once.
-        can_resume: whether decisions of an ADS with ``pure = True`` may be taken from earlier runs that began alike.
+        times_decisions: whether it matters how long each decision takes, which decisions for many runs at once, and
+            those that are known from earlier runs, do not tell.
         clock: seconds, monotonic.
+
+    Raises:
+        WorldError: by a world that finds out only now that it cannot be used.
     """
     if isolate:
         return Runner(job, record, processes=Isolated(job, workers=workers), clock=clock)
+    is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
+    can_lock_step = is_asked and lock_stepping(job.world) is not None
     # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
     # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
     # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
@@ -50,7 +55,7 @@ def runner_for(
         record,
         processes=Processes(job, workers=workers),
         lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
-        can_resume=can_resume,
+        can_resume=not times_decisions and resumable(job.world) is not None,
         clock=clock,
     )
 

@@ -213,7 +213,7 @@ class TestLockStep:
     @pytest.fixture
     def runner(self, runner_of, world):
         """A runner that has seen that its ADS decides for many runs at once."""
-        runner = runner_of(world, ads=Batched, can_lock_step=True)
+        runner = runner_of(world, ads=Batched)
         runner.run(SCENARIOS[7])
         world.ran.clear()
         return runner
@@ -276,12 +276,12 @@ class TestLockStep:
 
     @pytest.mark.parametrize(("ads", "expected"), [(Batched, [[1, 2]]), (object, [])])
     def test_the_first_ads_shows_whether_it_decides_for_many(self, runner_of, world, ads, expected):
-        runner = runner_of(world, ads=ads, can_lock_step=True)
+        runner = runner_of(world, ads=ads)
         asked(runner, SCENARIOS[:3])
         assert world.together == expected
 
     def test_it_is_not_used_where_it_may_not(self, runner_of, world):
-        asked(runner_of(world, ads=Batched, can_lock_step=False))
+        asked(runner_of(world, ads=Batched, times_decisions=True))
         assert world.together == []
 
     @pytest.mark.parametrize(
@@ -292,6 +292,6 @@ class TestLockStep:
         ],
     )
     def test_the_notes_say_that_processes_are_not_used(self, runner_of, workers, notes):
-        with runner_of(World(0.02), ads=Batched, workers=workers, can_lock_step=True) as runner:
+        with runner_of(World(0.02), ads=Batched, workers=workers) as runner:
             asked(runner)
         assert runner.notes == notes

@@ -76,7 +76,7 @@ def runner_of(job_of):
 
 @pytest.mark.parametrize(("engine", "function"), [("kernel", "run_planner"), ("highway-env", "run")])
 def test_from_the_search_to_the_engine_there_are_at_most_eight_calls(runner_of, engine, function):
-    with runner_of(Planner, engine=engine, can_lock_step=True, can_resume=True) as runner:
+    with runner_of(Planner, engine=engine) as runner:
         runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
             runner.run(scenario)
@@ -87,7 +87,7 @@ def test_from_the_search_to_the_engine_there_are_at_most_eight_calls(runner_of, 
 
 
 def test_from_the_search_to_a_batch_of_decisions_there_are_at_most_eight_calls(runner_of):
-    with runner_of(Batched, can_lock_step=True) as runner:
+    with runner_of(Batched) as runner:
         runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
             runner.run(scenario)
@@ -149,7 +149,7 @@ def test_isolated_runs_go_on_with_new_processes_after_the_end_of_the_first(runne
 
 
 def test_decisions_of_a_pure_ads_are_taken_from_earlier_runs_unless_it_is_asked_afresh(runner_of):
-    runner = runner_of(Pure, can_resume=True)
+    runner = runner_of(Pure)
     first, asked = runner.run(SCENARIOS[0]), len(callers)
     second, again = runner.run(SCENARIOS[0]), len(callers)
     third = runner.run(SCENARIOS[0], afresh=True)
@@ -160,7 +160,7 @@ def test_decisions_of_a_pure_ads_are_taken_from_earlier_runs_unless_it_is_asked_
 @pytest.mark.parametrize("pure", [1, "yes", False, None])
 def test_anything_but_true_is_no_declaration(runner_of, monkeypatch, pure):
     monkeypatch.setattr(Pure, "pure", pure)
-    runner = runner_of(Pure, can_resume=True)
+    runner = runner_of(Pure)
     runner.run(SCENARIOS[0])
     asked = len(callers)
     monkeypatch.setattr(Pure, "pure", True)
