@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
 from itertools import chain, combinations, repeat
@@ -23,19 +24,12 @@ from pytest_pafot.world.protocol import hang_limit, missing, road_start
 
 Ads = Callable[[], Callable[[Any], Any]]
 
-NOT_COMPARED = ("scenario", "max_decision_seconds")
-"""Fields of a trace that differ although the run is the same."""
-SHORT_HANG = 1.0
-"""A hang limit up to this is tried out [s]."""
 ROUNDING = 1e-6
 
 
-def straight_on() -> Callable[[Any], tuple[float, float]]:
-    """An ADS in SI units that neither accelerates nor steers."""
-    return lambda observation: (0.0, 0.0)
-
-
-def check_world(world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = straight_on, **space: Any) -> None:
+def check_world(
+    world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = lambda: lambda observation: (0.0, 0.0), **space: Any
+) -> None:
     """Check that a world keeps what a search builds on, by random scenarios.
 
     - It has what a search needs, and plain data that a file can hold.
@@ -51,15 +45,15 @@ def check_world(world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = straight
         world: to check.
         seed: of the scenarios.
         runs: number of scenarios.
-        ads: factory of an ADS that drives in this world without errors and remembers nothing of other runs.
+        ads: factory of an ADS that drives in this world without errors and remembers nothing of other runs; without
+            one, it drives in SI units and neither accelerates nor steers.
         space: what scenarios have in common, as in :func:`pytest_pafot.search`: ``npcs``, ``genes``, ``ego_lane`` ...
 
     Raises:
         AssertionError: naming the promise that is broken.
     """
     _promise(not (lacking := missing(world)), "a world has what a search needs", f"no {', '.join(lacking)}")
-    random = np.random.default_rng(seed)
-    within = space_on(world, space, road_start(world))
+    random, within = np.random.default_rng(seed), space_on(world, space, road_start(world))
     done = [(scenario, _rollout(world, scenario, ads)) for scenario in (sample(within, random) for _ in range(runs))]
     for scenario, trace in done:
         _check_form(world, scenario, trace)
@@ -76,19 +70,24 @@ def _promise(is_kept: bool, promise: str, received: str) -> None:
         raise AssertionError(f"expected that {promise}, received {received}")
 
 
-def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any]) -> Trace:
+@contextmanager
+def _no_error(promise: str) -> Iterator[None]:
     try:
-        trace = world.rollout(scenario, ads)
+        yield
     except Exception as error:
-        raise AssertionError(f"expected a trace of each run, whatever the ADS does, received {error!r}") from error
-    if not isinstance(trace, Trace):
-        raise AssertionError(f"expected that rollout returns a pafot.Trace, received {trace!r:.200}")
+        raise AssertionError(f"expected that {promise}, received {error!r}") from error
+
+
+def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any]) -> Trace:
+    with _no_error("a run ends in a trace, whatever the ADS does"):
+        trace: Trace = world.rollout(scenario, ads)
+    _promise(isinstance(trace, Trace), "rollout returns a pafot.Trace", f"{trace!r:.200}")
     return trace
 
 
 def _check_same(first: Trace, second: Trace, promise: str) -> None:
-    names = [field.name for field in fields(Trace) if field.name not in NOT_COMPARED]
-    differ = [name for name in names if not _is_same(getattr(first, name), getattr(second, name))]
+    names = {field.name for field in fields(Trace)} - {"scenario", "max_decision_seconds"}  # those may be others
+    differ = [name for name in sorted(names) if not _is_same(getattr(first, name), getattr(second, name))]
     _promise(not differ, promise, f"another {', '.join(differ)} of {first.scenario!r}")
 
 
@@ -121,10 +120,8 @@ def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
     }
     for promise, is_kept in promises.items():
         _promise(bool(is_kept), promise, f"otherwise in {trace!r}")
-    try:
+    with _no_error("Run(trace).explain() tells what happened"):
         Run(trace).explain()
-    except Exception as error:
-        raise AssertionError(f"expected that Run(trace).explain() tells what happened, received {error!r}") from error
 
 
 def _check_limits(world: Any, trace: Trace) -> None:
@@ -156,7 +153,7 @@ def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> N
         ("returns None", lambda: None, Outcome.ADS_ERROR),
         ("hangs", lambda: time.sleep(20 * limit), Outcome.HANG),
     ]
-    for name, fault, outcome in faults if limit <= SHORT_HANG else faults[:-1]:
+    for name, fault, outcome in faults if limit <= 1.0 else faults[:-1]:
         trace = _rollout(world, scenario, partial(_failing_ads, ads, fault))
         is_kept = trace.outcome is outcome and trace.error is not None
         _promise(is_kept, f"an ADS that {name} ends its run as {outcome}", f"{trace.outcome}, {trace.error}")
@@ -179,6 +176,7 @@ def _check_round_trip(world: Any, scenario: Scenario, trace: Trace, ads: Ads) ->
         _promise("data" in data, "to_dict gives plain data that a file can hold", f"{world.to_dict()!r:.200}")
     if is_code(data) and not (data["kind"] == OWN and hasattr(cls, "from_dict")):
         return
-    again = cls.from_dict(world.to_dict()) if data["kind"] == OWN else from_dict(data)
+    with _no_error("from_dict takes what to_dict gives"):
+        again = cls.from_dict(world.to_dict()) if data["kind"] == OWN else from_dict(data)
     _promise(described(again) == data, "from_dict(to_dict()) has the same data", f"{described(again)} for {data}")
     _check_same(trace, _rollout(again, scenario, ads), "from_dict(to_dict()) gives the same traces")

@@ -22,7 +22,7 @@ from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import checked_number
 
-BOUNDS = {"clearance": (0.0, 50.0), "headway": (0.0, 10.0), "hang_limit": (0.01, 86400.0)}
+BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
 """Smallest and largest value of fields that both worlds have."""
 
 
@@ -129,7 +129,7 @@ class BuiltInWorld(ABC):
         return first_decision(self.rollout, scenario)
 
     def _check_fields(self) -> None:
-        for name, (low, high) in BOUNDS.items():
+        for name, low, high in BOUNDS:
             object.__setattr__(self, name, checked_number(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))

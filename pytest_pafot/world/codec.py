@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from importlib import metadata
+from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.findings.finding import check_plain
@@ -28,7 +29,8 @@ GROUP = "pytest_pafot.worlds"
 OWN = "own"
 """The kind of a world that is code."""
 
-BUILT_IN: dict[str, type[Highway | World]] = {"highway": Highway, "gym": World}
+BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Highway, "gym": World})
+"""The kinds of this package."""
 
 OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
 """What environments have as their class of other vehicles."""
