@@ -98,6 +98,11 @@ class Project:
         """Of all corpus files."""
         return {name: (self.path / name).read_text() for name in self.files}
 
+    def forget(self):
+        """Remove all corpus files."""
+        for name in self.files:
+            (self.path / name).unlink()
+
     @property
     def only_file(self):
         """The one corpus file."""

@@ -7,7 +7,7 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
-from tests.plugin.test_workers import forget, summary
+from tests.plugin.test_workers import summary
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -70,7 +70,7 @@ def isolated(project):
 
 def session(project, *args, generations=3):
     """A session that begins without saved scenarios, and what is saved after it."""
-    forget(project)
+    project.forget()
     result = project.run("-p", "no:cacheprovider", *args, generations=generations)
     return result, project.contents
 
@@ -147,7 +147,7 @@ def test_under_xdist_as_well(isolated):
     project = isolated("drive", DIES)
     project.run("--pafot-isolate", *QUICK, generations=2, subprocess=True)
     contents = project.contents
-    forget(project)
+    project.forget()
     result = project.run("--pafot-isolate", "-n1", *QUICK, generations=2, subprocess=True)
     assert project.contents == contents
     result.assert_outcomes(failed=1 + len(contents), passed=1)

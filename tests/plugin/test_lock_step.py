@@ -47,8 +47,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, **more):
         for name, text in project.contents.items()
     }
     calls = next(line for line in output.splitlines() if "calls:" in line).partition("calls:")[2].split()
-    for name in project.files:
-        (project.path / name).unlink()
+    project.forget()
     return finds, calls, output
 
 

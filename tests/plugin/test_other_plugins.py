@@ -204,7 +204,6 @@ def test_other_plugins_randomness_changes_nothing(project):
     )
     project.run(generations=2)
     plain = project.contents
-    for name in plain:
-        (project.path / name).unlink()
+    project.forget()
     project.run(generations=2, plugins=("randomly",))
     assert project.contents == plain

@@ -42,8 +42,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, args=()):
         name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
         for name, text in project.contents.items()
     }
-    for name in project.files:
-        (project.path / name).unlink()
+    project.forget()
     return finds, int(re.search(r"calls: (\d+)", output).group(1)), output
 
 

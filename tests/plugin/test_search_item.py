@@ -231,12 +231,10 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(project):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     project.run(generations=3)
     first = project.contents
-    for name in first:
-        (project.path / name).unlink()
+    project.forget()
     project.run(generations=3)
     assert project.contents == first
-    for name in first:
-        (project.path / name).unlink()
+    project.forget()
     project.run(generations=3, seed=2)
     assert project.contents != first
 

@@ -59,11 +59,6 @@ def dear(project):
     return write
 
 
-def forget(project):
-    for name in project.files:
-        (project.path / name).unlink()
-
-
 def summary(result):
     """What a session says, without times and process ids, and without the note that workers were in use."""
     lines = [line for line in result.stdout.lines if "pafot-workers" not in line]
@@ -72,7 +67,7 @@ def summary(result):
 
 def session(project, workers, *args, **options):
     """A session that begins without saved scenarios, and what is saved after it."""
-    forget(project)
+    project.forget()
     result = project.run(f"--pafot-workers={workers}", "-p", "no:cacheprovider", *args, **options)
     return result, project.contents
 

@@ -22,18 +22,13 @@ def test_second(run):
 """
 
 
-def forget(project):
-    for name in project.files:
-        (project.path / name).unlink()
-
-
 def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(project):
     project.write(TWO)
     page = project.path / "report.html"
     project.run("--pafot-report=report.html", generations=2)
     serial, shown = project.contents, data_of(page)
     assert any("shrunk: {" in text for text in serial.values())
-    forget(project)
+    project.forget()
     result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", generations=2)
     assert project.contents == serial
     result.assert_outcomes(failed=2 + len(serial))
@@ -115,7 +110,7 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
         monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
         project.run(subprocess=True)
         contents.append(project.contents)
-        forget(project)
+        project.forget()
     assert contents[0] == contents[1]
     assert contents[0]
 
@@ -125,7 +120,7 @@ def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
     result = project.run("--dist=each", "--tx=2*popen", "--pafot-shrink-rollouts=0")
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     names = [name.rpartition("/")[2] for name in project.files]
-    forget(project)
+    project.forget()
     project.run("--pafot-shrink-rollouts=0")
     assert names == [name.rpartition("/")[2] for name in project.files]
 
