@@ -18,10 +18,6 @@ def difference(run: Run, simulation: Simulation) -> str:
 
     The same means must give a run that is equal to the last bit; highway-env's own environment, in a world that has
     one, must end the run in the same way.
-
-    Args:
-        run: that is a find.
-        simulation: that it comes from.
     """
     try:
         if not is_same_run(run, simulation.rerun(run.scenario)):

@@ -15,13 +15,7 @@ from pytest_pafot.searching.events import Event
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchStarted:
-    """A search begins.
-
-    Attributes:
-        node_id: of its test.
-        seed: of this search.
-        speed_limit: highest target speed in its world [m/s].
-    """
+    """A search begins, with a seed of its own; ``speed_limit`` is the highest target speed in its world [m/s]."""
 
     node_id: str
     seed: int
@@ -41,10 +35,7 @@ class Kept:
     """A finding with where it lies, or why it lies nowhere, and how it is told.
 
     Attributes:
-        finding: as it lies in its file.
-        find: as it is told.
         origin: how it was found, in one line.
-        file: of it, or None.
         content: of the file that could not be written, or empty.
     """
 
@@ -65,8 +56,6 @@ class FindTold:
     """A new find, or more of one that was told before: the last telling of a find is the one that counts.
 
     Attributes:
-        kept: the find.
-        exception: that the test function raised.
         run: of the scenario in the file; None where nobody saw how it ended.
         is_new: whether it is told for the first time.
         tried: reference drivers that were tried in its scenario.

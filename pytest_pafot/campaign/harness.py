@@ -11,7 +11,6 @@ from typing import Any
 
 from pytest_pafot.campaign.request import Request, RequestError, hint_at_world
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
-from pytest_pafot.corpus import layout
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.run import Run
@@ -26,11 +25,8 @@ class Harness:
     """How scenarios are run and judged for one test, parameters included.
 
     Attributes:
-        request: what the search is asked for.
         world: of new scenarios.
         ads: the factory.
-        test: the user's function.
-        test_file: in which that function is written.
         node_id: of the test, free of what the plugin adds.
         saved_node_id: under which a saved scenario of an id is a test of its own.
         folder: of the test's saved scenarios.
@@ -52,11 +48,7 @@ class Harness:
     versions: dict[str, str]
 
     def job(self, world: Any = None, owner: str = "") -> Job:
-        """What any process needs to run scenarios of this test.
-
-        Args:
-            world: in the place of that of new scenarios.
-            owner: of the crash records, in the place of the test.
+        """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.
 
         Raises:
             RequestError: for a world that cannot be used.
@@ -110,10 +102,6 @@ class Harness:
         """The records of processes that died in runs of this test, or of another owner of crash records."""
         return left_by(owner or self.node_id, self.records)
 
-    def relative(self, path: Path) -> str:
-        """A path as people read it."""
-        return layout.relative(path, self.root)
-
 
 @contextmanager
 def refusals() -> Iterator[None]:
@@ -130,12 +118,8 @@ def refusals() -> Iterator[None]:
 def check_world(world: Any, origin: str) -> None:
     """Check that a world has what a search needs of it.
 
-    Args:
-        world: given by a mark or a fixture.
-        origin: who gave it, for the message.
-
     Raises:
-        RequestError: naming what is missing.
+        RequestError: naming ``origin``, who gave it, and what is missing.
     """
     missing = protocol.missing(world)
     if missing:
@@ -147,23 +131,19 @@ def check_world(world: Any, origin: str) -> None:
 
 
 def checked_factory(given: Any, name: str) -> Callable[..., Any]:
-    """The ADS factory that a fixture gives.
-
-    Args:
-        given: by the fixture.
-        name: of the fixture.
+    """The ADS factory that the fixture of a name gives.
 
     Raises:
         RequestError: where it is none.
     """
-    if callable(given):
-        factory: Callable[..., Any] = given
-        return factory
-    hint = hint_at_object(given)
-    raise RequestError(
-        f"expected the fixture {name!r} to give a factory, a function that makes a fresh ADS for each scenario such as "
-        f"`return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
-    )
+    if not callable(given):
+        hint = hint_at_object(given)
+        raise RequestError(
+            f"expected the fixture {name!r} to give a factory, a function that makes a fresh ADS for each scenario "
+            f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
+        )
+    factory: Callable[..., Any] = given
+    return factory
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.campaign.events import Judged, Listener
 from pytest_pafot.campaign.recorder import Recorder
-from pytest_pafot.campaign.setup_fault import FirstGeneration
+from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
 from pytest_pafot.campaign.simulation import Simulation
-from pytest_pafot.campaign.units import doubt
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
@@ -37,10 +36,7 @@ class SearchLoop:
     """A search in progress: what it has seen so far.
 
     Attributes:
-        simulation: runs and judges.
-        recorder: takes the finds.
         fitness: of a trace, higher is worse for the ego.
-        listener: is told of each run and each event.
         near_misses: what the ego nearly had to answer for in a trace; None where the algorithm does not read that.
         fatal: scenarios in which a process died, earlier or in this search; they are not run.
         replayed: what the replays of the saved scenarios showed.
@@ -48,7 +44,6 @@ class SearchLoop:
         repeats: further runs of each new find, by id.
         known: failing runs by the id of the saved scenario that covers them.
         verdicts: counts by kind.
-        health: of the evaluations.
         generation: of the main search, from 0.
         finished: the last event, once the campaign is over.
         skip: the last exception by which the function declined to judge.
@@ -94,21 +89,20 @@ class SearchLoop:
         """The evaluations that a campaign asks for."""
         evaluations = []
         for scenario in scenarios:  # no comprehension: it would be one more frame around each run
-            if scenario in self.fatal:
-                self._first_is_settled()
-                evaluations.append(_not_run(scenario))
-                continue
-            lost = None
-            try:
-                run = self.simulation.run(scenario)
-            except ProcessLostError as error:
-                lost = error
-            if lost is None:
+            run = lost = None
+            if scenario not in self.fatal:
+                try:
+                    run = self.simulation.run(scenario)
+                except ProcessLostError as error:
+                    lost = error
+            if run is not None:
                 evaluations.append(self._judged(run))
-            else:  # Outside of the handler: the find that is made of it is no consequence of that exception.
-                self._first_is_settled()
+                continue
+            self.first.is_alike = False
+            self.recorder.release()
+            if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
                 self.lose(lost)
-                evaluations.append(_not_run(scenario))
+            evaluations.append(_not_run(scenario))
         return evaluations
 
     def follow(self, events: Iterable[Event], tick: Callable[[], None]) -> None:
@@ -147,11 +141,11 @@ class SearchLoop:
             verdict = self.simulation.judge(run)
             self.listener(Judged(run=run, verdict=verdict))
         self.verdicts[verdict.kind] += 1
-        self.doubt = self.doubt or doubt(run.trace)
+        self.doubt = self.doubt or unit_doubt(run.trace)
         if self.first.is_alike:
             self.first.see(run, verdict)
-            if not self.first.is_alike:
-                self.recorder.release()
+        if not self.first.is_alike:
+            self.recorder.release()
         signature = None
         if verdict.failure is not None:
             signature = of_failure(run, verdict.failure)
@@ -167,12 +161,6 @@ class SearchLoop:
             fault=None if signature is None else signature.fault,
             near_misses=() if self.near_misses is None else self.near_misses(run.trace),
         )
-
-    def _first_is_settled(self) -> None:
-        """Not every run of the first generation ends in the same exception."""
-        if self.first.is_alike:
-            self.first.is_alike = False
-            self.recorder.release()
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
         """A failure is known, or one of this search's own again, or new."""

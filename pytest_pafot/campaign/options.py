@@ -8,6 +8,7 @@ reference documentation are all made from :data:`OPTIONS`. Where the values of a
 from __future__ import annotations
 
 import os
+from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -33,18 +34,17 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
 """``ci`` is automatic when the variable CI is set, ``local`` otherwise. ``local`` has a fresh base seed."""
 
 
-class OptionError(ValueError):
-    """A value that an option cannot take; the message names the place, what was expected and received."""
+class OptionError(ArgumentTypeError):
+    """A value that an option cannot take; the message names the place, what was expected and received.
+
+    Of a class whose text argparse shows as it is.
+    """
 
 
 class Option(NamedTuple):
-    """One option and everything that is generated from it.
+    """One option and everything that is generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``.
 
     Attributes:
-        name: as marker argument; ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>`` follow from it.
-        kind: how values are read.
-        default: without any source and profile.
-        help: one sentence.
         least: smallest number that is accepted.
         choices: the texts that are accepted, or nothing for any.
         or_class: whether a class, or its ``module:Class``, is accepted as well.
@@ -54,8 +54,8 @@ class Option(NamedTuple):
 
     name: str
     kind: Kind
-    default: object
     help: str
+    default: object = None
     least: float = 0
     choices: tuple[str, ...] = ()
     or_class: bool = False
@@ -101,121 +101,104 @@ class Option(NamedTuple):
 
 OPTIONS: tuple[Option, ...] = (
     Option(
-        name="generations",
-        kind="integer",
+        "generations",
+        "integer",
+        "Generations of each search; 0 replays saved scenarios only. 10, or 100 in the profile ci.",
         default=10,
-        help="Generations of each search; 0 replays saved scenarios only. 10, or 100 in the profile ci.",
     ),
-    Option(name="population", kind="integer", default=4, least=2, help="Scenarios per generation."),
+    Option("population", "integer", "Scenarios per generation.", default=4, least=2),
     Option(
-        name="seed",
-        kind="integer",
-        default=None,
-        help="Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci.",
+        "seed",
+        "integer",
+        "Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci.",
     ),
     Option(
-        name="algorithm",
-        kind="text",
+        "algorithm",
+        "text",
+        "Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
+        "looking for other failures once it has found one, the others are baselines; the last three need "
+        "pytest-pafot[search]. Or module:Class for an algorithm of your own.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
-        help="Search algorithm: pafot is the paper's (genetic, with local fuzzer and restarts), distinct the same "
-        "looking for other failures once it has found one, the others are baselines; the last three need "
-        "pytest-pafot[search]. Or module:Class for an algorithm of your own.",
     ),
     Option(
-        name="max_time",
-        kind="seconds",
-        default=None,
-        help="End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
+        "max_time",
+        "seconds",
+        "End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
     ),
     Option(
-        name="total_time",
-        kind="seconds",
-        default=None,
-        is_argument=False,
-        help="End the searches of the session so many seconds of wall-clock time after its start, shrinking included; "
+        "total_time",
+        "seconds",
+        "End the searches of the session so many seconds of wall-clock time after its start, shrinking included; "
         "each gets an equal share of what is left when it begins. A search that this cuts is not reproducible.",
+        is_argument=False,
     ),
+    Option("stop_after", "integer", "End each search after so many distinct findings that are new.", least=1),
     Option(
-        name="stop_after",
-        kind="integer",
-        default=None,
-        least=1,
-        help="End each search after so many distinct findings that are new.",
-    ),
-    Option(
-        name="shrink_rollouts",
-        kind="integer",
+        "shrink_rollouts",
+        "integer",
+        "Runs that simplifying each new finding may take; 0 keeps findings as they were found.",
         default=300,
-        help="Runs that simplifying each new finding may take; 0 keeps findings as they were found.",
     ),
     Option(
-        name="max_saved",
-        kind="integer",
+        "max_saved",
+        "integer",
+        "Saved scenarios of each test; further new findings are counted and named, and not saved.",
         default=20,
         least=1,
-        help="Saved scenarios of each test; further new findings are counted and named, and not saved.",
     ),
     Option(
-        name="corpus",
-        kind="text",
+        "corpus",
+        "text",
+        "Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
         default=CORPUS,
-        help="Folder of saved scenarios: a name beside each test file, or an absolute path for all.",
     ),
+    Option("save", "text", "Whether new findings are written to the corpus.", default="new", choices=("new", "none")),
     Option(
-        name="save",
-        kind="text",
-        default="new",
-        choices=("new", "none"),
-        help="Whether new findings are written to the corpus.",
-    ),
-    Option(
-        name="workers",
-        kind="workers",
+        "workers",
+        "workers",
+        "Processes that simulate the scenarios of a generation once runs turn out to take long; auto is one for "
+        "each core. What is found is the same. 1 under pytest-xdist.",
         default=1,
         least=1,
-        help="Processes that simulate the scenarios of a generation once runs turn out to take long; auto is one for "
-        "each core. What is found is the same. 1 under pytest-xdist.",
     ),
     Option(
-        name="isolate",
-        kind="switch",
-        default=False,
-        help="Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
+        "isolate",
+        "switch",
+        "Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
         "session goes on. What is found is the same.",
+        default=False,
     ),
     Option(
-        name="report",
-        kind="page",
-        default=None,
-        help="Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
+        "report",
+        "page",
+        "Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
     ),
     Option(
-        name="prune",
-        kind="switch",
+        "prune",
+        "switch",
+        "Remove saved scenarios whose test was collected and no longer exists; lists them first.",
         default=False,
         everywhere=False,
-        help="Remove saved scenarios whose test was collected and no longer exists; lists them first.",
     ),
     Option(
-        name="profile",
-        kind="text",
-        default=None,
+        "profile",
+        "text",
+        "Defaults for an occasion: ci (100 generations, seed 0; automatic when CI is set) or local.",
         choices=tuple(PROFILES),
-        help="Defaults for an occasion: ci (100 generations, seed 0; automatic when CI is set) or local.",
     ),
     Option(
-        name="strict_drift",
-        kind="switch",
+        "strict_drift",
+        "switch",
+        "Fail saved scenarios that pass under other versions than those that found them.",
         default=False,
-        help="Fail saved scenarios that pass under other versions than those that found them.",
     ),
     Option(
-        name="strict_health",
-        kind="switch",
+        "strict_health",
+        "switch",
+        "Fail searches with a health warning, such as scenarios without any interaction.",
         default=False,
-        help="Fail searches with a health warning, such as scenarios without any interaction.",
     ),
 )
 
@@ -256,8 +239,7 @@ def _read_integer(option: Option, value: object) -> int:
     except ValueError:
         number = None
     if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
-        too_much = isinstance(number, int) and number >= SEED_LIMIT
-        limit = f" and less than {SEED_LIMIT}" if too_much else ""
+        limit = f" and less than {SEED_LIMIT}" if isinstance(number, int) and number >= SEED_LIMIT else ""
         raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 

@@ -10,10 +10,9 @@ from typing import Any
 
 from pytest_pafot.campaign.events import FindTold, Kept, Listener
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.summary import Find
-from pytest_pafot.campaign.verdict import PlainFailure, Verdict
-from pytest_pafot.corpus.layout import SUFFIX, files_in
+from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
+from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
@@ -42,10 +41,7 @@ class Recorder:
     """Saves and announces the finds of one search.
 
     Attributes:
-        harness: of the test.
-        seed: of the search.
         confirm: says what differs when a run is repeated; empty where nothing does.
-        listener: is told of each find.
         replayed: files that were there before the search; a find that comes to be kept is not what they show.
         kept: the finds so far, by id.
         unsaved: ids of those that the limit of saved scenarios left out.
@@ -89,7 +85,8 @@ class Recorder:
             found=self._found(generation),
             root=str(harness.root),
         )
-        if self._is_full():
+        files = files_in(harness.folder)  # None of a folder that cannot be read; writing into it says why.
+        if max(len(files), len(self.kept)) >= harness.request.settings.max_saved:
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
@@ -99,7 +96,7 @@ class Recorder:
             differs = "" if verdict.is_timed else self.confirm(run)
         finally:  # An interrupt in these runs must not keep the find from being told.
             if differs:
-                kept = self.flaky(kept, differs)
+                kept = self.call_flaky(kept, differs)
             told = FindTold(kept=kept, exception=verdict.exception, run=run, is_new=True)
             if self.held is None:
                 self.tell(told)
@@ -138,10 +135,11 @@ class Recorder:
             self.first = told.exception
         self.listener(told)
 
-    def flaky(self, kept: Kept, difference: str) -> Kept:
-        """The same as a find that does not repeat, in its file too."""
+    def call_flaky(self, kept: Kept, difference: str) -> Kept:
+        """Keep a find as one that does not repeat, in its file too."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
-        return replace(marked, find=replace(kept.find, difference=difference))
+        self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference))
+        return self.kept[kept.find.id]
 
     def rewritten(self, kept: Kept, finding: Finding) -> Kept:
         """The same with another finding, in its file too; as it was, with the reason, where that cannot be written."""
@@ -155,10 +153,7 @@ class Recorder:
     def keep_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> None:
         """Save what was in flight when a process died, and announce it.
 
-        Args:
-            leftover: of the process.
-            scenario: that it ran.
-            again: what became of the process that ran it again; None where none could tell.
+        ``again`` is what became of the process that ran it again; None where none could tell.
         """
         others = " and others in lock step" if leftover.is_lock_step else ""
         text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
@@ -174,23 +169,18 @@ class Recorder:
             )
         else:
             text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"
-        kept = self._saved(
-            self._death(
-                scenario, UNSEEN_CRASH if again is None else expectation(again), self._found(0, "crash"), leftover.world
-            ),
-            "crash: a process died while it ran this scenario" if again is None else _headline(again),
-            "the record of a session that died",
-            is_timed=again is not None and again.is_hang,
-        )
+        expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
+        if again is not None:
+            expect, line = expectation(again), _headline(again)
+        finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
+        origin = "the record of a session that died"
+        kept = self._saved(finding, line, origin, is_timed=again is not None and again.is_hang)
         self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
         """Save a scenario whose process did not come back to this search, and announce it; returns its id.
 
-        Args:
-            lost: the scenario, and what became of the process.
-            generation: of the search, from 0.
-            number: of the run in the search, from 1.
+        What is passed besides is as in :meth:`keep`.
         """
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
         text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
@@ -220,11 +210,6 @@ class Recorder:
             found=found,
         )
 
-    def _is_full(self) -> bool:
-        """Whether the test has as many saved scenarios as it may have."""
-        files = files_in(self.harness.folder)  # None of a folder that cannot be read; writing into it says why.
-        return max(len(files), len(self.kept)) >= self.harness.request.settings.max_saved
-
     def _saved(self, finding: Finding, line: str, origin: str, is_timed: bool) -> Kept:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.kept:
@@ -232,15 +217,14 @@ class Recorder:
             path = self.harness.folder / f"{finding.id}{SUFFIX}"
         node_id = self.harness.saved_node_id(finding.id)
         find = Find(id=finding.id, node_id=node_id, headline=line, is_timed=is_timed)
+        kept = Kept(finding=finding, find=find, origin=origin)
         if self.harness.request.settings.save == "none":
-            return Kept(finding=finding, find=replace(find, problem=NOT_SAVED), origin=origin)
+            return replace(kept, find=replace(find, problem=NOT_SAVED))
         try:
             write(path, finding)
         except CorpusWriteError as error:
-            find = replace(find, problem=str(error))
-            return Kept(finding=finding, find=find, origin=origin, content=text_of(finding))
-        find = replace(find, path=self.harness.relative(path))
-        return Kept(finding=finding, find=find, origin=origin, file=path)
+            return replace(kept, find=replace(find, problem=str(error)), content=text_of(finding))
+        return replace(kept, find=replace(find, path=relative(path, self.harness.root)), file=path)
 
 
 def _headline(lost: LostRun) -> str:

@@ -32,7 +32,6 @@ class Replays:
     """How the saved scenarios of one test are run.
 
     Attributes:
-        harness: of the test.
         in_own_session: replays the scenario of a file in a session of its own, where no process can be made that has
             what the test needs; raises ``ProcessLostError`` where that session died.
     """
@@ -54,10 +53,8 @@ class Replays:
         except RequestError:
             return None
         except ProcessLostError as error:
-            observed = expectation(error).signature
-            return Replayed(
-                id=saved.id, signature=finding.signature, observed=observed, xfailed=finding.xfail is not None
-            )
+            observed, xfailed = expectation(error).signature, finding.xfail is not None
+            return Replayed(id=saved.id, signature=finding.signature, observed=observed, xfailed=xfailed)
         return Replayed.of(finding, run, verdict.failure if verdict.failed else None)
 
     def still_fails(self, saved: Saved) -> bool:
@@ -84,24 +81,19 @@ class Replays:
         return world
 
     def tried(self, saved: Saved, world: Any, owner: str) -> tuple[Run, Verdict]:
-        """One run of a saved scenario and its verdict.
+        """One run of a saved scenario in a world, and its verdict; ``owner`` is that of the crash record.
 
         In another process where one died in it, or hung, or the ADS shall run in no other way.
-
-        Args:
-            saved: the file.
-            world: that it runs in.
-            owner: of the crash record.
 
         Raises:
             ProcessLostError: where that process did not come back.
         """
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
-        if not (harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner)):
+        isolate = harness.request.settings.isolate
+        if not (isolate or saved.needs_own_process or harness.left_behind(owner)):
             return harness.tried(scenario, world, owner)
         job = harness.job(world, owner)
-        isolate = harness.request.settings.isolate
         try:
             trace = run_apart(
                 job,

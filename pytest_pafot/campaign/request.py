@@ -35,16 +35,13 @@ class Request:
     """A checked request for a search or a replay.
 
     Attributes:
-        settings: the options.
-        algorithm: that they ask for.
         ads: name of the fixture that gives the factory, or the factory itself.
         arg: the parameter of the test function that receives the run.
         blame: ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody.
         decision_limit: slowest decision of the ADS that is no finding [s].
-        fitness: a name, or a function of a trace.
         world: given by the mark, or None for the fixture's.
-        road: arguments of :class:`~pytest_pafot.world.Highway` that the mark gives.
-        space: arguments of :class:`~pytest_pafot.searching.space.SearchSpace` that the mark gives.
+        road: arguments of a Highway that the mark gives.
+        space: arguments of a SearchSpace that the mark gives.
         place: where the arguments stand, for messages.
     """
 
@@ -66,12 +63,7 @@ class Request:
 
 
 def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: str = "@pafot.search") -> Request:
-    """The request that arguments make.
-
-    Args:
-        arguments: by name, ``ads`` among them; those that are options are in the settings.
-        settings: the options.
-        place: where the arguments stand, for messages.
+    """The request that arguments make, ``ads`` among them; of those that are options the settings count.
 
     Raises:
         RequestError: on the first wrong argument.
@@ -84,10 +76,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     except ValueError as error:
         raise RequestError(str(error)) from error
     fitness = algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"]
+    part = next(iter(road), "")
     problems = {
-        f"world=..., {next(iter(road), '')}=...": world is not None
+        f"world=..., {part}=...": world is not None
         and road
-        and f"expected either a whole world or its parts, received both; give {next(iter(road), '')} to the world",
+        and f"expected either a whole world or its parts, received both; give {part} to the world",
         "world=...": world is not None
         and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
         and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
@@ -149,23 +142,22 @@ def build_world(request: Request, fixture_world: Any) -> Any:
     if request.world is not None:
         return request.world
     changes = dict(request.road)
-    is_timed = bool({"genes", "gene_seconds"} & set(request.space))
-    if changes and not isinstance(fixture_world, Highway):
+    if not isinstance(fixture_world, Highway):
+        if not changes:
+            return fixture_world
         raise request.error(
             f"{next(iter(changes))}=...",
             f"expected the fixture pafot_world to give a pafot.Highway, received {fixture_world!r}; describe the whole "
             "road with world= instead",
         )
-    if not (changes or is_timed) or not isinstance(fixture_world, Highway):
-        return fixture_world
-    if is_timed:
+    if "genes" in request.space or "gene_seconds" in request.space:
         try:
             space = SearchSpace(**request.space)
         except (TypeError, ValueError) as error:
             raise request.error(", ".join(request.space), error) from None
         changes["duration"] = space.genes * space.gene_seconds
     try:
-        return replace(fixture_world, **changes)
+        return replace(fixture_world, **changes) if changes else fixture_world
     except (TypeError, ValueError) as error:
         raise request.error(f"{', '.join(request.road) or 'genes'}=...", error) from None
 

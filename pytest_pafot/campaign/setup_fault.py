@@ -1,10 +1,12 @@
 """A fault of the set-up: every run of the first generation ends in the same exception, whatever happens in it.
 
 A misspelt name in the test function, or an ADS that fails before it has seen anything, says nothing of any scenario.
+Actions in other units than a planner's are no such fault, but a doubt that is told.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,11 +14,17 @@ from typing import Any
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
 from pytest_pafot.findings.finding import Cause, first_decision_cause
 from pytest_pafot.run import Run
+from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
+from pytest_pafot.world.kernel.action import possible_acceleration, possible_steering
 from pytest_pafot.world.protocol import first_decision
 
 NOT_ASKED = ("npc", "invalid")
 """Verdicts on runs that the test function was not asked about."""
+NO_STEERING = math.pi / 2
+"""No car steers so far, and no planner asks for it [rad]."""
+NO_ACCELERATION = 30.0
+"""No car accelerates so fast [m/s^2]. Full braking is often asked for by a large number, full throttle is not."""
 
 
 class SetupFaultError(Exception):
@@ -97,11 +105,27 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     It never is where something was asserted, nor where an ADS failed after its first decision or hung in it: that can
     be the doing of a scenario, or of the machine.
     """
-    failure, exception = verdict.failure, verdict.exception
-    if failure is None or failure.kind == AssertionError.__name__:
+    failure = verdict.failure
+    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
         return None
-    if verdict.is_ads:
-        return first_decision_cause(run.ads_error)
-    if isinstance(exception, assertions()):
-        return None
-    return failure.kind, failure.assertion
+    return first_decision_cause(run.ads_error) if verdict.is_ads else (failure.kind, failure.assertion)
+
+
+def unit_doubt(trace: Trace) -> str:
+    """What to check in a planner whose actions cannot be meant as they are; empty for others, and for policies."""
+    pairs = [action for action in trace.actions if type(action) is tuple and len(action) == 2]
+    steering = max((abs(pair[1]) for pair in pairs), default=0.0)
+    if steering > NO_STEERING:
+        return (
+            f"the ADS asked for a steering angle of {steering:.3g}, in rad, of which {possible_steering(steering):.2f} "
+            "have an effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this "
+            "order"
+        )
+    acceleration = max((pair[0] for pair in pairs), default=0.0)
+    if acceleration > NO_ACCELERATION:
+        return (
+            f"the ADS asked for an acceleration of {acceleration:.3g}, in m/s^2, of which "
+            f"{possible_acceleration(acceleration):g} have an effect: an action is (acceleration, steering), and holds "
+            "no speed"
+        )
+    return ""

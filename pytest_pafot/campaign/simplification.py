@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold, Kept
-from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.simulation import Simulation
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Expect, Finding, of_failure
@@ -30,8 +29,6 @@ class Simplification:
     """Simplifies the finds of one search.
 
     Attributes:
-        simulation: runs and judges.
-        recorder: of the finds.
         fatal: scenarios in which a process died; they are not run.
         lose: takes one in which a process dies now.
         is_over: whether time is up.
@@ -59,7 +56,7 @@ class Simplification:
             try:
                 self._refine(kept)
             except ProcessLostError as error:
-                self._call_flaky(kept, f"the process that ran it again {error.how}")
+                self.recorder.call_flaky(kept, f"the process that ran it again {error.how}")
                 self.lose(error)
 
     def _refine(self, kept: Kept) -> None:
@@ -76,7 +73,7 @@ class Simplification:
             run, verdict = self._tried(before.scenario, afresh=True)
             differs = self._difference(before, run, verdict)
         if differs:
-            self._call_flaky(kept, differs)
+            self.recorder.call_flaky(kept, differs)
         else:
             self._conclude(kept, scenario, shrunk, run, verdict)
 
@@ -129,23 +126,16 @@ class Simplification:
             return f"a later run of it ended otherwise: {ending(run)}"
         return "" if run.scenario == finding.scenario else self.recorder.confirm(run)
 
-    def _call_flaky(self, kept: Kept, differs: str) -> None:
-        self.recorder.kept[kept.find.id] = self.recorder.flaky(kept, differs)
-
     def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
         before, harness = kept.finding, self.simulation.harness
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
+        preventable_by = () if run.prevent is None else run.preventable_by
         finding = replace(
             before,
             scenario=scenario,
-            expect=Expect.of(
-                run,
-                verdict.failure,
-                preventable_by=() if run.prevent is None else run.preventable_by,
-                root=str(harness.root),
-            ),
+            expect=Expect.of(run, verdict.failure, preventable_by=preventable_by, root=str(harness.root)),
             original=before.scenario if scenario != before.scenario else None,
             shrunk=shrunk if shrunk.rollouts else None,
         )
@@ -166,13 +156,10 @@ def driven(run: Run) -> Scenario:
 def starts_of(run: Run, top_speed: float) -> tuple[Start, ...]:
     """The ego's lane and speed at the beginning of each gene that the run came to, where it was on the road.
 
-    Args:
-        run: of the scenario.
-        top_speed: at which an ego may start [m/s].
+    The speed [m/s] is at most ``top_speed``, at which an ego may start.
     """
     trace = run.trace
-    every = round(run.scenario.gene_seconds * trace.physics_hz)
-    rows = trace.ego[: trace.ticks : every]
+    rows = trace.ego[: trace.ticks : round(run.scenario.gene_seconds * trace.physics_hz)]
     if trace.track is not None or (rows[:, LANE] < 0).any():
         return ()  # where a road is not straight, what comes later is another road
     return tuple((int(row[LANE]), float(min(max(round(row[SPEED], 1), 0.0), top_speed))) for row in rows)

@@ -18,13 +18,7 @@ from pytest_pafot.world import protocol
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """Runs scenarios in the world of a search, and judges them.
-
-    Attributes:
-        harness: what is run and judged with.
-        runner: makes the runs.
-        record: of what this process runs.
-    """
+    """Runs scenarios in the world of a search, and judges them; ``record`` is of what this process runs."""
 
     harness: Harness
     runner: Runner
@@ -36,11 +30,7 @@ class Simulation:
         return self.runner.is_alone
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
-        """One run, whose verdict follows.
-
-        Args:
-            scenario: to run.
-            afresh: whether the ADS is asked for every decision, also where it is pure, and for this run alone.
+        """One run, whose verdict follows; ``afresh`` as in :meth:`pytest_pafot.execution.runner.Runner.run`.
 
         Raises:
             ProcessLostError: where another process made it, and did not come back.

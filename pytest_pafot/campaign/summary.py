@@ -6,7 +6,7 @@ Values that travel between processes as plain data. How they read on a terminal 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 from pytest_pafot.text import ascii_text
@@ -17,10 +17,8 @@ class Progress:
     """Where a search is.
 
     Attributes:
-        node_id: of the search.
         generation: that is in progress, from 1.
         generations: that were asked for.
-        runs: simulated so far.
         failing: runs that the test rejected.
         finds: distinct ones that are new.
         seconds: since the search began.
@@ -42,9 +40,7 @@ class Find:
     """A distinct find that is new.
 
     Attributes:
-        id: of the finding.
         node_id: under which it is reported.
-        headline: one line that says what happened.
         path: of its file, or empty.
         problem: why there is no file, or empty.
         difference: what differed when it was run again, or empty.
@@ -69,11 +65,9 @@ class Find:
     @property
     def remark(self) -> str:
         """What a reader must know besides, or nothing."""
-        remarks = [
-            f"flaky: {self.difference}" if self.is_flaky else "",
-            "depends on wall-clock time" if self.is_timed else "",
-        ]
-        return "; ".join(remark for remark in remarks if remark)
+        flaky = f"flaky: {self.difference}" if self.is_flaky else ""
+        timed = "depends on wall-clock time" if self.is_timed else ""
+        return "; ".join(filter(None, [flaky, timed]))
 
     @property
     def summary(self) -> str:
@@ -86,15 +80,12 @@ class SearchSummary:
     """How a search went.
 
     Attributes:
-        node_id: of the search.
-        algorithm: its name.
         profile: that the defaults came from.
         base_seed: that was given, or fresh.
         seed: of this search, derived from the base seed and the node id.
         generations: finished, of ``asked``.
         asked: generations that were asked for.
         reason: why it ended.
-        seconds: it took.
         runs: simulated scenarios.
         known_runs: scenarios that were not simulated, since an earlier run showed what they do.
         invalid, npc, rejected, skipped: runs without a judgement, by kind.
@@ -105,7 +96,6 @@ class SearchSummary:
         unsaved: further ones that the limit of saved scenarios left out, with their runs.
         shrink_runs: taken to simplify the finds, beside ``runs``.
         known: failing runs by the id of the saved scenario that covers them.
-        warnings: of the search's health.
         notes: anything else to be told once.
         coverage: one line on the Position-Instructions that the runs came to.
     """
@@ -136,17 +126,9 @@ class SearchSummary:
     notes: tuple[str, ...] = ()
     coverage: str = ""
 
-    def to_plain(self) -> dict[str, Any]:
-        """Plain data, for another process."""
-        plain = asdict(self)
-        plain["finds"] = [asdict(find) for find in self.finds]
-        plain["warnings"], plain["notes"] = list(self.warnings), list(self.notes)
-        return plain
-
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
-        """The inverse of :meth:`to_plain`."""
-        values = dict(plain)
-        values["finds"] = tuple(Find(**find) for find in values["finds"])
-        values["warnings"], values["notes"] = tuple(values["warnings"]), tuple(values["notes"])
-        return cls(**values)
+        """The inverse of ``dataclasses.asdict``, also where JSON has made lists of tuples."""
+        finds = tuple(Find(**find) for find in plain["finds"])
+        texts = {name: tuple(plain[name]) for name in ("warnings", "notes")}
+        return cls(**{**plain, **texts, "finds": finds})

@@ -1,4 +1,4 @@
-"""The user's test function as an oracle: what it says of one run."""
+"""The user's test function as an oracle: what it says of one run, in a verdict and in one line."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.grid import Cell
 from pytest_pafot.rejection import Rejected
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome
@@ -32,7 +33,6 @@ class Verdict:
         kind: ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC
             is responsible for, under ``blame="ego"``; ``invalid`` a crash between NPCs.
         exception: that the function raised, where it failed or skipped.
-        failure: what identifies the failure.
         is_timed: whether it depends on wall-clock time.
         is_ads: whether the ADS itself failed, whatever the function asserts.
     """
@@ -70,13 +70,14 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     broken = ads_failure(run)
-    if run.ads_error is not None and broken is not None:
-        return _ads_verdict(broken, is_timed=run.outcome is Outcome.HANG)
-    is_excused = blame == "ego" and run.responsibility == "npc"
-    verdict = Verdict(kind="npc") if is_excused else _asked(run, test, test_file)
-    if broken is not None and not verdict.failed:
-        return _ads_verdict(broken, is_timed=True)
-    return verdict
+    if broken is None or run.ads_error is None:
+        is_excused = blame == "ego" and run.responsibility == "npc"
+        verdict = Verdict(kind="npc") if is_excused else _asked(run, test, test_file)
+        if broken is None or verdict.failed:
+            return verdict
+    is_timed = run.ads_error is None or run.outcome is Outcome.HANG
+    exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
+    return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
 
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:
@@ -99,16 +100,34 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
     return Verdict(kind="passed")
 
 
-def _ads_verdict(failure: Failure, *, is_timed: bool) -> Verdict:
-    timing = " (depends on wall-clock time)" if is_timed else ""
-    exception = PlainFailure(ads_text(failure, timing))
-    return Verdict(kind="failed", exception=exception, failure=failure, is_timed=is_timed, is_ads=True)
-
-
 def ads_text(failure: Failure, timing: str = "") -> str:
     """What the ADS did in place of a decision, with the traceback where it raised."""
     text = f"the ADS failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
+
+
+def headline(run: Run, verdict: Verdict) -> str:
+    """One line on a find: what happened in the run, and what the function said where that is not the same."""
+    if verdict.is_ads and verdict.failure is not None:
+        return f"{verdict.failure.kind}: {verdict.failure.message}"
+    line = collision_in_short(run) or run.explain().splitlines()[0]
+    first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
+    is_bare = run.collision is not None and first.startswith("assert ")
+    if is_bare or not first or line.partition(":")[0] in first:
+        return line
+    kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
+    return f"{kind}{first[:120]} ({line})"
+
+
+def collision_in_short(run: Run) -> str:
+    """One line on the collision of a run: when, with whom, and whose fault; empty without one."""
+    hit = run.collision
+    if hit is None:
+        return ""
+    place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
+    place = f"on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else place
+    who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "nobody")
+    return f"collision after {hit.time:.1f} s: NPC {hit.npc} {place}, {who} at fault"
 
 
 def skips() -> tuple[type[BaseException], ...]:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.item_checks import REQUEST
 from pytest_pafot.plugin.session import SHARED
-
-if TYPE_CHECKING:
-    from pytest_pafot.campaign.request import Request
 
 
 class Execution:
@@ -30,26 +25,19 @@ class Execution:
         if request is None:
             return None
         from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
+        from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
+        from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
 
-        problem = ""
+        saved, problem = saved_of(pyfuncitem), ""
         try:
-            _run(pyfuncitem, request)
+            with session_ends_if_stuck(pyfuncitem):
+                if saved is None:
+                    run_search(pyfuncitem, request)
+                else:
+                    run_replay(pyfuncitem, request, saved)
         except RequestError as error:
             problem = str(error)
         if problem:  # Outside of the handler, so that the same is not shown twice.
             pytest.fail(problem, pytrace=False)
         return True
-
-
-def _run(item: pytest.Function, request: Request) -> None:
-    __tracebackhide__ = True
-    from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
-    from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
-    from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
-
-    saved = saved_of(item)
-    with session_ends_if_stuck(item):
-        if saved is None:
-            run_search(item, request)
-        else:
-            run_replay(item, request, saved)

@@ -5,9 +5,8 @@ Precedence: command line, marker, environment, a profile that was named, ini, th
 
 from __future__ import annotations
 
-import argparse
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
@@ -29,35 +28,21 @@ from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
 
-_INI_TYPES: Mapping[Kind, Literal["int", "float", "string", "bool"]] = {
-    "integer": "int",
-    "seconds": "float",
-    "text": "string",
-    "page": "string",
-    "switch": "bool",
-    "workers": "string",
-}
+_INI_TYPES: Mapping[Kind, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
+"""Types of ini keys; those of other kinds are strings."""
 
 
 def add_options(parser: pytest.Parser) -> None:
     """Declare the whole table to pytest."""
     group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
     for option in OPTIONS:
+        value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
-            group.addoption(option.flag, dest=option.key, action="store_true", default=None, help=option.help)
-        else:
-            group.addoption(
-                option.flag,
-                dest=option.key,
-                type=_argparse_type(option),
-                default=None,
-                metavar=option.metavar,
-                help=option.help,
-            )
+            value = {"action": "store_true"}
+        group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
         if option.everywhere:
-            parser.addini(
-                option.key, f"{option.help} Same as {option.flag}.", type=_INI_TYPES[option.kind], default=None
-            )
+            text = f"{option.help} Same as {option.flag}."
+            parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)
 
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
@@ -70,12 +55,7 @@ def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | No
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
-    """Check the arguments of a mark.
-
-    Args:
-        config: of the session, for options.
-        arguments: of the mark, with those that it gives by position under :data:`POSITIONAL`.
-        fresh_seed: the base seed when no source gives one.
+    """Check the arguments of a mark, with those that it gives by position under :data:`POSITIONAL`.
 
     Raises:
         RequestError: on the first wrong argument or option.
@@ -105,10 +85,10 @@ def resolve(
     """The settings of an item.
 
     Args:
-        config: of the session, for command line and ini.
-        marker: the arguments of the item's marker; those that are no options are not looked at.
+        config: for command line and ini.
+        marker: its arguments; those that are no options are not looked at.
         fresh_seed: the base seed when no source gives one.
-        environ: where PAFOT_* variables and CI are looked up.
+        environ: for PAFOT_* variables and CI.
 
     Raises:
         OptionError: naming the source, what was expected and received.
@@ -171,13 +151,3 @@ def _read(option: Option, place: str, value: object) -> Any:
         return option.read(value)
     except OptionError as error:
         raise OptionError(f"{place}: {error}") from None
-
-
-def _argparse_type(option: Option) -> Callable[[str], Any]:
-    def read(text: str) -> Any:
-        try:
-            return option.read(text)
-        except OptionError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-
-    return read

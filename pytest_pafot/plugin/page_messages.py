@@ -12,10 +12,9 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from pytest_pafot.campaign.events import FindTold, Judged, SearchEvent, SearchStarted
-from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE

@@ -7,11 +7,11 @@ from typing import NoReturn
 
 import pytest
 
-from pytest_pafot.campaign.headline import headline
 from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import FLAKY, Replays, happened
 from pytest_pafot.campaign.request import Request
-from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
@@ -34,7 +34,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
-    path, lost = harness.relative(saved.path), None
+    path, lost = relative(saved.path, harness.root), None
     try:
         label, run, verdict = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:

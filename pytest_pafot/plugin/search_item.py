@@ -181,7 +181,7 @@ class SearchMessages:
         elif isinstance(event, FindTold):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            messages.send(self._item, "search", event.to_plain())
+            messages.send(self._item, "search", asdict(event))
 
     def _find(self, told: FindTold) -> None:
         kept, config = told.kept, self._item.config
