@@ -128,4 +128,10 @@ def _on_road(ego: Any, npc: Any, cos: Number, sin: Number) -> tuple[Number, Numb
 
 def _on_way(ego: Any, npc: Any) -> tuple[Any, Any]:
     """Ahead and right [m] of rows of a track, floats or arrays."""
-    return (npc[ALONG] - ego[ALONG]) * (npc[STRETCH] + ego[STRETCH]) / 2, npc[ACROSS] - ego[ACROSS]
+    ahead = driven_between(ego[ALONG], npc[ALONG], ego[STRETCH], npc[STRETCH])
+    return ahead, npc[ACROSS] - ego[ACROSS]
+
+
+def driven_between(first: Number, second: Number, first_stretch: Number, second_stretch: Number) -> Number:
+    """How far one drives between two places on the ego's way [m], with the metres driven per metre of it at each."""
+    return (second - first) * (first_stretch + second_stretch) / 2

@@ -8,6 +8,7 @@ from typing import Any
 
 from highway_env.road.road import Road
 
+from pytest_pafot.criticality.relative import driven_between
 from pytest_pafot.world.driving.ads import Planner
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
@@ -54,10 +55,7 @@ class RoadPlanner(Planner):
     def observe(self, tick: int) -> Observation:
         """What the ADS sees: all vehicles as they are now, with the road straightened out."""
         network, vehicles = self._network, self._road.vehicles
-        near = self._along or [
-            min(self._starts, key=lambda along, at=(v.x, v.y): math.dist(at, network.reference(along)[:2]))  # type: ignore[misc]
-            for v in vehicles
-        ]
+        near = self._along or [self._start_of(vehicle) for vehicle in vehicles]
         spots = [network.spot(v.x, v.y, v.heading, place) for v, place in zip(vehicles, near, strict=True)]
         self._along = [spot.along for spot in spots]
         own = spots[0]
@@ -68,9 +66,15 @@ class RoadPlanner(Planner):
 
     def _state(self, vehicle: Car, spot: Spot, own: Spot) -> VehicleState:
         network = self._network
-        stretch = (network.stretch(spot.along, spot.across) + network.stretch(own.along, own.across)) / 2
+        here, there = network.stretch(own.along, own.across), network.stretch(spot.along, spot.across)
         _, direction, lean = network.lane_at(spot.lane, spot.along)
         heading = spot.angle + network.reference(spot.along)[2] - direction - lean
-        x = own.along + (spot.along - own.along) * stretch
+        x = own.along + driven_between(own.along, spot.along, here, there)
         y = network.in_lanes(spot)
         return VehicleState(x, y, heading, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)
+
+    def _start_of(self, vehicle: Car) -> float:
+        """Of all places along the road where vehicles start, the nearest to one [m]."""
+        return min(
+            self._starts, key=lambda along: math.dist((vehicle.x, vehicle.y), self._network.reference(along)[:2])
+        )
