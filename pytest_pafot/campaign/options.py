@@ -7,6 +7,7 @@ reference documentation are all made from :data:`OPTIONS`. Where the values of a
 
 from __future__ import annotations
 
+import difflib
 import os
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
@@ -94,8 +95,12 @@ class Option(NamedTuple):
         typed = _READERS[self.kind](self, value)
         if self.choices and typed not in self.choices:
             *others, last = self.choices
-            own = "; or give a class of your own, as module:Class where only text can be given" if self.or_class else ""
-            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{own}")
+            near = difflib.get_close_matches(str(value), self.choices, n=1)
+            hint = (
+                "; or give a class of your own, as module:Class where only text can be given" if self.or_class else ""
+            )
+            hint = f"; did you mean {near[0]!r}?" if near else hint
+            raise OptionError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from pytest_pafot.campaign.options import cores
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
-from pytest_pafot.comparison.resumable_runs import WorkerDied, run_all
+from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.files import write_whole
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             )
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=arguments.workers or cores(), told=sys.stderr, clock=time.monotonic)
-    except (PlanError, WorldError, AdsFactoryError, ScenarioError, WorkerDied) as error:
+    except (PlanError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.fitness import resolve
@@ -22,8 +22,6 @@ from pytest_pafot.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
 from pytest_pafot.world.protocol import WorldLike, road_start
-
-Mode = Literal["collisions", "ego"]
 
 EXAMPLES = "example_ads"
 """The package of example policies: at the top of a clone, inside of this package where it is installed."""

@@ -28,10 +28,6 @@ TOLD_EVERY = 10.0
 Task = tuple[str, int]
 
 
-class WorkerDied(RuntimeError):  # noqa: N818  (it says what happened)
-    """A worker process ended without an answer, as one that the system kills."""
-
-
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
     """Run what is not finished yet, and put all results of the plan together.
 
@@ -47,7 +43,7 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
 
     Raises:
         PlanError: when the folder holds another comparison.
-        WorkerDied: when a worker is killed.
+        ChildProcessError: when a worker is killed.
         Exception: what a run raises.
     """
     claim(plan, folder)
@@ -148,7 +144,7 @@ def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, w
         for task, answer in pool.completed(progress.tick):
             if pool.failure or isinstance(answer, ProcessLostError):
                 ended = f"its process {answer.how}" if isinstance(answer, ProcessLostError) else pool.failure
-                raise WorkerDied(
+                raise ChildProcessError(
                     f"compare: expected a worker to finish {task!r}, received: {ended}; the system may be short of "
                     "memory: use fewer --workers, then run it again, what is finished is kept"
                 )

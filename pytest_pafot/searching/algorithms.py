@@ -22,21 +22,11 @@ from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSe
 from pytest_pafot.searching.references import referred_to
 from pytest_pafot.searching.space import SearchSpace
 
-CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType(
-    {
-        each.name: each
-        for each in (
-            DistinctSearch,
-            PafotSearch,
-            AvFuzzerSearch,
-            RandomSearch,
-            RandomManoeuvreSearch,
-            Nsga2Search,
-            MapElitesSearch,
-            CmaEsSearch,
-        )
-    }
-)
+CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: each for each in (
+    DistinctSearch, PafotSearch, AvFuzzerSearch, RandomSearch, RandomManoeuvreSearch, Nsga2Search, MapElitesSearch,
+    CmaEsSearch,
+)})  # fmt: skip
+"""Ours by name; a new one is imported and listed here."""
 
 ALGORITHMS = tuple(CATALOGUE)
 """Names that :func:`resolve_algorithm` takes."""

@@ -133,12 +133,14 @@ def _campaign(
 
 def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
     """The sums of a campaign after one more evaluation."""
-    return replace(
-        end,
+    return CampaignFinished(
+        reason=end.reason,
+        generations=end.generations,
         evaluated=end.evaluated + 1,
         simulated=end.simulated + (not event.reused),
         best=event.evaluation if improves(event.evaluation, end.best) else end.best,
         coverage=end.coverage if event.reused else end.coverage.counted(event.evaluation),
+        seconds=end.seconds,
     )
 
 

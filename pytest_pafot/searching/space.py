@@ -24,7 +24,6 @@ from pytest_pafot.scenario import (
     PositionInstruction,
     Scenario,
     positions_of,
-    with_cells,
 )
 
 LEAST_GENES = 3
@@ -154,9 +153,16 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     """
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
+    npcs = tuple(map(tuple, chains))
+    if not _is_valid(cells):
+        npcs = tuple(
+            # A gene that keeps its cell is kept, which is faster than to make and check it again.
+            tuple(g if g.cell == cell else PositionInstruction(cell, g.speed) for g, cell in zip(*each, strict=True))
+            for each in zip(positions, repair_chains(cells, seed), strict=True)
+        )
     make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
     return make(
-        npcs=tuple(map(tuple, chains)) if _is_valid(cells) else with_cells(positions, repair_chains(cells, seed)),
+        npcs=npcs,
         seed=seed,
         ego_lane=start.ego_lane,
         ego_speed=start.ego_speed,

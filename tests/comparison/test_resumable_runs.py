@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.comparison import resumable_runs
 from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.resumable_runs import Progress, WorkerDied, run_all
+from pytest_pafot.comparison.resumable_runs import Progress, run_all
 from pytest_pafot.world import Highway
 
 
@@ -148,7 +148,7 @@ def dying():
 
 def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.comparison.test_resumable_runs:dying", algorithms=("random",), runs=1)
-    with pytest.raises(WorkerDied, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
+    with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
 
 

@@ -78,7 +78,14 @@ def test_searches_that_know_no_grid_are_refused_where_a_road_is_not_straight(pro
 def test_an_unknown_algorithm_is_answered_with_those_that_exist(project):
     project.write("@pafot.search(SHORT, algorithm='genetic')\ndef test_it(run):\n    pass\n")
     result = project.run()
-    result.stdout.fnmatch_lines(["*expected distinct, pafot, *or cma-es, received 'genetic'*"])
+    result.stdout.fnmatch_lines(
+        ["*expected distinct, pafot, *or cma-es, received 'genetic'; or give a class of your own*"]
+    )
+
+
+def test_an_algorithm_that_nearly_exists_is_answered_with_the_near_one(project):
+    project.write("@pafot.search(SHORT, algorithm='randm')\ndef test_it(run):\n    pass\n")
+    project.run().stdout.fnmatch_lines(["*or cma-es, received 'randm'; did you mean 'random'[?]"])
 
 
 OWN = (
