@@ -48,7 +48,7 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
     """
     claim(plan, folder)
     left = [task for task in plan.tasks if not (folder / file_name(*task)).exists()]
-    progress = Progress(total=len(plan.tasks), done=len(plan.tasks) - len(left), told=told, clock=clock)
+    progress = ProgressLine(total=len(plan.tasks), done=len(plan.tasks) - len(left), told=told, clock=clock)
     for task in _done(plan, folder, left, progress, workers):
         progress.finished(task)
     progress.close()
@@ -76,7 +76,7 @@ def claim(plan: Plan, folder: Path) -> None:
 
 
 @dataclass(slots=True)
-class Progress:
+class ProgressLine:
     """Tells how far the runs are and how long they will take.
 
     Attributes:
@@ -130,7 +130,7 @@ class Progress:
         print(text, end="", file=self.told, flush=True)
 
 
-def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: Progress, workers: int) -> Iterator[Task]:
+def _done(plan: Plan, folder: Path, tasks: Sequence[Task], progress: ProgressLine, workers: int) -> Iterator[Task]:
     """Each task when its results are written."""
     work = partial(_run_task, plan, folder)
     if workers == 1:

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.comparison import resumable_runs
 from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.resumable_runs import Progress, run_all
+from pytest_pafot.comparison.resumable_runs import ProgressLine, run_all
 from pytest_pafot.world import Highway
 
 
@@ -117,21 +117,21 @@ def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
     assert all(other[name] != whole[name] for name in whole)
 
 
-class TestProgress:
+class TestProgressLine:
     def test_it_tells_runs_share_and_the_time_that_is_left(self):
         now = [100.0]
-        progress = Progress(total=10, done=2, told=io.StringIO(), clock=lambda: now[0])
+        progress = ProgressLine(total=10, done=2, told=io.StringIO(), clock=lambda: now[0])
         now[0] = 160.0
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
     def test_it_promises_nothing_before_anything_is_done(self):
-        progress = Progress(total=10, done=2, told=io.StringIO(), clock=lambda: 0.0)
+        progress = ProgressLine(total=10, done=2, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
 
     def test_where_no_terminal_is_it_tells_a_line_every_ten_seconds_and_each_run(self):
         now, told = [0.0], io.StringIO()
-        progress = Progress(total=2, done=0, told=told, clock=lambda: now[0])
+        progress = ProgressLine(total=2, done=0, told=told, clock=lambda: now[0])
         for second in range(25):
             now[0] = float(second)
             progress.tick(0.1)
