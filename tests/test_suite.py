@@ -6,6 +6,7 @@ import shutil
 import statistics
 import tomllib
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,15 @@ import pytest
 from tests.test_layers import MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
+OF_ONE_NAME = {
+    "errors": "the form of an error, and the errors of corpus files and of worlds, which have it",
+    "events": "what a campaign of generations yields, and what a whole search tells",
+    "loop": "of a search over its scenarios, and of a run over its ticks",
+    "options": "which options there are, and where pytest finds their values",
+}
+"""Why modules of different rooms are called alike."""
+MOST_USED_ONCE = 305
+"""Private functions that are read in one place alone; one more is better written where it is read."""
 BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)
 
 
@@ -41,12 +51,21 @@ def test_wheels_are_built_for_every_python_that_is_supported():
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in supported]
 
 
+def trees():
+    """Every module of the package with what it says."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+
+
 def functions():
     """Every function and method of the package with the file that it is in."""
-    for path in MODULES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):
                 yield path, node
+
+
+def repeated(names):
+    return {name for name, count in Counter(names).items() if count > 1}
 
 
 def nesting(node, depth=0):
@@ -61,6 +80,27 @@ def nesting(node, depth=0):
 def test_functions_are_short_and_nest_little():
     assert statistics.median(node.end_lineno - node.lineno + 1 for _, node in functions()) <= 7
     assert [f"{path.name}: {node.name}" for path, node in functions() if nesting(node) > 4] == []
+
+
+def test_few_private_functions_are_used_only_once():
+    read = Counter()
+    for path, tree in trees().items():
+        nodes = list(ast.walk(tree))
+        read.update((path, node.id) for node in nodes if isinstance(node, ast.Name))
+        read.update((path, node.attr) for node in nodes if isinstance(node, ast.Attribute))
+    private = [(path, node.name) for path, node in functions() if re.match(r"_[^_]", node.name)]
+    assert sum(read[function] == 1 for function in private) <= MOST_USED_ONCE
+
+
+def test_no_two_classes_have_one_name():
+    assert (
+        repeated(node.name for tree in trees().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+        == set()
+    )
+
+
+def test_modules_of_one_name_are_few_and_have_a_reason():
+    assert repeated(path.stem for path in MODULES if path.name != "__init__.py") == set(OF_ONE_NAME)
 
 
 def test_the_folders_of_tests_are_named_after_what_they_test():
