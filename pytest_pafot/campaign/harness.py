@@ -14,7 +14,7 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.job import Job
 from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.scenario import ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
@@ -26,7 +26,6 @@ class Harness:
 
     Attributes:
         world: of new scenarios.
-        ads: the factory.
         node_id: of the test, free of what the plugin adds.
         saved_node_id: under which a saved scenario of an id is a test of its own.
         folder: of the test's saved scenarios.
@@ -71,21 +70,6 @@ class Harness:
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """What the function makes of a trace from a world."""
         return self.judge(self.seen(trace, world))
-
-    def tried(self, scenario: Scenario, world: Any, owner: str) -> tuple[Run, Verdict]:
-        """One run in this process and its verdict, with the scenario on disk meanwhile.
-
-        Raises:
-            RequestError: for a world, factory or scenario that does not fit.
-        """
-        __tracebackhide__ = True
-        job = self.job(world, owner)
-        with self.recording(job) as record:
-            record.write(scenario)
-            with refusals():
-                trace = job.world.rollout(scenario, job.ads)
-            run = self.seen(trace, world)
-            return run, self.judge(run)
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:

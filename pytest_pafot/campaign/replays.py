@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.harness import Harness, is_same_run
+from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
@@ -87,27 +87,30 @@ class Replays:
 
         Raises:
             ProcessLostError: where that process did not come back.
+            RequestError: for a world, factory or scenario that does not fit.
         """
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
-        isolate = harness.request.settings.isolate
-        if not (isolate or saved.needs_own_process or harness.left_behind(owner)):
-            return harness.tried(scenario, world, owner)
+        isolate, trace = harness.request.settings.isolate, None
         job = harness.job(world, owner)
-        try:
-            trace = run_apart(
-                job,
-                scenario,
-                partial(harness.judge_trace, world),
-                isolate=isolate,
-                in_own_session=lambda: self.in_own_session(saved.path, job, scenario),
-            )
-        except ExecutionError as error:
-            raise RequestError(str(error)) from None
-        if trace is None:  # It raised, or cannot be sent: that is to be seen here.
-            return harness.tried(scenario, world, owner)
+        if isolate or saved.needs_own_process or harness.left_behind(owner):
+            try:
+                trace = run_apart(
+                    job,
+                    scenario,
+                    partial(harness.judge_trace, world),
+                    isolate=isolate,
+                    in_own_session=lambda: self.in_own_session(saved.path, job, scenario),
+                )
+            except ExecutionError as error:
+                raise RequestError(str(error)) from None
         with harness.recording(job) as record:
             record.write(scenario)
+            if (
+                trace is None
+            ):  # What raised in another process, or cannot be sent from there, is to be seen here.
+                with refusals():
+                    trace = world.rollout(scenario, harness.ads)
             run = harness.seen(trace, world)
             return run, harness.judge(run)
 

@@ -30,9 +30,9 @@ from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.crash_records import CrashRecord, Leftover
+from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.retrying import Retried, retry
-from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
@@ -50,25 +50,16 @@ def search_seed(base_seed: int, node_id: str) -> int:
 
 
 class TimeLimit(NamedTuple):
-    """A moment, and the option that it comes from.
-
-    Attributes:
-        flag: of the option, for what is told of a search that this cuts.
-        until: the moment [s], by the clock of the search; infinite without a limit.
-    """
+    """A moment by the clock of a search [s], or infinity, and the flag of the option that it comes from."""
 
     flag: str
     until: float
 
 
 def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
-    """When a search that begins now must end: after its own limit of time, or after its share of the session's.
+    """When a search must end that begins now [s]: after its own limit of time, or after its share of the session's.
 
-    Args:
-        settings: of the search.
-        now: the moment [s].
-        began: the moment at which the session began [s].
-        left: searches that this process has yet to run, this one included; each gets as much of the session's time.
+    The session ``began`` at a moment [s]; each of the searches ``left``, this one included, gets as much of its time.
     """
     own = TimeLimit(BY_NAME["max_time"].flag, now + (math.inf if settings.max_time is None else settings.max_time))
     if settings.total_time is None:
@@ -82,8 +73,6 @@ class SearchResult:
     """What came of a search.
 
     Attributes:
-        summary: how it went.
-        kept: the finds that are new.
         count: of distinct new finds, whether they were kept or only counted.
         first: the exception of the first find; None without one.
         fault: of the set-up, as the exception to show in the place of finds.
@@ -106,11 +95,7 @@ class Search:
 
     Attributes:
         node_id: under which it is told.
-        harness: what it runs and judges with.
-        listener: is told what happens.
         clock: seconds since any moment.
-        limit: when it must end, by that clock.
-        replays: how saved scenarios are run.
         stops_at_first: whether it ends at its first new finding.
         progress_seconds: between two tellings of progress.
         notes: to be told once in the summary.
@@ -125,8 +110,6 @@ class Search:
     stops_at_first: bool = False
     progress_seconds: float = 10.0
     notes: list[str] = field(default_factory=list)
-    _runner: Runner = field(init=False)
-    _record: CrashRecord = field(init=False)
     _simulation: Simulation = field(init=False)
     _recorder: Recorder = field(init=False)
     _loop: SearchLoop = field(init=False)
@@ -181,23 +164,19 @@ class Search:
         except FitnessError as error:
             raise request.error("fitness=...", error) from None
         job, settings = harness.job(), request.settings
-        self._record = stack.enter_context(harness.recording(job))
+        record = stack.enter_context(harness.recording(job))
         with refusals():
-            self._runner = runner_for(
+            runner = runner_for(
                 job,
-                self._record,
+                record,
                 workers=settings.workers,
                 isolate=settings.isolate,
                 times_decisions=request.decision_limit is not None,
             )
-        stack.push(self._runner.__exit__)  # What runs after the search begins processes anew.
-        self._simulation = Simulation(harness, self._runner, self._record)
-        self._recorder = Recorder(
-            harness=harness,
-            seed=self.seed,
-            confirm=lambda run: difference(run, self._simulation),
-            listener=self.listener,
-        )
+        stack.push(runner.__exit__)  # What runs after the search begins processes anew.
+        self._simulation = Simulation(harness, runner, record)
+        confirm = partial(difference, simulation=self._simulation)
+        self._recorder = Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener)
         self._loop = SearchLoop(
             simulation=self._simulation,
             recorder=self._recorder,
@@ -216,7 +195,7 @@ class Search:
         recorder.replayed = frozenset(each.path for each in saved)
         self._loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         try:
-            with self._runner:
+            with self._simulation.runner:
                 reason = self._searched(space, saved)
             recorder.release()
             self._simplify()
@@ -231,16 +210,15 @@ class Search:
             recorder.release()
             for leftover in pending:
                 leftover.discard()
-            self.notes += [*self._runner.notes, *([str(self._record.error)] if self._record.error else [])]
+            self.notes += self._simulation.notes
             summary = self._summary(reason)
             self.listener(summary)
         return summary, fault
 
     def _retried(self, leftover: Leftover) -> Retried:
         """What came of the record of a process that died: what it ran runs again, in the world that it ran in."""
-        harness, job = self.harness, self.harness.job()
-        world = harness.world
-        if leftover.world not in (None, job.world_data):
+        harness, world = self.harness, self.harness.world
+        if leftover.world not in (None, harness.job().world_data):
             try:
                 world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
             except (WorldError, TypeError, ValueError):
@@ -263,7 +241,8 @@ class Search:
         __tracebackhide__ = True
         if space is None:
             return "replay only"
-        loop, request, settings = self._loop, self.harness.request, self.harness.request.settings
+        loop, runner = self._loop, self._simulation.runner
+        request, settings = self.harness.request, self.harness.request.settings
         loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
         limit = 1 if self.stops_at_first else settings.stop_after
         try:
@@ -279,7 +258,7 @@ class Search:
             max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
             stop=lambda: limit is not None and self._recorder.count >= limit,
-            foresee=lambda scenarios: self._runner.announce([each for each in scenarios if each not in loop.fatal]),
+            foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
         )
         try:
             loop.follow(events, self._tell_progress)
@@ -304,9 +283,7 @@ class Search:
         simplification.run_all()
         self._shrink_runs = simplification.runs
         if simplification.is_cut:
-            self.notes.append(
-                f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"
-            )
+            self.notes += [f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"]
 
     def _tell_progress(self, phase: str = "") -> None:
         now, loop = self.clock(), self._loop
@@ -366,10 +343,8 @@ class Search:
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
         is_default = settings.profile == LOCAL and settings.generations == PROFILES[LOCAL]["generations"]
         if is_default and reason == DONE and not self._loop.verdicts["failed"] and not recorder.count:
-            yield (
-                f"{settings.generations} generations are a short search: "
-                f"--pafot-generations={PROFILES[FULL]['generations']} looks further"
-            )
+            more = f"--pafot-generations={PROFILES[FULL]['generations']}"
+            yield f"{settings.generations} generations are a short search: {more} looks further"
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
@@ -380,7 +355,6 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     settings = harness.request.settings
     if scenario_pool.METHOD != "fork" or settings.isolate or not settings.generations:
         return harness
-    crashes = [each for each in saved_in(harness.folder) if each.is_crash]
-    if not harness.left_behind() and not any(replays.still_fails(each) for each in crashes):
-        return harness
-    return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
+    if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
+        return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
+    return harness

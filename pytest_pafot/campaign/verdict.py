@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -153,8 +152,3 @@ def no_skip(who: str, error: BaseException) -> str:
         f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "
         "with @pytest.mark.skipif"
     )
-
-
-def is_asynchronous(function: Any) -> bool:
-    """Whether calling a function only makes a coroutine or an asynchronous generator."""
-    return inspect.iscoroutinefunction(function) or inspect.isasyncgenfunction(function)

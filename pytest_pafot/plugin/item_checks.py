@@ -10,7 +10,6 @@ from collections.abc import Generator, Sequence
 import pytest
 
 from pytest_pafot.campaign.request import Request, RequestError
-from pytest_pafot.campaign.verdict import is_asynchronous
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.crash_folder import records_folder
@@ -88,7 +87,7 @@ def _check_function(item: pytest.Item) -> None:
             "expected @pafot.search or @given, received both, which would each run the function many "
             "times; use @given(scenario=pafot.strategies.scenarios()) with the fixture pafot_simulate"
         )
-    if is_asynchronous(item.obj):
+    if inspect.iscoroutinefunction(item.obj) or inspect.isasyncgenfunction(item.obj):
         raise RequestError(
             "expected a plain function, received an async one, whose assertions would never run; "
             "write `def` in place of `async def`"

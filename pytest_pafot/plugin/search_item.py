@@ -38,6 +38,11 @@ from pytest_pafot.versions import installed_versions
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
 
+DRAWS = (
+    "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (of "
+    "Stable-Baselines3: predict(..., deterministic=True))"
+)
+
 
 def harness_of(item: pytest.Function, request: Request) -> Harness:
     """What an item whose fixtures are set up runs and judges with.
@@ -104,7 +109,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     search = Search(
         node_id=item.nodeid,
         harness=chosen,
-        listener=_listener(item, request),
+        listener=SearchMessages(item, page_messages_of(item, settings)),
         clock=time.monotonic,
         limit=time_limit(settings, now=now, began=shared.began, left=searches_left(item)),
         replays=replace(replays, harness=chosen),
@@ -153,24 +158,12 @@ def shown(exception: BaseException) -> BaseException:
     return exception
 
 
-def _listener(item: pytest.Function, request: Request) -> Listener:
-    """Tells the controller of a search, and a page where one is asked for."""
-    reports, page = SearchMessages(item), page_messages_of(item, request.settings)
-    if page is None:
-        return reports
-
-    def both(event: SearchEvent) -> None:
-        reports(event)
-        page(event)
-
-    return both
-
-
 class SearchMessages:
-    """Sends what happens in a search as messages of its item."""
+    """Sends what happens in a search as messages of its item, and tells a page where one is asked for."""
 
-    def __init__(self, item: pytest.Function) -> None:
+    def __init__(self, item: pytest.Function, page: Listener | None) -> None:
         self._item = item
+        self._page = page
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message, for those events that the terminal tells."""
@@ -182,6 +175,8 @@ class SearchMessages:
             self._find(event)
         elif isinstance(event, SearchSummary):
             messages.send(self._item, "search", asdict(event))
+        if self._page is not None:
+            self._page(event)
 
     def _find(self, told: FindTold) -> None:
         kept, config = told.kept, self._item.config
@@ -193,12 +188,15 @@ class SearchMessages:
         else:
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
+        advice = "what does not repeat is not shrunk" if kept.find.is_flaky else ""
+        if kept.find.difference == NOT_REPEATED:
+            advice += DRAWS
         section = terminal.find_section(
             kept.find,
             explanation="" if explanation.partition("\n")[0] in message_of(told.exception) else explanation,
             content=kept.content,
             details=details,
-            advice=_advice(kept.find),
+            advice=advice,
             width=width,
         )
         lines = terminal.found_lines(kept.find, width) if told.is_new else []
@@ -226,17 +224,6 @@ def _report(item: pytest.Item, find: Find, exception: BaseException, section: st
         report.user_properties.append(("pafot_file", find.path))  # for files such as JUnit's, which have no sections
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
-
-
-def _advice(find: Find) -> str:
-    """Why a find that does not repeat is as it was found, and what to do."""
-    if not find.is_flaky:
-        return ""
-    draws = (
-        "; the ADS probably draws random numbers: seed it in its factory, or let a model take its best action (of "
-        "Stable-Baselines3: predict(..., deterministic=True))"
-    )
-    return f"what does not repeat is not shrunk{draws if find.difference == NOT_REPEATED else ''}"
 
 
 def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
