@@ -32,18 +32,13 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kept:
-    """A finding with where it lies, or why it lies nowhere, and how it is told.
-
-    Attributes:
-        origin: how it was found, in one line.
-        content: of the file that could not be written, or empty.
-    """
+    """A finding with where it lies, or why it lies nowhere, and how it is told."""
 
     finding: Finding
     find: Find
-    origin: str
+    origin: str  # how it was found, in one line
     file: Path | None = None
-    content: str = ""
+    content: str = ""  # of the file that could not be written, or empty
 
     @property
     def is_firm(self) -> bool:
@@ -53,19 +48,13 @@ class Kept:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindTold:
-    """A new find, or more of one that was told before: the last telling of a find is the one that counts.
-
-    Attributes:
-        run: of the scenario in the file; None where nobody saw how it ended.
-        is_new: whether it is told for the first time.
-        tried: reference drivers that were tried in its scenario.
-    """
+    """A new find, or more of one that was told before: the last telling of a find is the one that counts."""
 
     kept: Kept
     exception: BaseException
-    run: Run | None = None
-    is_new: bool = False
-    tried: tuple[str, ...] = ()
+    run: Run | None = None  # of the scenario in the file; None where nobody saw how it ended
+    is_new: bool = False  # whether it is told for the first time
+    tried: tuple[str, ...] = ()  # reference drivers that were tried in its scenario
 
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event

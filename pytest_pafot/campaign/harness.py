@@ -22,29 +22,19 @@ from pytest_pafot.world.driving.ads import hint_at_object
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Harness:
-    """How scenarios are run and judged for one test, parameters included.
-
-    Attributes:
-        world: of new scenarios.
-        node_id: of the test, free of what the plugin adds.
-        saved_node_id: under which a saved scenario of an id is a test of its own.
-        folder: of the test's saved scenarios.
-        records: folder of the crash records.
-        root: folder of the project, which paths are told relative to.
-        versions: of the packages that a run depends on.
-    """
+    """How scenarios are run and judged for one test, parameters included."""
 
     request: Request
-    world: Any
+    world: Any  # of new scenarios
     ads: Callable[..., Any]
     test: Test
     test_file: str
-    node_id: str
-    saved_node_id: Callable[[str], str]
-    folder: Path
-    records: Path
-    root: Path
-    versions: dict[str, str]
+    node_id: str  # of the test, free of what the plugin adds
+    saved_node_id: Callable[[str], str]  # under which a saved scenario of an id is a test of its own
+    folder: Path  # of the test's saved scenarios
+    records: Path  # folder of the crash records
+    root: Path  # folder of the project, which paths are told relative to
+    versions: dict[str, str]  # of the packages that a run depends on
 
     def job(self, world: Any = None, owner: str = "") -> Job:
         """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.

@@ -33,41 +33,29 @@ from pytest_pafot.trace import Outcome, Trace
 
 @dataclass(slots=True, kw_only=True)
 class SearchLoop:
-    """A search in progress: what it has seen so far.
-
-    Attributes:
-        fitness: of a trace, higher is worse for the ego.
-        near_misses: what the ego nearly had to answer for in a trace; None where the algorithm does not read that.
-        fatal: scenarios in which a process died, earlier or in this search; they are not run.
-        replayed: what the replays of the saved scenarios showed.
-        finds: ids of new finds by signature.
-        repeats: further runs of each new find, by id.
-        known: failing runs by the id of the saved scenario that covers them.
-        verdicts: counts by kind.
-        generation: of the main search, from 0.
-        finished: the last event, once the campaign is over.
-        skip: the last exception by which the function declined to judge.
-        first: what the runs of the first generation have in common.
-        doubt: about the units of the ADS's actions, once there is one.
-    """
+    """A search in progress: what it has seen so far."""
 
     simulation: Simulation
     recorder: Recorder
-    fitness: Callable[[Trace], float]
+    fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
     listener: Listener = lambda event: None
+    # What the ego nearly had to answer for in a trace; None where the algorithm does not read that
     near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
+    # Scenarios in which a process died, earlier or in this search; they are not run
     fatal: set[Scenario] = field(default_factory=set)
-    replayed: Sequence[Replayed] = ()
-    finds: dict[Signature, str] = field(default_factory=dict)
-    repeats: Counter[str] = field(default_factory=Counter)
+    replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
+    finds: dict[Signature, str] = field(default_factory=dict)  # ids of new finds by signature
+    repeats: Counter[str] = field(default_factory=Counter)  # further runs of each new find, by id
+    # Failing runs by the id of the saved scenario that covers them
     known: Counter[str] = field(default_factory=Counter)
-    verdicts: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
     health: Health = field(default_factory=Health)
-    generation: int = 0
-    finished: CampaignFinished | None = None
-    skip: BaseException | None = None
+    generation: int = 0  # of the main search, from 0
+    finished: CampaignFinished | None = None  # the last event, once the campaign is over
+    skip: BaseException | None = None  # the last exception by which the function declined to judge
+    # What the runs of the first generation have in common
     first: FirstGeneration = field(default_factory=FirstGeneration)
-    doubt: str = ""
+    doubt: str = ""  # about the units of the ADS's actions, once there is one
 
     @property
     def runs(self) -> int:

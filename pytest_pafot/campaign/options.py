@@ -43,25 +43,17 @@ class OptionError(ArgumentTypeError):
 
 
 class Option(NamedTuple):
-    """One option and everything that is generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``.
-
-    Attributes:
-        least: smallest number that is accepted.
-        choices: the texts that are accepted, or nothing for any.
-        or_class: whether a class, or its ``module:Class``, is accepted as well.
-        everywhere: False for what concerns the session and is a deliberate act: command line only.
-        is_argument: False for what concerns the session as a whole: no marker argument.
-    """
+    """One option and everything that is generated from it: ``--pafot-<name>``, ``pafot_<name>``, ``PAFOT_<NAME>``."""
 
     name: str
     kind: Kind
     help: str
     default: object = None
-    least: float = 0
-    choices: tuple[str, ...] = ()
-    or_class: bool = False
-    everywhere: bool = True
-    is_argument: bool = True
+    least: float = 0  # smallest number that is accepted
+    choices: tuple[str, ...] = ()  # the texts that are accepted, or nothing for any
+    or_class: bool = False  # whether a class, or its ``module:Class``, is accepted as well
+    everywhere: bool = True  # False for what concerns the session and is a deliberate act: command line only
+    is_argument: bool = True  # False for what concerns the session as a whole: no marker argument
 
     @property
     def flag(self) -> str:

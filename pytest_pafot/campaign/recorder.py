@@ -38,26 +38,19 @@ UNSEEN_CRASH = Expect(
 
 @dataclass(slots=True, kw_only=True)
 class Recorder:
-    """Saves and announces the finds of one search.
-
-    Attributes:
-        confirm: says what differs when a run is repeated; empty where nothing does.
-        replayed: files that were there before the search; a find that comes to be kept is not what they show.
-        kept: the finds so far, by id.
-        unsaved: ids of those that the limit of saved scenarios left out.
-        first: the exception of the first find, for a debugger.
-        held: finds that are saved and not told yet, since they may turn out to be a fault of the set-up; None once
-            finds are told at once.
-    """
+    """Saves and announces the finds of one search."""
 
     harness: Harness
     seed: int
-    confirm: Callable[[Run], str]
+    confirm: Callable[[Run], str]  # says what differs when a run is repeated; empty where nothing does
     listener: Listener
+    # Files that were there before the search; a find that comes to be kept is not what they show
     replayed: frozenset[Path] = frozenset()
-    kept: dict[str, Kept] = field(default_factory=dict)
-    unsaved: list[str] = field(default_factory=list)
-    first: BaseException | None = None
+    kept: dict[str, Kept] = field(default_factory=dict)  # the finds so far, by id
+    unsaved: list[str] = field(default_factory=list)  # ids of those that the limit of saved scenarios left out
+    first: BaseException | None = None  # the exception of the first find, for a debugger
+    # Finds that are saved and not told yet, since they may turn out to be a fault of the set-up; None once finds are
+    # told at once
     held: list[FindTold] | None = field(default_factory=list)
 
     @property

@@ -29,14 +29,11 @@ FLAKY = "flaky"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
-    """How the saved scenarios of one test are run.
-
-    Attributes:
-        in_own_session: replays the scenario of a file in a session of its own, where no process can be made that has
-            what the test needs; raises ``ProcessLostError`` where that session died.
-    """
+    """How the saved scenarios of one test are run."""
 
     harness: Harness
+    # Replays the scenario of a file in a session of its own, where no process can be made that has what the test needs;
+    # raises ``ProcessLostError`` where that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
 
     def shown_by(self, saved: Saved) -> Replayed | None:
@@ -106,9 +103,7 @@ class Replays:
                 raise RequestError(str(error)) from None
         with harness.recording(job) as record:
             record.write(scenario)
-            if (
-                trace is None
-            ):  # What raised in another process, or cannot be sent from there, is to be seen here.
+            if trace is None:  # What raised in another process, or cannot be sent from there, is to be seen here.
                 with refusals():
                     trace = world.rollout(scenario, harness.ads)
             run = harness.seen(trace, world)

@@ -32,30 +32,19 @@ class RequestError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """A checked request for a search or a replay.
-
-    Attributes:
-        ads: name of the fixture that gives the factory, or the factory itself.
-        arg: the parameter of the test function that receives the run.
-        blame: ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody.
-        decision_limit: slowest decision of the ADS that is no finding [s].
-        world: given by the mark, or None for the fixture's.
-        road: arguments of a Highway that the mark gives.
-        space: arguments of a SearchSpace that the mark gives.
-        place: where the arguments stand, for messages.
-    """
+    """A checked request for a search or a replay."""
 
     settings: Settings
     algorithm: AlgorithmClass
-    ads: str | Callable[..., Any]
-    arg: str = "run"
-    blame: str = "any"
-    decision_limit: float | None = None
+    ads: str | Callable[..., Any]  # name of the fixture that gives the factory, or the factory itself
+    arg: str = "run"  # the parameter of the test function that receives the run
+    blame: str = "any"  # ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody
+    decision_limit: float | None = None  # slowest decision of the ADS that is no finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"
-    world: Any = None
-    road: Mapping[str, Any] = field(default_factory=dict)
-    space: Mapping[str, Any] = field(default_factory=dict)
-    place: str = "@pafot.search"
+    world: Any = None  # given by the mark, or None for the fixture's
+    road: Mapping[str, Any] = field(default_factory=dict)  # arguments of a Highway that the mark gives
+    space: Mapping[str, Any] = field(default_factory=dict)  # arguments of a SearchSpace that the mark gives
+    place: str = "@pafot.search"  # where the arguments stand, for messages
 
     def error(self, arguments: str, problem: object) -> RequestError:
         """What is wrong with arguments, such as ``world=...``."""

@@ -70,46 +70,30 @@ def time_limit(settings: Settings, *, now: float, began: float, left: int) -> Ti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchResult:
-    """What came of a search.
-
-    Attributes:
-        count: of distinct new finds, whether they were kept or only counted.
-        first: the exception of the first find; None without one.
-        fault: of the set-up, as the exception to show in the place of finds.
-        skip: by which the function declined to judge every run.
-        is_vacuous: whether nothing was tested.
-    """
+    """What came of a search."""
 
     summary: SearchSummary
     kept: tuple[Kept, ...]
-    count: int
-    first: BaseException | None
-    fault: BaseException | None
-    skip: BaseException | None
-    is_vacuous: bool
+    count: int  # of distinct new finds, whether they were kept or only counted
+    first: BaseException | None  # the exception of the first find; None without one
+    fault: BaseException | None  # of the set-up, as the exception to show in the place of finds
+    skip: BaseException | None  # by which the function declined to judge every run
+    is_vacuous: bool  # whether nothing was tested
 
 
 @dataclass(slots=True, kw_only=True)
 class Search:
-    """A search of one test.
+    """A search of one test."""
 
-    Attributes:
-        node_id: under which it is told.
-        clock: seconds since any moment.
-        stops_at_first: whether it ends at its first new finding.
-        progress_seconds: between two tellings of progress.
-        notes: to be told once in the summary.
-    """
-
-    node_id: str
+    node_id: str  # under which it is told
     harness: Harness
     listener: Listener
-    clock: Callable[[], float]
+    clock: Callable[[], float]  # seconds since any moment
     limit: TimeLimit
     replays: Replays
-    stops_at_first: bool = False
-    progress_seconds: float = 10.0
-    notes: list[str] = field(default_factory=list)
+    stops_at_first: bool = False  # whether it ends at its first new finding
+    progress_seconds: float = 10.0  # between two tellings of progress
+    notes: list[str] = field(default_factory=list)  # to be told once in the summary
     _simulation: Simulation = field(init=False)
     _recorder: Recorder = field(init=False)
     _loop: SearchLoop = field(init=False)

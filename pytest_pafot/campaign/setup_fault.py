@@ -63,19 +63,12 @@ class SetupFaultError(Exception):
 
 @dataclass(slots=True)
 class FirstGeneration:
-    """What the runs so far have in common.
+    """What the runs so far have in common."""
 
-    Attributes:
-        is_alike: whether all of them ended in the same exception; once they did not, that is settled.
-        last: of them, with its verdict; None before the first.
-        runs: their number.
-        unjudged: the number of other runs, which the test function was not asked about.
-    """
-
-    is_alike: bool = True
-    last: tuple[Run, Verdict] | None = None
-    runs: int = 0
-    unjudged: int = 0
+    is_alike: bool = True  # whether all of them ended in the same exception; once they did not, that is settled
+    last: tuple[Run, Verdict] | None = None  # of them, with its verdict; None before the first
+    runs: int = 0  # their number
+    unjudged: int = 0  # the number of other runs, which the test function was not asked about
     _cause: Cause | None = None
 
     def see(self, run: Run, verdict: Verdict) -> None:

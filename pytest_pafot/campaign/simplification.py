@@ -26,25 +26,16 @@ from pytest_pafot.world import protocol
 
 @dataclass(slots=True, kw_only=True)
 class Simplification:
-    """Simplifies the finds of one search.
-
-    Attributes:
-        fatal: scenarios in which a process died; they are not run.
-        lose: takes one in which a process dies now.
-        is_over: whether time is up.
-        tell: is told what goes on, often.
-        runs: taken so far.
-        is_cut: whether time was up before the work was done.
-    """
+    """Simplifies the finds of one search."""
 
     simulation: Simulation
     recorder: Recorder
-    fatal: set[Scenario]
-    lose: Callable[[LostRun], object]
-    is_over: Callable[[], bool]
-    tell: Callable[[str], None]
-    runs: int = field(default=0, init=False)
-    is_cut: bool = field(default=False, init=False)
+    fatal: set[Scenario]  # scenarios in which a process died; they are not run
+    lose: Callable[[LostRun], object]  # takes one in which a process dies now
+    is_over: Callable[[], bool]  # whether time is up
+    tell: Callable[[str], None]  # is told what goes on, often
+    runs: int = field(default=0, init=False)  # taken so far
+    is_cut: bool = field(default=False, init=False)  # whether time was up before the work was done
 
     def run_all(self) -> None:
         """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""

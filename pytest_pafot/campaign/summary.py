@@ -14,48 +14,30 @@ from pytest_pafot.text import ascii_text
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where a search is.
-
-    Attributes:
-        generation: that is in progress, from 1.
-        generations: that were asked for.
-        failing: runs that the test rejected.
-        finds: distinct ones that are new.
-        seconds: since the search began.
-        phase: what goes on after the generations, such as shrinking; empty while they run.
-    """
+    """Where a search is."""
 
     node_id: str
-    generation: int
-    generations: int
+    generation: int  # that is in progress, from 1
+    generations: int  # that were asked for
     runs: int
-    failing: int
-    finds: int
-    seconds: float
-    phase: str = ""
+    failing: int  # runs that the test rejected
+    finds: int  # distinct ones that are new
+    seconds: float  # since the search began
+    phase: str = ""  # what goes on after the generations, such as shrinking; empty while they run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """A distinct find that is new.
-
-    Attributes:
-        node_id: under which it is reported.
-        path: of its file, or empty.
-        problem: why there is no file, or empty.
-        difference: what differed when it was run again, or empty.
-        is_timed: it depends on wall-clock time.
-        repeats: further runs that failed in the same way.
-    """
+    """A distinct find that is new."""
 
     id: str
-    node_id: str
+    node_id: str  # under which it is reported
     headline: str
-    path: str = ""
-    problem: str = ""
-    difference: str = ""
-    is_timed: bool = False
-    repeats: int = 0
+    path: str = ""  # of its file, or empty
+    problem: str = ""  # why there is no file, or empty
+    difference: str = ""  # what differed when it was run again, or empty
+    is_timed: bool = False  # it depends on wall-clock time
+    repeats: int = 0  # further runs that failed in the same way
 
     @property
     def is_flaky(self) -> bool:
@@ -77,54 +59,35 @@ class Find:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSummary:
-    """How a search went.
-
-    Attributes:
-        profile: that the defaults came from.
-        base_seed: that was given, or fresh.
-        seed: of this search, derived from the base seed and the node id.
-        generations: finished, of ``asked``.
-        asked: generations that were asked for.
-        reason: why it ended.
-        runs: simulated scenarios.
-        known_runs: scenarios that were not simulated, since an earlier run showed what they do.
-        invalid, npc, rejected, skipped: runs without a judgement, by kind.
-        reached: share of Position-Instructions whose cell was reached; None where no run tells.
-        no_interaction: runs in which no NPC came near the ego.
-        failing: runs that the test rejected.
-        finds: distinct ones that are new.
-        unsaved: further ones that the limit of saved scenarios left out, with their runs.
-        shrink_runs: taken to simplify the finds, beside ``runs``.
-        known: failing runs by the id of the saved scenario that covers them.
-        notes: anything else to be told once.
-        coverage: one line on the Position-Instructions that the runs came to.
-    """
+    """How a search went."""
 
     node_id: str
     algorithm: str = "pafot"
-    profile: str = ""
-    base_seed: int = 0
-    seed: int = 0
-    generations: int = 0
-    asked: int = 0
-    reason: str = ""
+    profile: str = ""  # that the defaults came from
+    base_seed: int = 0  # that was given, or fresh
+    seed: int = 0  # of this search, derived from the base seed and the node id
+    generations: int = 0  # finished, of ``asked``
+    asked: int = 0  # generations that were asked for
+    reason: str = ""  # why it ended
     seconds: float = 0.0
-    runs: int = 0
-    known_runs: int = 0
-    invalid: int = 0
+    runs: int = 0  # simulated scenarios
+    known_runs: int = 0  # scenarios that were not simulated, since an earlier run showed what they do
+    invalid: int = 0  # runs without a judgement, by kind, as the next three
     npc: int = 0
     rejected: int = 0
     skipped: int = 0
-    reached: float | None = None
-    no_interaction: int = 0
-    failing: int = 0
-    finds: tuple[Find, ...] = ()
+    reached: float | None = None  # share of Position-Instructions whose cell was reached; None where no run tells
+    no_interaction: int = 0  # runs in which no NPC came near the ego
+    failing: int = 0  # runs that the test rejected
+    finds: tuple[Find, ...] = ()  # distinct ones that are new
+    # Further ones that the limit of saved scenarios left out, with their runs
     unsaved: Mapping[str, int] = field(default_factory=dict)
-    shrink_runs: int = 0
+    shrink_runs: int = 0  # taken to simplify the finds, beside ``runs``
+    # Failing runs by the id of the saved scenario that covers them
     known: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    coverage: str = ""
+    notes: tuple[str, ...] = ()  # anything else to be told once
+    coverage: str = ""  # one line on the Position-Instructions that the runs came to
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:

@@ -26,21 +26,15 @@ class PlainFailure(Exception):  # noqa: N818  (it is shown as what failed)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the oracle says of a run.
+    """What the oracle says of a run."""
 
-    Attributes:
-        kind: ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC
-            is responsible for, under ``blame="ego"``; ``invalid`` a crash between NPCs.
-        exception: that the function raised, where it failed or skipped.
-        is_timed: whether it depends on wall-clock time.
-        is_ads: whether the ADS itself failed, whatever the function asserts.
-    """
-
+    # ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC is
+    # responsible for, under ``blame="ego"``; ``invalid`` a crash between NPCs
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "invalid"]
-    exception: BaseException | None = None
+    exception: BaseException | None = None  # that the function raised, where it failed or skipped
     failure: Failure | None = None
-    is_timed: bool = False
-    is_ads: bool = False
+    is_timed: bool = False  # whether it depends on wall-clock time
+    is_ads: bool = False  # whether the ADS itself failed, whatever the function asserts
 
     @property
     def failed(self) -> bool:

@@ -34,21 +34,14 @@ def label_of(find: Find) -> str:
 
 @dataclass(slots=True, kw_only=True)
 class PageMessages:
-    """Sends what a page shows of one item, a search or a replay.
+    """Sends what a page shows of one item, a search or a replay."""
 
-    Attributes:
-        item: that runs.
-        settings: of it; they name the page.
-        events: of the search's algorithm so far.
-        responsibilities: number of runs of the search by who is responsible for a collision.
-        speed_limit: of the search's world [m/s].
-    """
-
-    item: pytest.Item
-    settings: Settings
-    events: list[Event] = field(default_factory=list)
+    item: pytest.Item  # that runs
+    settings: Settings  # of it; they name the page
+    events: list[Event] = field(default_factory=list)  # of the search's algorithm so far
+    # Number of runs of the search by who is responsible for a collision
     responsibilities: Counter[str] = field(default_factory=Counter)
-    speed_limit: float = 0.0
+    speed_limit: float = 0.0  # of the search's world [m/s]
 
     def __call__(self, event: SearchEvent) -> None:
         """Take an event of a search."""
