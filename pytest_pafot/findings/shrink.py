@@ -93,7 +93,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
 
     Every part is a whole number, at least 0, so that every chain of simplifications ends.
     """
-    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in _blocks(chain)]
+    speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in blocks(chain)]
     return (
         len(scenario.npcs),
         len(speeds),
@@ -243,7 +243,7 @@ def _merged(scenario: Scenario) -> Candidates:
     for npc, chain in enumerate(scenario.npcs):
         for instruction in dict.fromkeys(chain):
             yield _with_chain(scenario, npc, (instruction,) * len(chain))
-        for (start, middle), (_, end) in pairwise(_blocks(chain)):
+        for (start, middle), (_, end) in pairwise(blocks(chain)):
             before, after = chain[start], chain[middle]
             yield _with_chain(scenario, npc, chain[:middle] + (before,) * (end - middle) + chain[end:])
             yield _with_chain(scenario, npc, chain[:start] + (after,) * (middle - start) + chain[middle:])
@@ -252,7 +252,7 @@ def _merged(scenario: Scenario) -> Candidates:
 def _staying(scenario: Scenario) -> Candidates:
     """From one gene to the end, or to the end of its block, an NPC stays in the cell or lane that it was in before."""
     for npc, chain in enumerate(scenario.npcs):
-        for gene, end in _blocks(chain):
+        for gene, end in blocks(chain):
             if gene == 0 and isinstance(chain[0], PositionInstruction):
                 continue
             stays = tuple(_staying_gene(instruction, chain[max(gene - 1, 0)]) for instruction in chain[gene:])
@@ -332,11 +332,11 @@ def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:
 def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
     """NPC, [start, end) and speed of each block."""
     for npc, chain in enumerate(scenario.npcs):
-        for start, end in _blocks(chain):
+        for start, end in blocks(chain):
             yield npc, start, end, _tenths(chain[start])
 
 
-def _blocks(chain: Chromosome) -> list[tuple[int, int]]:
+def blocks(chain: Chromosome) -> list[tuple[int, int]]:
     """[start, end) of each run of equal instructions."""
     starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
     return list(zip(starts, [*starts[1:], len(chain)], strict=True))

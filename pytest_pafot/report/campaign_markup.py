@@ -34,28 +34,22 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     folded = f"{plural(view.simulated, 'run')}, {failing} failing in its generations"
     folded += f", {plural(len(view.warnings), 'warning')}" if view.warnings else ""
     folded += f", ended {end}" if view.reason in ("error", "interrupted") else ""
-    parts = [
+    warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings)
+    judged = sum(count for _, count in view.responsibilities)
+    return (
         f'<article class="campaign" data-campaign="{index}" aria-labelledby="campaign-{index}">'
-        f"<details{' open' if is_open else ''}>",
+        f"<details{' open' if is_open else ''}>"
         f'<summary><h3 id="campaign-{index}" class="id">{text(view.node_id)}</h3>'
-        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}',
-        *(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in view.warnings),
-        '<div class="fitness"></div>',
-        details("Generations as a table", _generation_table(view.generations)),
-        '<div class="columns">',
-        _counts("Runs by outcome", view.outcomes, view.simulated),
-        _counts("Runs by responsibility", view.responsibilities, sum(count for _, count in view.responsibilities)),
-        "</div>",
-        "<h4>Coverage: instructions requested, driven and reached</h4>",
+        f'<span class="meta">{text(folded)}</span></summary>{facts(figures)}{warnings}<div class="fitness"></div>'
+        f"{details('Generations as a table', _generation_table(view.generations))}"
+        f'<div class="columns">{_counts("Runs by outcome", view.outcomes, view.simulated)}'
+        f"{_counts('Runs by responsibility', view.responsibilities, judged)}</div>"
+        "<h4>Coverage: instructions requested, driven and reached</h4>"
         '<p class="note">Requested: in the scenarios as the search asked for them. Driven: as far as the runs came, '
-        "after repair. Reached: the NPC arrived in its cell.</p>",
-        '<div class="columns">',
-        _coverage("Cells", "cell", view.cells),
-        _coverage("Target speeds", "speed", view.speeds),
-        _ring(view.steps),
-        "</div></details></article>",
-    ]
-    return "".join(parts)
+        'after repair. Reached: the NPC arrived in its cell.</p><div class="columns">'
+        f"{_coverage('Cells', 'cell', view.cells)}{_coverage('Target speeds', 'speed', view.speeds)}"
+        f"{_ring(view.steps)}</div></details></article>"
+    )
 
 
 def _generation_table(generations: Iterable[GenerationView]) -> str:
@@ -91,10 +85,8 @@ def _ring(steps: Sequence[CoverageRow]) -> str:
         f'<tr><th scope="row">{int(cell)} {cell.label}</th>{"".join(map(_step, steps[3 * cell - 3 : 3 * cell]))}</tr>'
         for cell in Cell
     ]
-    return (
-        '<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>'
-        f"{table(columns('from', 'hold', 'clockwise', 'anticlockwise'), body)}</div>"
-    )
+    grid = table(columns("from", "hold", "clockwise", "anticlockwise"), body)
+    return f'<div><h4>Steps on the ring <span class="unit">driven / requested, reached</span></h4>{grid}</div>'
 
 
 def _step(step: CoverageRow) -> str:

@@ -34,8 +34,6 @@ def campaign_view(
     """The view of a search from everything that it told; also of one that was cut short.
 
     Args:
-        node_id: of the search.
-        events: of the campaign.
         speed_limit: highest target speed [m/s], which says how many bins there are.
         responsibilities: simulated runs by who was responsible.
         cut_by: ``error`` or ``interrupted`` where that ended it, which no event tells.
@@ -74,14 +72,13 @@ def _generations(events: Iterable[Event]) -> tuple[GenerationView, ...]:
             restarts.add(event.generation)
         elif isinstance(event, LocalSearchFinished) and event.generation in views:
             best = round(event.best.fitness, 4) if math.isfinite(event.best.fitness) else None
-            view = replace(views[event.generation], local_best=best, local_replaced=event.replaced)
-            views[event.generation] = view
+            view = views[event.generation]
+            views[event.generation] = replace(view, local_best=best, local_replaced=event.replaced)
     return tuple(views[generation] for generation in sorted(views))
 
 
 def _generation(event: GenerationFinished, *, restarted: bool) -> GenerationView:
-    eligible = (evaluation.fitness for evaluation in event.population if evaluation.eligible)
-    fitness = [value for value in eligible if math.isfinite(value)]
+    fitness = [each.fitness for each in event.population if each.eligible and math.isfinite(each.fitness)]
     return GenerationView(
         generation=event.generation,
         best=round(max(fitness), 4) if fitness else None,

@@ -44,9 +44,8 @@ def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations:
     # One palette for all frames, so that colours do not flicker and the file stays small.
     palette = Images.new("P", (1, 1))
     palette.putpalette(_palette(len(finding.vehicles) - 1))
-    first, *others = (
-        draw_picture(finding, picture).quantize(palette=palette, dither=Images.Dither.NONE) for picture in pictures
-    )
+    frames = (_Sheet(finding, picture).draw() for picture in pictures)
+    first, *others = (frame.quantize(palette=palette, dither=Images.Dither.NONE) for frame in frames)
     content = io.BytesIO()
     first.save(content, "PNG", save_all=True, append_images=others, duration=list(durations), loop=0, optimize=True)
     return content.getvalue()
@@ -67,21 +66,6 @@ def _palette(npcs: int) -> list[int]:
     return [part for colour in dict.fromkeys([*grounds, *inks, *tints, *edges]) for part in colour]
 
 
-def draw_picture(finding: FindingView, picture: Picture) -> Image:
-    """A picture, from the road at the bottom to the words on top."""
-    sheet = _Sheet(finding, picture)
-    sheet.road()
-    sheet.cells()
-    sheet.trails()
-    sheet.targets()
-    for vehicle, box in enumerate(picture.vehicles):
-        if box is not None:
-            sheet.vehicle(vehicle, box)
-    sheet.impact()
-    sheet.words()
-    return sheet.image.reduce(SMOOTH)
-
-
 class _Sheet:
     """One frame in the making; lengths in metres become pixels of the finished frame here."""
 
@@ -99,13 +83,33 @@ class _Sheet:
         self.image = Images.new("RGB", (WIDTH * SMOOTH, self.height * SMOOTH), PAPER)
         self.pen = ImageDraw.Draw(self.image)
 
-    def road(self) -> None:
+    def draw(self) -> Image:
+        """The frame, from the road at the bottom to the words on top."""
         if self.is_bent:
-            # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
-            for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
-                for shape in self.finding.road.shapes:
-                    self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
-            return
+            self._bent_road()
+        else:
+            self._straight_road()
+        self._cells()
+        self._trails()
+        self._targets()
+        for vehicle, box in enumerate(self.picture.vehicles):
+            if box is not None:
+                self._vehicle(vehicle, box)
+        if self.picture.impact is not None:
+            x, y = self._at(*self.picture.impact)
+            spikes = [(13 if spike % 2 == 0 else 6, spike * math.pi / 8) for spike in range(16)]
+            star = [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for radius, angle in spikes]
+            self.pen.polygon(_large(star), fill=DANGER)
+        self._words()
+        return self.image.reduce(SMOOTH)
+
+    def _bent_road(self) -> None:
+        # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
+        for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
+            for shape in self.finding.road.shapes:
+                self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
+
+    def _straight_road(self) -> None:
         top, bottom = self._y(self.left), self._y(self.right)
         self.pen.rectangle(_large([(0, top), (WIDTH, bottom)]), fill=ROAD)
         for y in (top, bottom):
@@ -116,7 +120,7 @@ class _Sheet:
             for start in range(first, first + math.ceil(WIDTH / SCALE) + 24, 12):
                 self._line([(self._x(start), y), (self._x(start + 3), y)], DASH, 2)
 
-    def cells(self) -> None:
+    def _cells(self) -> None:
         for cell in self.picture.cells:
             if cell.exists:
                 self._cell(cell, EDGE, 1, shrink=3)
@@ -124,16 +128,15 @@ class _Sheet:
                 corner = self._x(cell.along - self.finding.vehicles[0].length / 2) + 7, y - 6
                 self._text((x, y) if self.is_bent else corner, str(cell.cell), SOFT, 10, "mm")
 
-    def trails(self) -> None:
+    def _trails(self) -> None:
         for vehicle, trail in enumerate(self.picture.trails):
             points = [self._at(*point) for point in trail]
             if vehicle == 0 and len(points) > 1:
                 self._line(points, EDGE, 2)
             for x, y in points[:-1:2] if vehicle else ():
-                corners = (x - 1.2, y - 1.2, x + 1.2, y + 1.2)
-                self.pen.ellipse([SMOOTH * each for each in corners], fill=NPC_INKS[(vehicle - 1) % 8])
+                self.pen.ellipse(_large([(x - 1.2, y - 1.2), (x + 1.2, y + 1.2)]), fill=NPC_INKS[(vehicle - 1) % 8])
 
-    def targets(self) -> None:
+    def _targets(self) -> None:
         for npc, target in enumerate(self.picture.targets):
             box = self.picture.vehicles[npc + 1]
             if target is not None and box is not None:
@@ -141,27 +144,18 @@ class _Sheet:
                 self._cell(target, ink, 2, shrink=1)
                 self._dashed(self._at(box.along, box.across), self._at(target.along, target.across), ink)
 
-    def vehicle(self, vehicle: int, box: DrawnVehicle) -> None:
+    def _vehicle(self, vehicle: int, box: DrawnVehicle) -> None:
         x, y = self._at(box.along, box.across)
         if not -60 < x < WIDTH + 60 or (self.is_bent and not HEAD < y < self.bottom):
             self._pointer(vehicle - 1, box, min(max(y, HEAD + 12), self.bottom - 12))
             return
         ink, tint = (INK, INK) if vehicle == 0 else (NPC_INKS[(vehicle - 1) % 8], NPC_TINTS[(vehicle - 1) % 8])
-        corners = self._corners(box, OUTLINE)
-        self.pen.polygon(_large(corners), fill=tint)
-        self._line([*corners, corners[0]], ink, 2)
+        self.pen.polygon(_large(self._corners(box, OUTLINE)), fill=tint)
+        self._outline(box, ink, 2)
         self.pen.polygon(_large(self._corners(box, WINDSCREEN)), fill=PAPER)
         self._text((x, y), "E" if vehicle == 0 else str(vehicle - 1), EGO_INK if vehicle == 0 else INK, 12, "mm")
 
-    def impact(self) -> None:
-        if self.picture.impact is None:
-            return
-        x, y = self._at(*self.picture.impact)
-        spikes = [(13 if spike % 2 == 0 else 6, spike * math.pi / 8) for spike in range(16)]
-        star = [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for radius, angle in spikes]
-        self.pen.polygon(_large(star), fill=DANGER)
-
-    def words(self) -> None:
+    def _words(self) -> None:
         if self.is_bent:  # The road goes on under the words.
             self.pen.rectangle(_large([(0, 0), (WIDTH, HEAD)]), fill=PAPER)
             self.pen.rectangle(_large([(0, self.bottom), (WIDTH, self.height)]), fill=PAPER)
@@ -183,20 +177,22 @@ class _Sheet:
         away = f"{abs(box.along - ego.along):.0f} m {'behind' if is_behind else 'ahead'}"
         if self.is_bent:
             away = f"{math.dist((box.along, box.across), (ego.along, ego.across)):.0f} m away"
-        anchor = "lm" if is_behind else "rm"
-        self._text((edge + 14 * inward, y), f"NPC {npc}, {away}", INK, 12, anchor, halo=2)
+        label = f"NPC {npc}, {away}"
+        self._text((edge + 14 * inward, y), label, INK, 12, "lm" if is_behind else "rm", halo=2)
 
     def _cell(self, cell: DrawnCell, ink: str, width: int, *, shrink: float) -> None:
         length = self.finding.vehicles[0].length
         side = self.finding.road.lane_width / 2 * SCALE - shrink
         if self.is_bent:
-            box = DrawnVehicle(cell.along, cell.across, cell.heading, length, 2 * side / SCALE)
-            corners = self._corners(box, OUTLINE)
-            self._line([*corners, corners[0]], ink, width)
-            return
-        y = self._y(cell.across)
-        ends = (self._x(cell.along - length / 2), y - side, self._x(cell.along + length / 2), y + side)
-        self.pen.rounded_rectangle([SMOOTH * each for each in ends], 3 * SMOOTH, outline=ink, width=width * SMOOTH)
+            self._outline(DrawnVehicle(cell.along, cell.across, cell.heading, length, 2 * side / SCALE), ink, width)
+        else:
+            y = self._y(cell.across)
+            ends = [(self._x(cell.along - length / 2), y - side), (self._x(cell.along + length / 2), y + side)]
+            self.pen.rounded_rectangle(_large(ends), 3 * SMOOTH, outline=ink, width=width * SMOOTH)
+
+    def _outline(self, box: DrawnVehicle, ink: str, width: float) -> None:
+        corners = self._corners(box, OUTLINE)
+        self._line([*corners, corners[0]], ink, width)
 
     def _corners(self, box: DrawnVehicle, shares: Sequence[Point]) -> list[Point]:
         cos, sin = math.cos(box.heading), math.sin(box.heading)

@@ -40,13 +40,13 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     counts = Counter(finding.responsibility for finding in findings)
     names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
     summary = ", ".join(f"{counts[name]} {WHO.get(name, name)}" for name in names)
-    parts = [f'<p class="summary">{text(summary)}</p>', _filter(findings) if len(findings) > 1 else ""]
+    listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
     if len(groups) == 1:
-        return "".join([*parts, *(f"<ol>{''.join(items)}</ol>" for items in groups.values())])
+        return f"{listed}<ol>{''.join(groups[findings[0].test])}</ol>"
     for number, (test, items) in enumerate(groups.items()):
         name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
-        parts.append(f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>')
-    return "".join(parts)
+        listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
+    return listed
 
 
 def _list_item(finding: FindingView, key: str, index: int) -> str:
@@ -57,19 +57,16 @@ def _list_item(finding: FindingView, key: str, index: int) -> str:
         f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
         f'data-outcome="{text(finding.event.kind)}" data-words="{text(words)}">'
         f'<span class="mark" aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
-        f'<span class="what"><span class="id">{text(finding.id)}</span>'
-        f'<span class="headline">{text(finding.headline)}</span>'
-        f'<span class="meta">{text(meta)}</span></span></a></li>'
+        f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">{text(finding.headline)}'
+        f'</span><span class="meta">{text(meta)}</span></span></a></li>'
     )
 
 
 def _filter(findings: Sequence[FindingView]) -> str:
     """Fields that leave some findings out of the list; they need the script."""
-    counts = Counter(finding.event.kind for finding in findings)
-    options = "".join(
-        f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
-        for kind, count in sorted(counts.items())
-    )
+    options = ""
+    for kind, count in sorted(Counter(finding.event.kind for finding in findings).items()):
+        options += f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
     return (
         '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
         'aria-label="Filter findings by text"><select id="outcome" aria-label="Filter findings by outcome">'
@@ -84,19 +81,16 @@ def finding_article(finding: FindingView, index: int) -> str:
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
         f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else "",
-        _tag_list(finding),
-        f'<p class="test">{text(finding.node_id)}</p></header>',
+        f'{_tag_list(finding)}<p class="test">{text(finding.node_id)}</p></header>',
         '<div class="player"></div>' if finding.times else '<p class="empty">Nobody saw a run to draw.</p>',
         "<section><h3>What happened</h3>",
         f'<pre class="explanation">{text(dedent(finding.explanation).strip())}</pre></section>',
         "" if finding.shrink is None else _shrink_section(finding.shrink),
         details("Instructions as a table", instruction_table(finding.instructions)),
-        '<section class="keep"><h3>Run it again</h3>',
-        copyable("Command", finding.command),
+        f'<section class="keep"><h3>Run it again</h3>{copyable("Command", finding.command)}',
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>',
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>',
-        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>',
-        "</article>",
+        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section></article>',
     ]
     return "".join(parts)
 
@@ -129,26 +123,18 @@ def _shrink_section(shrink: ShrinkView) -> str:
         row("instructions", shrink.original_instructions, shrink.shrunk_instructions),
         row("chains", *chains, attributes=' class="chains"'),
     )
-    head = f"<th></th>{columns('as found', 'shrunk')}"
-    return (
-        f"<section><h3>Shrunk in {plural(shrink.rollouts, 'run')}</h3>{notes}"
-        f'<div class="scroll">{table(head, rows)}</div></section>'
-    )
+    sizes = table(f"<th></th>{columns('as found', 'shrunk')}", rows)
+    title = f"Shrunk in {plural(shrink.rollouts, 'run')}"
+    return f'<section><h3>{title}</h3>{notes}<div class="scroll">{sizes}</div></section>'
 
 
 def instruction_table(instructions: Iterable[InstructionView]) -> str:
     """What the NPCs are told, and whether they did it."""
-    rows = (
-        row(
-            f"NPC {told.npc}",
-            f"{told.start:.1f}",
-            _goal(told),
-            f"{told.speed:.1f}",
-            ("not reached" if told.arrived is None else f"at {told.arrived:.1f} s") if told.started else "not begun",
-            attributes="" if told.started else " class=unstarted",
-        )
-        for told in instructions
-    )
+    rows = []
+    for told in instructions:
+        reached = "not reached" if told.arrived is None else f"at {told.arrived:.1f} s"
+        cells = f"{told.start:.1f}", _goal(told), f"{told.speed:.1f}", reached if told.started else "not begun"
+        rows.append(row(f"NPC {told.npc}", *cells, attributes="" if told.started else " class=unstarted"))
     head = columns("NPC", "from [s]", "cell or lane", "speed [m/s]", "reached")
     return f'<div class="scroll">{table(head, rows)}</div>'
 

@@ -12,6 +12,7 @@ import numpy as np
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.report.page_data import (
     EventView,
     FindingView,
@@ -40,15 +41,13 @@ def finding_view(
     headline: str = "",
     preventable_tried: Sequence[str] = (),
 ) -> FindingView:
-    """The view of a finding.
+    """The view of a finding, with the node id of the item that replays it.
 
     What is known only later, such as the number of runs that failed in this way, the label or the path of the file,
     is set with :func:`dataclasses.replace`.
 
     Args:
         trace: of the run that shows it, of the scenario in its file; None where nobody saw how it ended.
-        finding: as it is kept.
-        node_id: of the item that replays it.
         headline: unless given, that of the run.
         preventable_tried: reference drivers that were tried, beside those in the finding that survived.
     """
@@ -77,8 +76,8 @@ def finding_view(
         preventable_tried=tuple(dict.fromkeys((*expect.preventable_by, *preventable_tried))),
     )
     if finding.shrunk is not None:
-        rollouts, notes = finding.shrunk.rollouts, speed_sentences(finding)
-        shrink = shrink_view(finding.original or finding.scenario, finding.scenario, rollouts=rollouts, notes=notes)
+        original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
+        shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
         view = replace(view, shrink=shrink)
     return view if trace is None else _with_run(view, trace, clearance)
 
@@ -110,8 +109,8 @@ def shrink_view(original: Scenario, shrunk: Scenario, *, rollouts: int, notes: I
         shrunk=tuple(map(_chain_text, shrunk.npcs)),
         original_npcs=len(original.npcs),
         shrunk_npcs=len(shrunk.npcs),
-        original_instructions=sum(map(_distinct, original.npcs)),
-        shrunk_instructions=sum(map(_distinct, shrunk.npcs)),
+        original_instructions=instructions(original),
+        shrunk_instructions=instructions(shrunk),
         rollouts=rollouts,
         notes=tuple(notes),
     )
@@ -169,24 +168,21 @@ def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionVie
     views = []
     for npc, chain in enumerate(asked.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
-        for gene, requested in enumerate(chain):
-            told = driven[npc][gene]
-            cells = [int(each.cell) if isinstance(each, PositionInstruction) else 0 for each in (requested, told)]
+        for gene, (requested, told) in enumerate(zip(chain, driven[npc], strict=False)):
             tick = begun[gene] if gene < len(begun) else None
-            views.append(
-                InstructionView(
-                    npc=npc,
-                    gene=gene,
-                    start=round(gene * asked.gene_seconds, 3),
-                    end=round((gene + 1) * asked.gene_seconds, 3),
-                    requested=cells[0],
-                    cell=cells[1],
-                    speed=told.speed,
-                    started=gene < len(begun),
-                    arrived=None if tick is None else round(tick / hz, 3),
-                    lane=told.lane if isinstance(told, LaneInstruction) else "",
-                )
+            view = InstructionView(
+                npc=npc,
+                gene=gene,
+                start=round(gene * asked.gene_seconds, 3),
+                end=round((gene + 1) * asked.gene_seconds, 3),
+                requested=int(requested.cell) if isinstance(requested, PositionInstruction) else 0,
+                cell=int(told.cell) if isinstance(told, PositionInstruction) else 0,
+                speed=told.speed,
+                started=gene < len(begun),
+                arrived=None if tick is None else round(tick / hz, 3),
+                lane=told.lane if isinstance(told, LaneInstruction) else "",
             )
+            views.append(view)
     return tuple(views)
 
 
@@ -198,13 +194,7 @@ def _numbers(values: FloatArray, digits: int) -> Numbers:
 
 def _chain_text(chain: Chromosome) -> str:
     """One NPC's instructions in a line, with equal ones told once: ``1 front-left 25.0 m/s x2, 2 front 8.0 m/s``."""
-    starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
-    spans = pairwise([*starts, len(chain)])
     return ", ".join(
         f"{chain[start].goal} {chain[start].speed:.1f} m/s" + (f" x{end - start}" if end - start > 1 else "")
-        for start, end in spans
+        for start, end in blocks(chain)
     )
-
-
-def _distinct(chain: Chromosome) -> int:
-    return 1 + sum(a != b for a, b in pairwise(chain))

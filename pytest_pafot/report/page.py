@@ -49,22 +49,22 @@ def data_json(report: Report) -> str:
     everything beyond ASCII is escaped, U+2028 among it.
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
-    slim = replace(report, findings=findings, errors=())
-    plain = json.dumps(encode(slim), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    data = encode(replace(report, findings=findings, errors=()))
+    plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _rendered(report: Report, *, embedded: bool) -> str:
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
+    # This very style and script, and no connection to anywhere.
+    policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
     is_open = len(report.campaigns) == 1
     campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
     searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(
         title=text(report.title),
-        # This very style and script, and no connection to anywhere.
-        policy=f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; "
-        "base-uri 'none'; form-action 'none'",
+        policy=f"{policy}; base-uri 'none'; form-action 'none'",
         style=style,
         script=script,
         kind="embedded" if embedded else "whole",
@@ -104,8 +104,7 @@ def _nothing_found(report: Report) -> str:
 
 
 def _hash(content: str) -> str:
-    digest = hashlib.sha256(content.encode()).digest()
-    return f"'sha256-{base64.b64encode(digest).decode()}'"
+    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
 
 
 def _asset(name: str) -> str:

@@ -1,8 +1,9 @@
 """What the report shows, as plain frozen values: no arrays, no scenarios, nothing that computes.
 
-Positions are in the frame of the road: *along* it [m], and *across* it from the centre of lane 0, to the right
-[m]. Times are seconds since the start of the run. Where a number is None there is none, such as a time to contact
-of vehicles that never touch.
+Positions are in the frame of the road: *along* it, and *across* it from the centre of lane 0, to the right. Headings
+are relative to it, positive to the right. Lengths are in m, times in s since the start of the run, speeds in m/s,
+accelerations in m/s^2, jerks in m/s^3, angles in rad. Where a number is None there is none, such as a time to contact
+of vehicles that never touch; so it is with a text that is empty.
 """
 
 from __future__ import annotations
@@ -30,10 +31,8 @@ class RoadView:
     """The world as far as a picture needs it.
 
     Attributes:
-        lanes: how far across the road the centre of each lane is, from the left [m].
-        lane_width: [m].
-        speed_limit: [m/s].
-        clearance: gap between the ego and the cells ahead and behind [m].
+        lanes: how far across the road the centre of each lane is, from the left.
+        clearance: gap between the ego and the cells ahead and behind.
         shapes: the lanes of a road that is not straight. There *along* is the world's x, *across* its y, headings are
             those of the world, and ``lanes`` is empty.
     """
@@ -51,14 +50,11 @@ class VehicleView:
 
     Attributes:
         name: ``ego``, or ``NPC 0`` and so on.
-        length, width: [m].
-        along, across: of its centre [m].
-        heading: relative to the road, positive to the right [rad].
-        speed: [m/s].
-        acceleration: along its way [m/s^2].
-        jerk: the change of its acceleration per second that was largest since the frame before [m/s^3].
-        gap: between its box and the ego's [m]; empty for the ego.
-        ttc: constant-velocity time to contact with the ego [s]; empty for the ego.
+        along, across: of its centre.
+        acceleration: along its way.
+        jerk: the change of its acceleration per second that was largest since the frame before.
+        gap: between its box and the ego's; empty for the ego.
+        ttc: constant-velocity time to contact with the ego; empty for the ego.
         cells: of the grid that its centre is in, 0 for the ego's own; empty for the ego.
     """
 
@@ -78,17 +74,13 @@ class VehicleView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
-    """One instruction of one NPC.
+    """One instruction of one NPC, the gene at one place of its chain, with the time from its start to its end.
 
     Attributes:
-        npc: index in the scenario.
-        gene: position in the chain.
-        start, end: of the gene's time [s].
         requested: cell asked for; another one than ``cell`` where the repair inside the run changed it.
         cell: as driven; 0 in a Lane-Instruction, and so is ``requested``.
-        speed: [m/s].
         started: whether the run came to it.
-        arrived: when the cell or the lane was reached [s]; None if it was not.
+        arrived: when the cell or the lane was reached.
         lane: of a Lane-Instruction, ``keep``, ``left`` or ``right``; else empty.
     """
 
@@ -108,12 +100,8 @@ class InstructionView:
 class EventView:
     """The moment that a finding is about.
 
-    Attributes:
-        kind: the outcome of the run, such as ``collision``.
-        time: [s].
-        npc: that takes part; None if there is none.
-        side: of the ego that was hit; empty without a collision.
-        cell: that the NPC was in; None if unknown.
+    ``kind`` is the outcome of the run, such as ``collision``. Then follow the NPC that takes part, the side of the ego
+    that was hit, and the cell that the NPC was in.
     """
 
     kind: str
@@ -125,14 +113,9 @@ class EventView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
-    """What shrinking came to.
+    """What shrinking came to: the chains before and after, a line per NPC, their numbers, and how many runs it took.
 
-    Attributes:
-        original, shrunk: the chains before and after, one line per NPC.
-        original_npcs, shrunk_npcs: NPCs before and after.
-        original_instructions, shrunk_instructions: instructions that differ from the one before in their chain.
-        rollouts: runs that it took.
-        notes: sentences such as "any speed from 3 to 11 m/s still collides".
+    ``notes`` are sentences such as "any speed from 3 to 11 m/s still collides".
     """
 
     original: tuple[str, ...]
@@ -150,26 +133,22 @@ class FindingView:
     """One finding.
 
     Attributes:
-        id: of the finding; unique within a report together with the node id.
+        id: unique within a report together with the node id.
         node_id: of the item that replays it.
         test: node id of the test.
         headline: one line that says what happened.
-        assertion: the line of the test that failed, or what was raised; may be empty.
-        explanation: several lines of text.
+        assertion: the line of the test that failed, or what was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: of the search that failed in this way.
         generation: in which it was first found, from 0; None where no search found it.
-        label: ``new``, ``still failing``, ``flaky`` and so on; may be empty.
-        road, vehicles: the picture; the ego is the first vehicle. No frames where nobody saw a run.
-        times: of the frames [s].
+        label: ``new``, ``still failing``, ``flaky`` and so on.
+        vehicles: the ego, then the NPCs.
+        times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
-        event: the moment that it is about.
-        yaml: the text of its file.
-        path: of its file; may be empty.
+        yaml, path: the text of its file and where that is.
         command: that runs it again.
-        preventable_by: reference drivers that survive the scenario in the ego's place.
-        preventable_tried: reference drivers that were tried.
-        shrink: what shrinking came to; None if it was not shrunk.
+        preventable_by, preventable_tried: reference drivers that survive the scenario in the ego's place, and all that
+            were tried.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
 
@@ -208,11 +187,11 @@ class GenerationView:
 
     Attributes:
         generation: from 0.
-        best, mean: fitness over the population's eligible runs; None if there are none.
+        best, mean: fitness over the population's eligible runs.
         failing: runs of the population that the test rejected.
         population: its size.
         restarted: whether its population was random again.
-        local_best: fitness of the best of a local search after it; None without one.
+        local_best: fitness of the best of a local search after it.
         local_replaced: whether that took the incumbent's place.
     """
 
@@ -230,11 +209,8 @@ class GenerationView:
 class CoverageRow:
     """How often something occurred in the simulated scenarios of a search.
 
-    Attributes:
-        label: what it is.
-        requested: in the scenarios as asked for.
-        driven: in the scenarios as driven, as far as the runs came.
-        reached: of those driven, how many had their cell reached.
+    Requested: in the scenarios as asked for. Driven: after repair, as far as the runs came. Reached: of those driven,
+    how many had their cell reached.
     """
 
     label: str
@@ -248,11 +224,9 @@ class CampaignView:
     """How a search went.
 
     Attributes:
-        node_id: of the search.
-        algorithm, seed: of the search.
         generations: finished, in order.
         asked: generations asked for.
-        reason: why it ended, ``error`` and ``interrupted`` among it; empty if it is not known.
+        reason: why it ended, ``error`` and ``interrupted`` among it.
         simulated, reused: scenarios that were run, and that were known from an earlier run.
         outcomes, responsibilities: counts of simulated runs by name.
         cells: eight rows, cell 1 first.
@@ -282,11 +256,9 @@ class Report:
     """Everything on a page.
 
     Attributes:
-        title: of the page.
         facts: of the session, such as versions and seeds: name and value.
-        command: by which the session was started; may be empty.
-        findings: in the order in which they are listed.
-        campaigns: likewise.
+        command: by which the session was started.
+        findings, campaigns: in the order in which they are listed.
         errors: of tests that failed by no finding: node id and what pytest shows of it.
         is_interrupted: whether the session was.
     """

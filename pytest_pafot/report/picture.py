@@ -47,12 +47,10 @@ class DrawnCell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A finding at a moment.
+    """A finding at a moment [s].
 
     Attributes:
-        time: [s].
-        ego: the first of the vehicles.
-        vehicles: None for one whose position is unknown.
+        vehicles: the ego first; None for one whose position is unknown.
         cells: the eight around the ego.
         targets: per NPC, the cell that it is on its way to, or None.
         trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
@@ -87,7 +85,7 @@ def picture_at(finding: FindingView, time: float) -> Picture:
         ego=ego,
         vehicles=vehicles,
         cells=cells,
-        targets=tuple(_target(finding, cells, instruction_at(finding, npc, time)) for npc in range(len(vehicles) - 1)),
+        targets=tuple(_target(finding, cells, npc, time) for npc in range(len(vehicles) - 1)),
         trails=tuple(_trail(finding, vehicle, time, ego) for vehicle in range(len(vehicles))),
         impact=_impact(finding, ego, vehicles, time),
     )
@@ -143,10 +141,9 @@ def drawn_cell(finding: FindingView, ego: DrawnVehicle, cell: Cell, time: float)
     return DrawnCell(int(cell), x + dx, y + dy, exists=True, heading=heading)
 
 
-def _target(
-    finding: FindingView, cells: Sequence[DrawnCell], told: tuple[InstructionView, Phase] | None
-) -> DrawnCell | None:
+def _target(finding: FindingView, cells: Sequence[DrawnCell], npc: int, time: float) -> DrawnCell | None:
     """The cell of an NPC that is on its way; None where the road does not say where a cell without a lane would be."""
+    told = instruction_at(finding, npc, time)
     if told is None or told[0].cell == 0 or told[1] != "approach":
         return None
     target = cells[told[0].cell - 1]

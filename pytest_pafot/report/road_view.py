@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.page_data import LaneView, Pose, RoadView
@@ -66,53 +64,46 @@ def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tu
     """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
     row = (float(trace.sizes[0, 0]) + other) / 2 + clearance
-    lanes = _DenseLanes.of(trace.lanes)
-    return tuple(lanes.cells_around(trace.ego[tick], row, trace.lanes) for tick in ticks)
+    dense = _dense_points(trace.lanes)
+    return tuple(_cells_around(trace.ego[tick], row, trace.lanes, dense) for tick in ticks)
 
 
-@dataclass(frozen=True, slots=True)
-class _DenseLanes:
-    """All lanes as many points, each with its direction and the number of its lane."""
+def _dense_points(lanes: Sequence[Lane]) -> FloatArray:
+    """All lanes as many points: x [m], y [m], direction [rad] and number of the lane, shape [4, points]."""
+    parts = []
+    for number, lane in enumerate(lanes):
+        points, length = _measured(lane)
+        steps = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
+        x, y = (np.interp(steps, length, points[:, column]) for column in (0, 1))
+        parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
+    return np.concatenate(parts, axis=1)
 
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    lane: npt.NDArray[np.intp]
 
-    @classmethod
-    def of(cls, lanes: Sequence[Lane]) -> _DenseLanes:
-        parts = []
-        for number, lane in enumerate(lanes):
-            points, length = _measured(lane)
-            dense = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
-            x, y = (np.interp(dense, length, points[:, column]) for column in (0, 1))
-            parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
-        x, y, heading, number_of = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return cls(x, y, heading, number_of)
+def _cells_around(ego: FloatArray, row: float, lanes: Sequence[Lane], dense: FloatArray) -> tuple[Pose | None, ...]:
+    """The poses of the cells; a row ahead or behind is so many metres along the ego's lane."""
+    own = np.flatnonzero(dense[3] == ego[LANE])
+    if not len(own):
+        return (None,) * len(Cell)
+    near = own[0] + int(np.hypot(dense[0, own] - ego[X], dense[1, own] - ego[Y]).argmin())
+    bases = [near + round(cell.row * row / DENSE) for cell in Cell]
+    width = lanes[int(ego[LANE])].width
+    return tuple(
+        _beside(base, cell.column, width, dense) if own[0] <= base <= own[-1] else None
+        for cell, base in zip(Cell, bases, strict=True)
+    )
 
-    def cells_around(self, ego: FloatArray, row: float, lanes: Sequence[Lane]) -> tuple[Pose | None, ...]:
-        """The poses of the cells; a row ahead or behind is so many metres along the ego's lane."""
-        number = int(ego[LANE])
-        if number < 0:
-            return (None,) * len(Cell)
-        own = np.flatnonzero(self.lane == number)
-        near = own[0] + int(np.hypot(self.x[own] - ego[X], self.y[own] - ego[Y]).argmin())
-        bases = [near + round(cell.row * row / DENSE) for cell in Cell]
-        return tuple(
-            self._beside(base, cell.column, lanes[number].width) if own[0] <= base <= own[-1] else None
-            for cell, base in zip(Cell, bases, strict=True)
-        )
 
-    def _beside(self, base: int, column: int, width: float) -> Pose | None:
-        """The point of a neighbouring lane that is nearest to a lane's width beside a point of the ego's lane."""
-        best = base
-        if column:
-            heading = self.heading[base]
-            x, y = self.x[base] - column * width * np.sin(heading), self.y[base] + column * width * np.cos(heading)
-            turned = np.abs(wrapped(self.heading - heading))
-            distance = np.hypot(self.x - x, self.y - y)
-            distance[(turned > SAME_DIRECTION) | (self.lane == self.lane[base])] = np.inf
-            best = int(distance.argmin())
-            if distance[best] > width / 2:
-                return None
-        return round(float(self.x[best]), 2), round(float(self.y[best]), 2), round(float(self.heading[best]), 3)
+def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | None:
+    """The point of a neighbouring lane that is nearest to a lane's width beside a point of the ego's lane."""
+    xs, ys, headings, numbers = dense
+    best = base
+    if column:
+        sideways = column * width
+        x, y = xs[base] - sideways * np.sin(headings[base]), ys[base] + sideways * np.cos(headings[base])
+        distance = np.hypot(xs - x, ys - y)
+        turned = np.abs(wrapped(headings - headings[base]))
+        distance[(turned > SAME_DIRECTION) | (numbers == numbers[base])] = np.inf
+        best = int(distance.argmin())
+        if distance[best] > width / 2:
+            return None
+    return round(float(xs[best]), 2), round(float(ys[best]), 2), round(float(headings[best]), 3)

@@ -32,10 +32,9 @@ class Draft:
 
     Attributes:
         target: where it is to be written, as the option gives it.
-        findings: by node id.
-        campaigns: by node id.
+        findings, campaigns: by node id.
         replayed: number of replays by label.
-        seeds: base seeds of the searches.
+        seeds: base seeds of the searches, in their order.
     """
 
     target: str
@@ -65,12 +64,8 @@ class Draft:
     ) -> Report:
         """The report, in an order that does not depend on who was first.
 
-        Args:
-            project: that was tested.
-            command: by which the session began.
-            findings: those of the draft, with what is known at the end.
-            errors: node ids of what failed by no finding, and what pytest shows of it.
-            is_interrupted: whether the session was.
+        The findings are those of the draft, with what is known at the end; the errors are node ids of what failed by
+        no finding, and what pytest shows of it.
         """
         ranked = sorted(findings, key=_rank)
         tests = list(dict.fromkeys(finding.test for finding in ranked))
@@ -98,17 +93,9 @@ class Draft:
 
 
 def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
-    """Write a report to a file or a folder.
+    """Write a report to a path, the target's absolute one; a line on what is there, and one on what is not, or empty.
 
     After an interrupt there are no pictures: they take seconds each, a page does not.
-
-    Args:
-        target: as the option gives it, for what is told.
-        path: the same, absolute.
-        report: to write.
-
-    Returns:
-        a line on what was written and one on what was not, each of which may be empty.
     """
     is_file = is_page_file(target)
     files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
@@ -149,4 +136,5 @@ def _rank(finding: FindingView) -> tuple[bool, int, int, str]:
 
 def _counts(findings: Sequence[object], errors: Sequence[object]) -> str:
     """Errors first; without any, findings alone."""
-    return ", ".join([*([plural(len(errors), "error")] if errors else []), plural(len(findings), "finding")])
+    found = plural(len(findings), "finding")
+    return f"{plural(len(errors), 'error')}, {found}" if errors else found

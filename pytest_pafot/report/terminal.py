@@ -54,10 +54,7 @@ class SessionSummary:
         removed: folders from which such files were removed, with how many.
         pruned: whether they were to be removed.
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
-        problems: anything that went wrong beside the tests.
-        written: where reports are.
         interrupted: node ids of searches that began and did not end.
-        notes: on the whole session.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -105,11 +102,10 @@ def find_section(
 
     Args:
         find: what it is about.
-        explanation: of the run, or empty where the failure's message has it.
-        content: of the file that could not be written, or empty.
+        explanation: of the run; empty where the failure's message has it.
+        content: of the file that could not be written; else empty.
         details: further lines, each with a title of up to ten letters.
-        advice: what follows from its remark, or empty.
-        width: of the terminal.
+        advice: what follows from the find's remark, if anything.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
@@ -136,10 +132,8 @@ def effort_lines(finding: Finding) -> list[str]:
     """How many runs shrinking took, and the speeds that still fail."""
     if finding.shrunk is None:
         return []
-    return [
-        f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}",
-        *(f"still      {sentence}" for sentence in speed_sentences(finding)),
-    ]
+    still = [f"still      {sentence}" for sentence in speed_sentences(finding)]
+    return [f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}", *still]
 
 
 def speed_sentences(finding: Finding) -> list[str]:
@@ -165,16 +159,15 @@ def failure_line(search: SearchSummary) -> str:
 def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
     count = len(search.finds) + len(search.unsaved)
-    named = [(find, f"{find.id} ({plural(1 + find.repeats, 'run')})") for find in search.finds]
-    firm = [name for find, name in named if not find.is_flaky]
-    lines = [f"{plural(count, 'new finding')} in {plural(search.runs, 'run')}, reported below"]
-    lines += [f"  {_listed(firm)}"] if firm else []
-    lines += [
-        f"  {name} is flaky, so never called fixed: {ascii_text(find.difference)}"
-        for find, name in named
-        if find.is_flaky
-    ]
-    return "\n".join([*lines, *_unsaved_lines(search)])
+    firm, flaky = [], []
+    for find in search.finds:
+        name = f"{find.id} ({plural(1 + find.repeats, 'run')})"
+        if find.is_flaky:
+            flaky.append(f"  {name} is flaky, so never called fixed: {ascii_text(find.difference)}")
+        else:
+            firm.append(name)
+    first = f"{plural(count, 'new finding')} in {plural(search.runs, 'run')}, reported below"
+    return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
 
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -192,7 +185,6 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
 
 
 def _figures(search: SearchSummary) -> str:
-    parts = [f"{plural(search.runs, 'run')} in {search.seconds:.1f} s"]
     counts = (
         (search.shrink_runs, "more to shrink"),
         (search.known_runs, "not run again"),
@@ -203,9 +195,9 @@ def _figures(search: SearchSummary) -> str:
         (search.skipped, "skipped"),
         (search.no_interaction, "without interaction"),
     )
-    parts += [f"{count} {what}" for count, what in counts if count or what == "failing"]
-    parts += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
-    return ", ".join(parts)
+    told = [f"{count} {what}" for count, what in counts if count or what == "failing"]
+    told += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
+    return ", ".join([f"{plural(search.runs, 'run')} in {search.seconds:.1f} s", *told])
 
 
 def _find_lines(search: SearchSummary) -> list[str]:
@@ -215,10 +207,10 @@ def _find_lines(search: SearchSummary) -> list[str]:
     folders = dict.fromkeys(os.path.dirname(find.path) for find in search.finds if find.path)  # noqa: PTH120
     problems = dict.fromkeys(find.problem for find in search.finds if find.problem)
     flaky = sum(find.is_flaky for find in search.finds)
-    count = plural(len(search.finds) + len(search.unsaved), "new finding")
-    place = f", saved in {' and '.join(folders)}" if folders else ""
-    lines = [f"{count}{f' ({flaky} flaky)' if flaky else ''}{place}"]
-    return [*lines, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search)]
+    first = plural(len(search.finds) + len(search.unsaved), "new finding")
+    first += f" ({flaky} flaky)" if flaky else ""
+    first += f", saved in {' and '.join(folders)}" if folders else ""
+    return [first, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search)]
 
 
 def _unsaved_lines(search: SearchSummary) -> list[str]:
