@@ -134,9 +134,9 @@ def repair_gene(
     if previous is None:
         preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
     else:
-        ring = existing if skipping else ALL_CELLS
+        next_cells = _next_existing_cells if skipping else _next_cells
         preferences = [
-            _next_cells(before, cell, existing, ring, coin(npc))
+            next_cells(before, cell, existing, coin(npc))
             for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
         ]
     assignment = next(_assignments(preferences, ()), None)
@@ -179,18 +179,27 @@ def _first_cells(requested: Cell, existing: Collection[Cell], clockwise_first: b
     return [cell for cell in dict.fromkeys(by_distance) if cell in existing]
 
 
-def _next_cells(
-    previous: Cell, requested: Cell, existing: Collection[Cell], ring: Collection[Cell], clockwise_first: bool
+def _next_cells(previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool) -> list[Cell]:
+    """The cells that may follow one, the best first."""
+    anticlockwise, clockwise = previous.neighbours
+    neighbours = (clockwise, anticlockwise) if clockwise_first else (anticlockwise, clockwise)
+    wanted = (requested,) if is_adjacent(previous, requested) else ()
+    moves = [cell for cell in (*wanted, *neighbours) if cell in existing]
+    return list(dict.fromkeys([*moves, previous]))
+
+
+def _next_existing_cells(
+    previous: Cell, requested: Cell, existing: Collection[Cell], clockwise_first: bool
 ) -> list[Cell]:
-    """The cells that may follow one, the best first; from one to the next on a ring of all cells or of some."""
+    """The cells that may follow one where some do not exist: a step goes on to the next that does."""
+    # Apart from the other one, which every search on a straight road calls for each gene that it repairs.
     ways = {}
     for step in (-1, 1):
         beyond = (Cell((previous - 1 + step * k) % 8 + 1) for k in range(1, 8))
-        ways[step] = next((cell for cell in beyond if cell in ring), previous)
+        ways[step] = next((cell for cell in beyond if cell in existing), previous)
     toward = {Cell((previous - 1 + step) % 8 + 1): cell for step, cell in ways.items()}
-    wanted = requested if requested in (previous, *ways.values()) else None
-    if requested not in existing:
-        wanted = toward.get(requested)
+    allowed = {cell: cell for cell in (previous, *ways.values()) if cell in existing}
+    wanted = allowed.get(requested, None if requested in existing else toward.get(requested))
     neighbours = (ways[1], ways[-1]) if clockwise_first else (ways[-1], ways[1])
     moves = [cell for cell in (wanted, *neighbours) if cell is not None and cell in existing]
     return list(dict.fromkeys([*moves, previous]))
