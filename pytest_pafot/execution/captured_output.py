@@ -20,10 +20,7 @@ from queue import SimpleQueue
 class CapturedOutput:
     """What was said, each kind in the order in which it was said.
 
-    Attributes:
-        out, err: text for the standard streams.
-        records: for the handlers of the root logger.
-        warned: text, category, file and line of warnings that the filters let pass, without objects they hold on to.
+    Of warnings that the filters let pass it has text, category, file and line, without objects they hold on to.
     """
 
     out: str = ""

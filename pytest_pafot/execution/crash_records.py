@@ -29,13 +29,11 @@ MAX_BYTES = 1 << 20
 class CrashRecordError(Exception):
     """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
 
-    @classmethod
-    def of(cls, folder: Path, error: OSError) -> CrashRecordError:
-        """What to tell of an error of the system."""
+    def __init__(self, folder: Path, error: OSError) -> None:
         way_out = "make the folder readable and writable"
         if error.errno in (errno.EMFILE, errno.ENFILE):
             way_out = "close the files that the ADS and the tests open"
-        return cls(
+        super().__init__(
             f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
             f"crash of this process will not name the scenario that caused it; {way_out}"
         )
@@ -51,10 +49,7 @@ class CrashRecord:
     def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
         """Nothing is on disk before the first scenario, so that another process may be given the record until then.
 
-        Args:
-            folder: where the records of all processes lie; made when it is missing.
-            owner: node id of the test.
-            world: that the scenarios run in, as plain data.
+        The folder, where the records of all processes lie, is made when it is missing.
         """
         self.error: CrashRecordError | None = None
         self._folder = folder
@@ -84,7 +79,7 @@ class CrashRecord:
             os.close(descriptor)
             self._path.unlink(missing_ok=True)
         except OSError as error:
-            self.error = CrashRecordError.of(self._folder, error)
+            self.error = CrashRecordError(self._folder, error)
 
     def __enter__(self) -> Self:
         return self
@@ -101,7 +96,7 @@ class CrashRecord:
             os.lseek(self._descriptor, 0, os.SEEK_SET)
             os.write(self._descriptor, line)  # the first line counts; longer ones before it need no truncation
         except OSError as error:
-            self.error = CrashRecordError.of(self._folder, error)
+            self.error = CrashRecordError(self._folder, error)
 
 
 def _create(folder: Path) -> tuple[int, Path]:
@@ -119,11 +114,9 @@ class Leftover:
     """What a process that ended without a word was running.
 
     Attributes:
-        path: of the record.
-        pid: of the process.
         owner: node id of the test; empty where the record cannot be read.
         scenarios: in flight: one, or several in lock step, one of which it was; none where the record cannot be read.
-        world: that they ran in, or None.
+        world: that they ran in, as plain data, or None.
     """
 
     path: Path
@@ -174,7 +167,7 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
     except FileNotFoundError:
         return ()
     except OSError as error:
-        raise CrashRecordError.of(folder, error) from error
+        raise CrashRecordError(folder, error) from error
     return tuple(leftover for leftover in found if leftover is not None)
 
 

@@ -14,16 +14,13 @@ from pytest_pafot.execution.crash_records import CrashRecord
 class Job:
     """Everything that a run of any scenario needs, in this process or in another one.
 
-    Attributes:
-        world: with ``rollout``.
-        ads: the factory, called once for each run.
-        records: folder of the crash records.
-        owner: of the crash records, the node id of a test.
-        world_data: the world as plain data, for the crash records.
+    The folder ``records``, the ``owner``, a node id, and ``world_data``, the world as plain data, are for the crash
+    records.
     """
 
     world: Any
     ads: Callable[..., Any]
+    """The factory, called once for each run."""
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None

@@ -42,11 +42,7 @@ Work: TypeAlias = Callable[[TaskT, Callable[[float], None]], ResultT]
 class ProcessLostError(Exception, Generic[TaskT]):
     """What came of a task cannot be told: its process did not come back.
 
-    Attributes:
-        task: that it ran.
-        pid: of the process.
-        how: it ended, in a few words.
-        is_hang: whether it fell silent and was killed.
+    ``how`` says in a few words how the process ended, ``is_hang`` whether it fell silent and was killed.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
@@ -66,13 +62,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
     Args:
         work: what every process does with each of its tasks. It must be possible to pickle tasks and results, and the
             work itself where processes are not forked.
-        size: number of processes at most.
         method: by which processes are started, see :mod:`multiprocessing`.
-        patience: how long a process may run without answering a signal, which Python does between two
-            instructions [s].
+        patience: how long a process may run without answering a signal, as Python does between two instructions [s].
         grace: how much longer than its limit one decision of an ADS may take that ignores its interruption [s].
         ended: told the id of each process of the pool when it has ended.
-        clock: seconds, monotonic.
+        clock: monotonic [s].
     """
 
     def __init__(
@@ -138,8 +132,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
         """Each expected task with its answer, as soon as that is there; none is tried twice.
 
-        Args:
-            tick: told the sum of the shares that are done of the tasks under way, every now and then.
+        Every now and then, ``tick`` is told the sum of the shares that are done of the tasks under way.
         """
         while self._wanted:
             self._receive()
@@ -246,18 +239,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
 
 class _Worker(Generic[TaskT]):
-    """One process, as the pool sees it.
-
-    Attributes:
-        task: that it runs now, or None.
-        share: that it says is done of it.
-        stuck: whether it ended itself since a decision would not.
-    """
+    """One process, as the pool sees it: ``share`` is what it says is done of its task, where it has one."""
 
     def __init__(self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.stuck = context.RawValue("b", 0)
+        self.stuck = context.RawValue("b", 0)  # whether it ended itself since a decision would not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
@@ -331,14 +318,11 @@ def _serve(
 ) -> None:
     """In a process of the pool: run tasks until there are no more, or nobody waits for them.
 
-    Args:
-        work: to do with each.
-        connection: to the pool.
-        inherited: connections of others, by a fork.
-        beats: counts that it has begun, and the signals that it answers.
-        stuck: set before it ends since a decision would not.
-        grace: how long a decision may ignore interruptions [s].
+    ``beats`` counts that it has begun, and the signals that it answers.
     """
+
+    def tell(share: float) -> None:
+        connection.send((False, share))
 
     def beat(*signalled: object) -> None:
         beats.value += 1
@@ -356,16 +340,11 @@ def _serve(
     beat()
     with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
         while (task := connection.recv()) is not None:
-            _answer(work, task, connection)
-
-
-def _answer(work: Work[Any, Any], task: Any, connection: Connection) -> None:
-    """Do a task, and send what came of it: also what it raised, and why its result cannot be sent."""
-    try:
-        said = pickle.dumps((True, work(task, lambda share: connection.send((False, share)))))
-    except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
-        said = pickle.dumps((True, _portable(error)))
-    connection.send_bytes(said)
+            try:
+                said = pickle.dumps((True, work(task, tell)))  # a result that cannot be sent is an error as well
+            except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
+                said = pickle.dumps((True, _portable(error)))
+            connection.send_bytes(said)
 
 
 def _portable(error: BaseException) -> Exception:

@@ -21,10 +21,7 @@ WARM_RUNS = 2
 class LockStep:
     """Makes announced runs at once, in one batch, when the first of them is asked for.
 
-    Args:
-        job: what is run, in a world with ``rollout_batch``.
-        record: of this process.
-        workers: processes that could have been used.
+    The world of the job has ``rollout_batch``; ``workers`` is the number of processes that could have been used.
     """
 
     def __init__(self, job: Job, record: CrashRecord, *, workers: int) -> None:
@@ -66,9 +63,7 @@ class LockStep:
 class Processes:
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
 
-    Args:
-        job: what is run.
-        workers: processes at most; with 1, none is ever started.
+    With one worker, none is ever started.
     """
 
     def __init__(self, job: Job, *, workers: int) -> None:

@@ -21,15 +21,12 @@ from pytest_pafot.trace import Outcome, Trace
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retried:
-    """What came of the record of a process that died.
-
-    Attributes:
-        notes: on what is not to blame.
-        pending: a record to discard once the search is through; until then this session may die as well.
-    """
+    """What came of the record of a process that died."""
 
     notes: tuple[str, ...] = ()
+    """On what is not to blame."""
     pending: Leftover | None = None
+    """To discard once the search is through; until then this session may die as well."""
 
 
 def retry(
@@ -49,7 +46,7 @@ def retry(
     Args:
         leftover: of the process; removed once all is said, unless it is pending.
         job: what the process ran; None where its world cannot be made again.
-        judge: of a trace.
+        judge: of a trace, where a process can be forked.
         isolate: whether another process without the judge will do where none can be forked.
         keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
         run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
@@ -63,10 +60,9 @@ def retry(
     guilty = [each for each in leftover.scenarios if answers is None or not _came_to_its_end(answers[each])]
     for scenario in guilty:
         answer = None if answers is None else answers[scenario]
-        if isinstance(answer, ProcessLostError):
-            keep(leftover, scenario, answer)
-        elif not leftover.is_lock_step:
-            keep(leftover, scenario, None)
+        lost = answer if isinstance(answer, ProcessLostError) else None
+        if lost is not None or not leftover.is_lock_step:
+            keep(leftover, scenario, lost)
     if guilty:
         leftover.discard()
         return Retried()
@@ -82,7 +78,4 @@ def retry(
 
 def _came_to_its_end(answer: Answer) -> bool:
     """Whether a run did. One in which the ADS failed may have failed since it was another process."""
-    if isinstance(answer, Exception):
-        return False
-    trace, _ = answer
-    return trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+    return not isinstance(answer, Exception) and answer[0].outcome not in (Outcome.ADS_ERROR, Outcome.HANG)

@@ -38,7 +38,7 @@ def runner_for(
         isolate: whether the ADS shall never run in this process.
         times_decisions: whether it matters how long each decision takes, which decisions for many runs at once, and
             those that are known from earlier runs, do not tell.
-        clock: seconds, monotonic.
+        clock: monotonic [s].
 
     Raises:
         WorldError: by a world that finds out only now that it cannot be used.
@@ -69,16 +69,8 @@ class Runner:
     A pure ADS is asked once for what it decides in runs that begin alike. Physics is stepped as always, so that a trace
     is the same to the last bit. The declaration is a promise of the user's: what counts is asked for afresh.
 
-    Args:
-        job: what is run.
-        record: of this process.
-        processes: make announced runs ahead.
-        lock_step: does so in their place, once the ADS shows that it can.
-        can_resume: whether decisions may be taken from earlier runs, once the ADS shows that it is pure.
-        clock: seconds, monotonic.
-
-    Attributes:
-        is_alone: whether the last trace was made by itself, and not in lock step with others.
+    ``processes`` make announced runs ahead, ``lock_step`` in their place once the ADS shows that it can. With
+    ``can_resume``, decisions are taken from earlier runs once the ADS shows that it is pure.
     """
 
     def __init__(
@@ -92,6 +84,7 @@ class Runner:
         clock: Callable[[], float],
     ) -> None:
         self.is_alone = True
+        """Whether the last trace was made by itself, and not in lock step with others."""
         self._job = job
         self._record = record
         self._processes = processes

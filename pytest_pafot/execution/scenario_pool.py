@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
@@ -39,7 +37,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     Raises:
         ExecutionError: where processes cannot be given what they need.
     """
-    work = _Rollouts(job=job, record=job.crash_record())
+    work = partial(_run_recorded, job, job.crash_record())
     if METHOD != "fork":
         try:
             pickle.dumps(work)
@@ -52,18 +50,12 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     return WorkerPool(work, size, method=METHOD, patience=patience, grace=GRACE, ended=partial(_forget, job))
 
 
-@dataclass(frozen=True, slots=True)
-class _Rollouts:
-    """The work of each process: runs, with the scenario on disk meanwhile."""
-
-    job: Job
-    record: CrashRecord
-
-    def __call__(self, scenario: Scenario, tell: Callable[[float], None]) -> tuple[Trace, CapturedOutput]:
-        with self.record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
-            self.record.write(scenario)
-            trace = self.job.world.rollout(scenario, self.job.ads)
-        return trace, output
+def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> tuple[Trace, CapturedOutput]:
+    """The work of each process: a run, with the scenario on disk meanwhile."""
+    with record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
+        record.write(scenario)
+        trace = job.world.rollout(scenario, job.ads)
+    return trace, output
 
 
 def _forget(job: Job, pid: int) -> None:

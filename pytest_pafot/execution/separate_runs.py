@@ -37,10 +37,7 @@ def answers_apart(
         scenarios: one after the other.
         judge: of a trace; only forked processes have it, since it needs the fixtures of the test function. What it
             prints is said where the verdict counts.
-        isolate: whether another process without the judge will do where none can be forked.
-
-    Returns:
-        None where there can be no such process.
+        isolate: whether another process without the judge will do where none can be forked; else there is None.
     """
     world = job.world
 
@@ -74,15 +71,8 @@ def run_apart(
 ) -> Trace | None:
     """The trace of a scenario that was run and judged in another process, to be judged again in this one.
 
-    Args:
-        job: what is run.
-        scenario: that is saved.
-        judge: of a trace.
-        isolate: whether another process without the judge will do where none can be forked.
-        in_own_session: replays it in a session of its own, where there can be no other process.
-
-    Returns:
-        None where it must be run in this process: it raised, or cannot be sent, or a session of its own lived.
+    None where it must be run in this process: it raised, or cannot be sent, or there is no such process and it came
+    through ``in_own_session``, which replays it in a session of its own. :func:`answers_apart` has the other arguments.
 
     Raises:
         ProcessLostError: where that process did not come back.
