@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, strategies
-from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
-from pytest_pafot.campaign.request import Request
+from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of

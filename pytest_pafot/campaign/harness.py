@@ -104,7 +104,7 @@ def check_world(world: Any, origin: str) -> None:
         )
 
 
-def checked_factory(given: Any, name: str) -> Callable[..., Any]:
+def checked_factory(given: object, name: str) -> Callable[..., Any]:
     """The ADS factory that the fixture of a name gives.
 
     Raises:
@@ -116,8 +116,7 @@ def checked_factory(given: Any, name: str) -> Callable[..., Any]:
             f"expected the fixture {name!r} to give a factory, a function that makes a fresh ADS for each scenario "
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
-    factory: Callable[..., Any] = given
-    return factory
+    return given
 
 
 def source_file(function: Callable[..., Any], default: str = "") -> str:

@@ -41,12 +41,9 @@ class Replays:
 
         None for a file that cannot be used, whose own test says so.
         """
-        finding = saved.finding
-        if finding is None:
-            return None
-        owner = self.harness.saved_node_id(saved.id)
         try:
-            run, verdict = self.tried(saved, self.world_of(saved), owner)
+            finding, world = _finding(saved), self.world_of(saved)
+            run, verdict = self.tried(saved, world, self.harness.saved_node_id(saved.id))
         except RequestError:
             return None
         except ProcessLostError as error:

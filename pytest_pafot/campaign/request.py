@@ -6,13 +6,13 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
-from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.searching.algorithms import AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace, sample, space_on
 from pytest_pafot.trace import Trace
@@ -28,6 +28,41 @@ BLAMES = ("any", "ego")
 
 class RequestError(Exception):
     """A search that cannot be run as it is asked for; the message is complete for the user."""
+
+
+class SearchArguments(TypedDict, total=False):
+    """What :func:`pytest_pafot.search` accepts, for type checkers and for the check of names; all is optional."""
+
+    world: Any
+    lanes: int
+    speed_limit: float
+    clearance: float
+    npcs: int
+    genes: int
+    gene_seconds: float
+    ego_lane: int
+    ego_speed: float
+    ads: Any
+    arg: str
+    fitness: str | Weights | Callable[[Trace], float]
+    blame: str
+    decision_limit: float
+    generations: int
+    population: int
+    seed: int
+    algorithm: str | type[Algorithm[Any]]
+    max_time: float
+    stop_after: int
+    shrink_rollouts: int
+    max_saved: int
+    corpus: str
+    save: str
+    workers: int | str
+    isolate: bool
+    report: str
+    profile: str
+    strict_drift: bool
+    strict_health: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

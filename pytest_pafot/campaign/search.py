@@ -194,7 +194,9 @@ class Search:
             recorder.release()
             for leftover in pending:
                 leftover.discard()
-            self.notes += self._simulation.notes
+            self.notes += self._simulation.runner.notes
+            if self._simulation.record.error:
+                self.notes += [str(self._simulation.record.error)]
             summary = self._summary(reason)
             self.listener(summary)
         return summary, fault
@@ -257,12 +259,7 @@ class Search:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
         simplification = Simplification(
-            simulation=self._simulation,
-            recorder=self._recorder,
-            fatal=self._loop.fatal,
-            lose=self._loop.lose,
-            is_over=lambda: self.clock() > self.limit.until,
-            tell=self._tell_progress,
+            loop=self._loop, is_over=lambda: self.clock() > self.limit.until, tell=self._tell_progress
         )
         simplification.run_all()
         self._shrink_runs = simplification.runs

@@ -10,11 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold, Kept
-from pytest_pafot.campaign.recorder import Recorder
-from pytest_pafot.campaign.simulation import Simulation
+from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Expect, Finding, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
@@ -28,10 +26,7 @@ from pytest_pafot.world import protocol
 class Simplification:
     """Simplifies the finds of one search."""
 
-    simulation: Simulation
-    recorder: Recorder
-    fatal: set[Scenario]  # scenarios in which a process died; they are not run
-    lose: Callable[[LostRun], object]  # takes one in which a process dies now
+    loop: SearchLoop  # of the search
     is_over: Callable[[], bool]  # whether time is up
     tell: Callable[[str], None]  # is told what goes on, often
     runs: int = field(default=0, init=False)  # taken so far
@@ -40,15 +35,16 @@ class Simplification:
     def run_all(self) -> None:
         """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""
         __tracebackhide__ = True
-        for kept in [kept for kept in self.recorder.kept.values() if kept.is_firm]:
+        recorder = self.loop.recorder
+        for kept in [kept for kept in recorder.kept.values() if kept.is_firm]:
             if self.is_over():
                 self.is_cut = True
                 continue
             try:
                 self._refine(kept)
             except ProcessLostError as error:
-                self.recorder.call_flaky(kept, f"the process that ran it again {error.how}")
-                self.lose(error)
+                recorder.call_flaky(kept, f"the process that ran it again {error.how}")
+                self.loop.lose(error)
 
     def _refine(self, kept: Kept) -> None:
         """Shrink a find, run the result once more, try reference drivers, and tell."""
@@ -56,36 +52,35 @@ class Simplification:
         before = kept.finding
         scenario, shrunk = self._shrunk(kept)
         self.runs += shrunk.rollouts
-        run, verdict = self._tried(scenario, afresh=True)
-        differs = self._difference(before, run, verdict)
+        run, verdict, differs = self._run_again(scenario, before)
         if differs and scenario != before.scenario:
             # The simplification does not hold; what was found does, or is flaky itself.
             scenario, shrunk = before.scenario, Shrunk(rollouts=shrunk.rollouts, is_minimal=False)
-            run, verdict = self._tried(before.scenario, afresh=True)
-            differs = self._difference(before, run, verdict)
+            run, verdict, differs = self._run_again(scenario, before)
         if differs:
-            self.recorder.call_flaky(kept, differs)
+            self.loop.recorder.call_flaky(kept, differs)
         else:
             self._conclude(kept, scenario, shrunk, run, verdict)
 
     def _shrunk(self, kept: Kept) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
-        harness = self.simulation.harness
+        loop, harness = self.loop, self.loop.simulation.harness
         rollouts, top_speed = harness.request.settings.shrink_rollouts, float(harness.world.speed_limit)
         signature, spent = kept.finding.signature, 0
         starts: dict[Scenario, tuple[Start, ...]] = {}
 
         def attempt(candidate: Scenario) -> Scenario | None:
             nonlocal spent
-            if candidate in self.fatal:
+            if candidate in loop.fatal:
                 return None
             spent += 1
             self.tell(f"shrinking {kept.find.id}, run {spent} of {rollouts}")
             try:
-                run, verdict = self._tried(candidate)
+                run = loop.simulation.run(candidate)
             except ProcessLostError as error:
-                self.lose(error)
+                loop.lose(error)
                 return None
+            verdict = loop.simulation.judge(run)
             if verdict.failure is None or of_failure(run, verdict.failure) != signature:
                 return None
             scenario = driven(run)
@@ -105,22 +100,19 @@ class Simplification:
         self.is_cut = self.is_cut or (shrunk.rollouts < rollouts and self.is_over())
         return simplest, shrunk
 
-    def _tried(self, scenario: Scenario, *, afresh: bool = False) -> tuple[Run, Verdict]:
+    def _run_again(self, scenario: Scenario, finding: Finding) -> tuple[Run, Verdict, str]:
+        """A run, its verdict, and what differs from the finding in it, or in a further run by other means."""
         __tracebackhide__ = True
-        run = self.simulation.run(scenario, afresh=afresh)
-        return run, self.simulation.judge(run)
-
-    def _difference(self, finding: Finding, run: Run, verdict: Verdict) -> str:
-        """What differs from the finding, or in a further run by other means."""
-        __tracebackhide__ = True
+        run = self.loop.simulation.run(scenario, afresh=True)
+        verdict = self.loop.simulation.judge(run)
         if verdict.failure is None or of_failure(run, verdict.failure) != finding.signature:
-            return f"a later run of it ended otherwise: {ending(run)}"
-        return "" if run.scenario == finding.scenario else self.recorder.confirm(run)
+            return run, verdict, f"a later run of it ended otherwise: {ending(run)}"
+        return run, verdict, "" if scenario == finding.scenario else self.loop.recorder.confirm(run)
 
     def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
-        before, harness = kept.finding, self.simulation.harness
+        before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         preventable_by = () if run.prevent is None else run.preventable_by
         finding = replace(
@@ -132,10 +124,10 @@ class Simplification:
         )
         if finding == before:
             return
-        kept = self.recorder.rewritten(kept, finding)
+        kept = recorder.rewritten(kept, finding)
         kept = replace(kept, find=replace(kept.find, headline=headline(run, verdict)))
         tried = protocol.reference_drivers(harness.world)
-        self.recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run, tried=tried))
+        recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run, tried=tried))
 
 
 def driven(run: Run) -> Scenario:

@@ -29,11 +29,6 @@ class Simulation:
         """Whether the last run was made by itself, and not in lock step with others."""
         return self.runner.is_alone
 
-    @property
-    def notes(self) -> list[str]:
-        """How the runs were made, and what kept what ran from being recorded, where that is worth telling."""
-        return [*self.runner.notes, *([str(self.record.error)] if self.record.error else [])]
-
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
         """One run, whose verdict follows; ``afresh`` as in :meth:`pytest_pafot.execution.runner.Runner.run`.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 import pytest
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.arguments import SearchArguments
+    from pytest_pafot.campaign.request import SearchArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"

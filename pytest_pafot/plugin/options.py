@@ -82,13 +82,9 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_s
 def resolve(
     config: pytest.Config, marker: Mapping[str, object], fresh_seed: int, environ: Mapping[str, str] = os.environ
 ) -> Settings:
-    """The settings of an item.
+    """The settings of an item whose marker has these arguments; those that are no options are not looked at.
 
-    Args:
-        config: for command line and ini.
-        marker: its arguments; those that are no options are not looked at.
-        fresh_seed: the base seed when no source gives one.
-        environ: for PAFOT_* variables and CI.
+    The base seed is ``fresh_seed`` when no source gives one.
 
     Raises:
         OptionError: naming the source, what was expected and received.

@@ -25,13 +25,7 @@ HERE = "PAFOT_REPLAY_HERE"
 
 
 def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:
-    """Replay a file in a session of its own, where this is not that one.
-
-    Args:
-        item: of this session.
-        file: to replay.
-        job: what that session runs, too.
-        scenario: in the file.
+    """Replay the scenario of a file in a session of its own, which runs the same job, where this is not that one.
 
     Raises:
         ProcessLostError: where that session died.

@@ -14,15 +14,13 @@ import pytest
 from pytest_pafot.campaign.events import FindTold, Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
-from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import NEW, FindingView
-from pytest_pafot.run import Run
+from pytest_pafot.report.page_data import NEW
 from pytest_pafot.searching.events import Event
 from pytest_pafot.trace import Trace
 
@@ -67,8 +65,11 @@ class PageMessages:
             headline=find.headline,
             preventable_tried=told.tried,
         )
-        command = view.command if find.path else self._search_command()
-        self._show(replace(view, label=label_of(find), path=find.path, command=command))
+        command = view.command
+        if not find.path:  # What lies in no file is found again by its search.
+            options = f"--pafot-generations={self.settings.generations} --pafot-seed={self.settings.seed}"
+            command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
+        self._tell(view=encode(replace(view, label=label_of(find), path=find.path, command=command)))
 
     def _searched(self, summary: SearchSummary) -> None:
         """Show the search, and what is known at its end of the finds."""
@@ -87,31 +88,16 @@ class PageMessages:
             base_seed=self.settings.seed,
         )
 
-    def replayed(self, finding: Finding, run: Run, verdict: Verdict, *, label: str, path: str) -> None:
-        """Count a replay of a saved scenario, and show it where it fails."""
-        if verdict.failed:
-            self._show_replay(finding, run.trace, headline(run, verdict), label, path)
-        else:
-            self._tell(replayed=label)
+    def replayed(self, finding: Finding, trace: Trace | None, *, headline: str, label: str, path: str) -> None:
+        """Count a replay of a saved scenario, and show it where it fails, which its headline says.
 
-    def lost(self, finding: Finding, headline: str, *, label: str, path: str) -> None:
-        """The same for one whose process did not come back."""
-        self._show_replay(finding, None, headline, label, path)
-
-    def _show_replay(self, finding: Finding, trace: Trace | None, headline: str, label: str, path: str) -> None:
+        Without a trace where its process did not come back.
+        """
         self._tell(replayed=label)
-        view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline)
-        accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
-        self._show(replace(view, label=f"{label}{accepted}", path=path))
-
-    def _search_command(self) -> str:
-        """By which a find that lies in no file is found again."""
-        settings = self.settings
-        node_id = shlex.quote(self.item.nodeid)
-        return f"pytest {node_id} --pafot-generations={settings.generations} --pafot-seed={settings.seed}"
-
-    def _show(self, view: FindingView) -> None:
-        self._tell(view=encode(view))
+        if headline:
+            view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline)
+            accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
+            self._tell(view=encode(replace(view, label=f"{label}{accepted}", path=path)))
 
     def _tell(self, **data: object) -> None:
         messages.send(self.item, PAGE, {"target": self.settings.report, **data})

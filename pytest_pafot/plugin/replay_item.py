@@ -47,7 +47,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     _tell(item, label, detail)
     page = page_messages_of(item, request.settings)
     if page is not None:
-        page.replayed(finding, run, verdict, label=label, path=path)
+        line = headline(run, verdict) if verdict.failed else ""
+        page.replayed(finding, run.trace, headline=line, label=label, path=path)
     if finding.xfail is not None and not verdict.failed:
         item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {path}")
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
@@ -63,7 +64,7 @@ def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lo
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     page = page_messages_of(item, replays.harness.request.settings)
     if page is not None:
-        page.lost(finding, line, label=label, path=path)
+        page.replayed(finding, None, headline=line, label=label, path=path)
     item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -152,34 +152,32 @@ def searches_left(item: pytest.Item) -> int:
 
 def shown(exception: BaseException) -> BaseException:
     """An exception as pytest shows it best: what is told by its text alone without a traceback of this package."""
-    if isinstance(exception, PlainFailure):
-        plain: BaseException = pytest.fail.Exception(str(exception), pytrace=False)
-        return plain
-    return exception
+    is_plain = isinstance(exception, PlainFailure)
+    return pytest.fail.Exception(str(exception), pytrace=False) if is_plain else exception
 
 
+@dataclass(frozen=True, slots=True)
 class SearchMessages:
     """Sends what happens in a search as messages of its item, and tells a page where one is asked for."""
 
-    def __init__(self, item: pytest.Function, page: Listener | None) -> None:
-        self._item = item
-        self._page = page
+    item: pytest.Function
+    page: Listener | None
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message, for those events that the terminal tells."""
         if isinstance(event, SearchStarted):
-            messages.send(self._item, "start", {})
+            messages.send(self.item, "start", {})
         elif isinstance(event, Progress):
-            messages.send(self._item, "progress", asdict(event))
+            messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, FindTold):
             self._find(event)
         elif isinstance(event, SearchSummary):
-            messages.send(self._item, "search", asdict(event))
-        if self._page is not None:
-            self._page(event)
+            messages.send(self.item, "search", asdict(event))
+        if self.page is not None:
+            self.page(event)
 
     def _find(self, told: FindTold) -> None:
-        kept, config = told.kept, self._item.config
+        kept, config = told.kept, self.item.config
         width = config.stash[SHARED].width
         explanation = "" if told.run is None else told.run.explain()
         details = [] if told.is_new else terminal.simplified_lines(kept.finding, told.tried)
@@ -200,8 +198,8 @@ class SearchMessages:
             width=width,
         )
         lines = terminal.found_lines(kept.find, width) if told.is_new else []
-        report = _report(self._item, kept.find, told.exception, section)
-        messages.send(self._item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
+        report = _report(self.item, kept.find, told.exception, section)
+        messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
 
 
 def _report(item: pytest.Item, find: Find, exception: BaseException, section: str) -> dict[str, Any]:

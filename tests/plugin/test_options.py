@@ -2,9 +2,8 @@
 
 import pytest
 
-from pytest_pafot.campaign.arguments import SearchArguments
 from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
-from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS
+from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
 from pytest_pafot.plugin.options import resolve
 
 
