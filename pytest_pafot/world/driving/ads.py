@@ -7,6 +7,7 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -175,12 +176,7 @@ class SelfDriving:
     every = 1
 
     def __init__(
-        self,
-        vehicle_class: Any,
-        road: Road,
-        start: tuple[float, float, float],
-        speed: float,
-        route: Sequence[Any] | None = None,
+        self, vehicle_class: Any, road: Road, start: tuple[float, float, float], speed: float, route: Any = None
     ) -> None:
         x, y, heading = start
         self.vehicle = vehicle_class(road, [x, y], heading, speed)
@@ -195,37 +191,25 @@ class SelfDriving:
         """Nothing: the vehicle has acted."""
 
 
+@dataclass(eq=False)
 class Planner:
     """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]).
 
-    Args:
-        ads: the callable.
-        road: highway-env's, with its vehicles.
-        lanes: of that road.
-        ego: the vehicle that it drives.
-        physics_hz: ticks per second.
+    Attributes:
+        road, lanes: highway-env's road with its vehicles, and the lanes of it.
         every: physics ticks from one decision to the next.
     """
 
-    def __init__(
-        self,
-        ads: Callable[[Observation], Any],
-        road: Road,
-        lanes: StraightRoad | NetworkRoad,
-        ego: Car,
-        physics_hz: int,
-        every: int,
-    ) -> None:
-        self.vehicle = ego
-        self.every = every
-        self._ads = ads
-        self._road = road
-        self._lanes = lanes
-        self._physics_hz = physics_hz
+    ads: Callable[[Observation], Any]
+    road: Road
+    lanes: StraightRoad | NetworkRoad
+    vehicle: Car
+    physics_hz: int
+    every: int
 
     def decide(self, tick: int) -> tuple[float, float]:
         """Observe, ask, check and apply."""
-        return self.apply(self._ads(self.observe(tick)))
+        return self.apply(self.ads(self.observe(tick)))
 
     def apply(self, action: Any) -> tuple[float, float]:
         """Check an action, apply it, and return it as checked."""
@@ -236,12 +220,12 @@ class Planner:
 
     def actuate(self) -> None:
         """Brake to a standstill, never into reverse."""
-        self.vehicle.acceleration = without_reversing(self._wanted, self.vehicle.speed, 1 / self._physics_hz)
+        self.vehicle.acceleration = without_reversing(self._wanted, self.vehicle.speed, 1 / self.physics_hz)
 
     def observe(self, tick: int) -> Observation:
         """What the ADS sees: all vehicles as they are now."""
-        states = [
-            VehicleState(v.x, v.y, v.heading, v.speed, v.lane_index[2], v.LENGTH, v.WIDTH) for v in self._road.vehicles
-        ]
-        road, time = self._lanes, tick / self._physics_hz
-        return Observation(time, states[0], tuple(states[1:]), len(road.lanes), road.lane_width, road.speed_limit)
+        ego, *others = (
+            VehicleState(v.x, v.y, v.heading, v.speed, v.lane_index[2], v.LENGTH, v.WIDTH) for v in self.road.vehicles
+        )
+        road, time = self.lanes, tick / self.physics_hz
+        return Observation(time, ego, tuple(others), len(road.lanes), road.lane_width, road.speed_limit)

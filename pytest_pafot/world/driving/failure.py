@@ -42,13 +42,7 @@ def let_through(error: BaseException) -> None:
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
-    """What went wrong in a decision, told; an interruption is raised again.
-
-    Args:
-        error: that the ADS raised, or the guard in it.
-        tick: of the decision.
-        guard: of the decision, which has ended.
-    """
+    """What went wrong in a decision that has ended, told; an interruption is raised again."""
     let_through(error)
     if isinstance(error, BadAction):
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)

@@ -12,15 +12,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 LONGEST_PAUSE = 1.0
 """Between two looks at the decisions under way [s]."""
 IDLE_LOOKS = 5
 """After so many looks with no run under way the watching thread ends."""
-
-
 LONGEST_TIMER = 1e6
 """A timer for more than this is as good as none, and systems refuse what is much longer [s]."""
 
@@ -92,9 +89,7 @@ class HangGuard:
         _WATCHDOG.watch(self)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.decision_ends()
         _WATCHDOG.leave(self)
         if self._by_signal:

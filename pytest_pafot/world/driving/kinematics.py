@@ -6,6 +6,7 @@ highway-env builds it through pandas, which costs more than all the rest of a ru
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -35,17 +36,12 @@ def observer(env: Any) -> Any:
     return FastKinematics(env, stock) if is_supported else stock.observe
 
 
+@dataclass(eq=False)
 class FastKinematics:
-    """Kinematics of the ego and of the vehicles nearest along its lane.
+    """Kinematics of the ego and of the vehicles nearest along its lane, with the settings of an environment's own."""
 
-    Args:
-        env: the environment, on a road of parallel straight lanes.
-        stock: its KinematicObservation, whose settings are used.
-    """
-
-    def __init__(self, env: Any, stock: Any) -> None:
-        self._env = env
-        self._stock = stock
+    _env: Any
+    _stock: Any
 
     def __call__(self) -> Any:
         """float32, shape [vehicles_count, features]."""

@@ -32,13 +32,7 @@ class NetworkDirector(Director):
     at most what bends and ends ahead leave; steering follows the lane; an NPC behind the ego that has no lane to pass
     in follows it; steps on the ring skip cells that do not exist. Bodies have the position across the road in the
     measure of lanes, and the heading to the ego's way; an NPC's course is a direction in the world.
-
-    Args:
-        scenario: of Position-Instructions.
-        road: on which all drive.
-        limits: of every NPC.
-        start_cells: the cells in which an NPC may start.
-        common: as for :class:`Director`.
+    An NPC may start in the ``start_cells``; what else is given is as for :class:`Director`.
     """
 
     def __init__(

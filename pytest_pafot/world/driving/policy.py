@@ -19,11 +19,8 @@ from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
 class Policy:
     """Kinds (b) and (d): a callable from the environment's observation to its action.
 
-    Args:
-        ads: the callable.
-        env: the environment of this run; its road and ego are those of the run.
-        every: physics ticks per decision.
-        view: of kind (d), shown to the planner before each decision.
+    The road and ego of the environment are those of the run. A view, for kind (d), is brought up to the run's state
+    before each decision.
     """
 
     def __init__(self, ads: Any, env: Any, every: int, view: View | None = None) -> None:
