@@ -36,17 +36,12 @@ class StraightFrame:
 
 
 class NetworkFrame:
-    """Follows the vehicles along the road: a road may cross itself, and a circuit comes back to where it began.
-
-    Args:
-        road: on which they drive.
-        network: highway-env's, to see on which lane an ego is that has left the road.
-        starts: where along the road each vehicle starts [m], the ego first.
-    """
+    """Follows the vehicles along the road: a road may cross itself, and a circuit comes back to where it began."""
 
     def __init__(self, road: NetworkRoad, network: Any, starts: Sequence[float]) -> None:
+        """``starts`` is where along the road each vehicle starts [m], the ego first."""
         self._road = road
-        self._network = network
+        self._network = network  # highway-env's, to see on which lane an ego is that has left the road
         self._along = list(starts)
         self._rows = array("d")
 

@@ -69,12 +69,9 @@ class NetworkRoad:
         columns: the lanes of the way, from the left.
         sections: of the way, as pairs of highway-env's nodes.
         others: highway-env's indices of the lanes that are in no section of the way, the last of ``lanes``.
-        line: to measure along.
         lane_width: of the ego's lane at the start [m].
         speed_limit: of the fastest lane of the way, or the ego's first speed where that is more [m/s].
-        start: where along the road the ego starts [m].
-        ego_lane: in which it starts.
-        ego_speed: at which it starts [m/s].
+        start, ego_lane, ego_speed: where along the road [m], in which lane and at which speed [m/s] the ego starts.
     """
 
     lanes: tuple[Lane, ...]

@@ -62,17 +62,10 @@ class Line:
 def way(
     network: Any, start: LaneIndex, at: float, planned: Sequence[Any] | None, *, ahead: float, behind: float
 ) -> tuple[tuple[Piece, ...], int]:
-    """The lanes of the ego's way.
+    """The lanes of the ego's way in driving order, and the number of the one that the ego starts in.
 
-    Args:
-        network: highway-env's.
-        start: the lane that the ego starts in.
-        at: longitudinal coordinate of the start in it [m].
-        planned: the ego's route as highway-env has it, or None.
-        ahead, behind: how far to look [m].
-
-    Returns:
-        the pieces in driving order, and the number of the first.
+    Looked for so far ahead and behind [m] of the longitudinal coordinate at which the ego starts in its lane [m], along
+    its route as highway-env has it.
     """
     first = Piece(start, network.get_lane(start), 0.0, float(network.get_lane(start).length))
     before: list[Piece] = []
@@ -98,30 +91,25 @@ def _successor(network: Any, last: Piece, route: Sequence[Any]) -> Piece | None:
     deciding = last.lane.position(max(last.end - DECIDED_BEFORE, last.begin), 0)
     is_planned = bool(route) and route[0][0] == node
     ends = [route[0][1]] if is_planned else list(network.graph.get(node, {}))
-    found: list[tuple[float, int, Piece]] = []
-    for order, end in enumerate(ends):
+    found: list[tuple[float, Piece]] = []
+    for end in ends:
         wanted = route[0][2] if is_planned else None
         chosen, distance = network.next_lane_given_next_road(origin, node, number, end, wanted, deciding)
         lane = network.get_lane((node, end, chosen))
         begin = min(max(float(lane.local_coordinates(point)[0]), 0.0), float(lane.length))
         piece = Piece((node, end, chosen), lane, begin, float(lane.length))
         if piece.end - piece.begin > STEP and _is_drivable(last, piece):
-            found.append((float(distance), order, piece))
-    return min(found, key=lambda each: each[:2])[2] if found else None
+            found.append((float(distance), piece))
+    return min(found, key=lambda each: each[0])[1] if found else None
 
 
 def _predecessor(network: Any, piece: Piece) -> Piece | None:
     """The nearest piece that leads to one; highway-env's networks know no predecessors."""
     point = np.asarray(piece.lane.position(0, 0))
-    found: list[tuple[float, int, Piece]] = []
-    for index, lane in network.lanes_dict().items():
-        if index[1] != piece.index[0]:
-            continue
-        candidate = Piece(index, lane, 0.0, float(lane.length))
-        gap = float(np.linalg.norm(np.asarray(lane.position(lane.length, 0)) - point))
-        if candidate.end > STEP and _is_drivable(candidate, piece):
-            found.append((gap, len(found), candidate))
-    return min(found, key=lambda each: each[:2])[2] if found else None
+    lanes = network.lanes_dict().items()
+    leading = (Piece(index, lane, 0.0, float(lane.length)) for index, lane in lanes if index[1] == piece.index[0])
+    found = [each for each in leading if each.end > STEP and _is_drivable(each, piece)]
+    return min(found, key=lambda each: np.linalg.norm(each.lane.position(each.end, 0) - point), default=None)
 
 
 def _is_drivable(last: Piece, piece: Piece) -> bool:
@@ -132,8 +120,7 @@ def _is_drivable(last: Piece, piece: Piece) -> bool:
 
 def line_of(pieces: Sequence[Piece]) -> Line:
     """The centre lines of the pieces as one line; gaps and bends between them are rounded off."""
-    points, owners = _sampled(pieces)
-    points, owners = _spaced(points, owners)
+    points, owners = _spaced(*_sampled(pieces))
     joints = []
     for joint in (np.flatnonzero(np.diff(owners)) + 1).tolist():
         near = points[max(joint - 4, 0) : joint + 6]
@@ -155,9 +142,9 @@ def _sampled(pieces: Sequence[Piece]) -> tuple[FloatArray, FloatArray]:
             point = np.asarray(piece.lane.position(float(longitudinal), 0), dtype=float)
             if rows and np.hypot(*(point - rows[-1])) < STEP / 10:
                 owners[-1] = number
-                continue
-            rows.append(point)
-            owners.append(number)
+            else:
+                rows.append(point)
+                owners.append(number)
     return np.array(rows), np.array(owners)
 
 

@@ -23,14 +23,9 @@ def allowed_speeds(
     """The highest speed at each point of a lane [m/s].
 
     At most the speed limit times the NPCs' excess of it, at most what the bend allows, sqrt(share * a / curvature),
-    and at every point so slow that gentle braking suffices for all points that follow, begun early enough.
-
-    Args:
-        curvature: of the lane [1/m], shape [points].
-        limit: of speed [m/s], shape [points].
-        stops: where the lane ends, along the lane [m], or None if it does not.
-        lengths: along the lane, of each point [m].
-        limits: of the NPCs.
+    and at every point so slow that gentle braking suffices for all points that follow, begun early enough. Arrays have
+    an entry per point: curvature [1/m], speed limit [m/s], length along the lane [m]. ``stops`` is the length at which
+    the lane ends [m], None if it does not.
     """
     with np.errstate(divide="ignore"):
         bend = np.sqrt(BEND_SHARE * limits.lateral_acceleration / np.abs(curvature))

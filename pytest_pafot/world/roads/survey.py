@@ -55,11 +55,7 @@ class _Strip:
 def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     """The road of an environment after its reset.
 
-    Args:
-        env: highway-env's, with its ego on the road.
-        name: of the environment, for messages.
-        limits: of the NPCs.
-        ahead: how far the fastest vehicle may get [m].
+    ``ahead`` is how far the fastest vehicle may get [m].
 
     Raises:
         WorldError: when the grid has no meaning there; the message says why.
@@ -192,8 +188,7 @@ def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
 
 def _bridge(strip: _Strip) -> None:
     """Have a lane go on over the short stretches between sections where none of them reaches."""
-    parts = _parts(strip.exists)
-    for before, after in pairwise(parts):
+    for before, after in pairwise(_parts(strip.exists)):
         last, following = before[-1], after[0]
         is_near = (following - last) * STEP <= BRIDGED
         if is_near and abs(strip.across[following] - strip.across[last]) <= SAME_LANE:
@@ -214,24 +209,16 @@ def _smooth(strip: _Strip) -> None:
 
 def _drop_broken(strip: _Strip, line: Line) -> None:
     """End a lane where it does not go on, and drop what is too short or bends too tightly."""
-    jumps = np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)
-    for jump in jumps:
-        strip.exists[jump] = False
+    strip.exists[np.flatnonzero(np.abs(np.diff(strip.across)) > SAME_LANE)] = False
     for part in _parts(strip.exists):
-        rows = slice(part[0], part[-1] + 1)
-        if len(part) * STEP < SHORTEST_LANE:
-            strip.exists[rows] = False
-            continue
-        _, _, direction, lengths = _course(line, strip.across, part)
-        if np.abs(_curvature(direction, lengths)).max() > TIGHTEST:
-            strip.exists[rows] = False
+        is_short = len(part) * STEP < SHORTEST_LANE
+        if is_short or np.abs(_curvature(*_course(line, strip.across, part)[2:])).max() > TIGHTEST:
+            strip.exists[part] = False
 
 
 def _parts(exists: Flags) -> list[npt.NDArray[np.intp]]:
     indices = np.flatnonzero(exists)
-    if not indices.size:
-        return []
-    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if indices.size else []
 
 
 def _course(
@@ -273,14 +260,12 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
         part_of = np.full(len(line.x), -1)
         for order, part in enumerate(_parts(strip.exists)):
             x, y, direction, lengths = _course(line, strip.across, part)
-            is_last = part[-1] == len(line.x) - 1
             column["direction"][part] = direction
             column["lean"][part] = leans(direction, lengths, NPC_LENGTH)
             curvature = _curvature(direction, lengths)
             column["sharpest"][part] = sharpest_ahead(curvature, lengths, LANE_CHANGE)
-            column["speed"][part] = allowed_speeds(
-                curvature, strip.limit[part], None if is_last else float(lengths[-1]) - STOP_BEFORE_END, lengths, limits
-            )
+            stops = None if part[-1] == len(line.x) - 1 else float(lengths[-1]) - STOP_BEFORE_END
+            column["speed"][part] = allowed_speeds(curvature, strip.limit[part], stops, lengths, limits)
             lane = _lane(x, y, direction, lengths, float(strip.width[part].mean()), float(strip.limit[part].max()))
             part_of[part] = len(firsts) if order == 0 else len(numbers) + len(others)
             (others if order else firsts).append(lane)
@@ -297,8 +282,7 @@ def _columns(line: Line, strips: dict[int, _Strip], limits: NpcLimits) -> tuple[
 def _lane(
     x: FloatArray, y: FloatArray, direction: FloatArray, lengths: FloatArray, width: float, speed_limit: float
 ) -> Lane:
-    step = max(1, round(POINT_STEP / STEP))
-    rows = sorted({*range(0, len(x), step), len(x) - 1})
+    rows = sorted({*range(0, len(x), round(POINT_STEP / STEP)), len(x) - 1})
     is_straight = bool(np.abs(direction - direction[0]).max() < 1e-9)
     return Lane(
         x=float(x[0]),
