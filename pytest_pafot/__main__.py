@@ -7,20 +7,12 @@ import sys
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: of the command line, without the program's name.
-
-    Returns:
-        the exit code.
-    """
+    """Run a command, from the arguments of the command line without the program's name; its exit code."""
     from pytest_pafot.comparison import command  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
-    parser = argparse.ArgumentParser(
-        prog="python -m pytest_pafot", description="Commands of pytest-pafot beside pytest."
-    )
+    about = "Commands of pytest-pafot beside pytest."
+    parser = argparse.ArgumentParser(prog="python -m pytest_pafot", description=about)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     compare = commands.add_parser(
         "compare",

@@ -15,6 +15,7 @@ from pytest_pafot import criticality
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.text import ascii_text
 from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
 
 LINE_LENGTH = 99
@@ -324,6 +325,5 @@ def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
 
 
 def _ascii(line: str) -> str:
-    text = " ".join(line.splitlines()).encode("ascii", "backslashreplace").decode("ascii")
-    text = "".join(character if character.isprintable() else "?" for character in text)
+    text = "".join(each if each.isprintable() else "?" for each in ascii_text(" ".join(line.splitlines())))
     return text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..."

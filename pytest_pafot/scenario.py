@@ -13,7 +13,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from typing import Any, Literal, cast, get_args
 
 from pytest_pafot.errors import FieldError
@@ -333,8 +333,7 @@ def _check_genes(npcs: Sequence[Sequence[Gene]]) -> None:
 
 def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
     for npc, chain in enumerate(npcs):
-        for gene in range(1, len(chain)):
-            before, cell = chain[gene - 1].cell, chain[gene].cell
+        for gene, (before, cell) in enumerate(pairwise(each.cell for each in chain), 1):
             if not is_adjacent(before, cell):
                 low, high = sorted(before.neighbours)
                 place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
@@ -343,13 +342,11 @@ def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
 
 
 def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
-    for gene in range(max(map(len, npcs), default=0)):
+    for gene, row in enumerate(zip_longest(*npcs)):
         holders: dict[Cell, int] = {}
-        for npc, chain in enumerate(npcs):
-            if gene >= len(chain):
-                continue
-            other = holders.setdefault(chain[gene].cell, npc)
+        for npc, held in enumerate(row):
+            other = npc if held is None else holders.setdefault(held.cell, npc)
             if other != npc:
                 place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
-                received = f"cell {int(chain[gene].cell)} of npcs[{other}]"
+                received = f"cell {int(held.cell)} of npcs[{other}]"
                 raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

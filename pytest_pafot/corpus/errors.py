@@ -20,7 +20,7 @@ class CorpusError(FieldError):
     """
 
     def __init__(
-        self, path: Path, *, expected: str, received: str, fix: str = RESTORE, field: str = "", line: int | None = None
+        self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None
     ) -> None:
         place = f"{path}" if line is None else f"{path}:{line}"
         text = f"{place}: {sentence(field, expected, received, fix)}"

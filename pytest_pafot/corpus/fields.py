@@ -31,8 +31,7 @@ class Field:
         """What is wrong with the value, at the nearest line that is known."""
         places = (self.place[:end] for end in range(len(self.place), -1, -1))
         line = next(self.lines[place] for place in places if place in self.lines)
-        received = received or f"{self.value!r:.80}"
-        return CorpusError(self.path, line=line, field=self.name, expected=expected, received=received, fix=fix)
+        return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
 
     def at(self, part: str | int) -> Field:
         """The value under a key, or at an index, of this one."""

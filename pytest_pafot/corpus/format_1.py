@@ -70,6 +70,6 @@ def _configs() -> dict[str, dict[str, Any]]:
     configs: dict[str, dict[str, Any]] = {}
     entries = json.loads(Path(__file__).with_name("format_1.json").read_text(encoding="utf-8"))
     for env_id, entry in entries.items():
-        own = {key: value for key, value in entry.items() if key != "like"}
-        configs[env_id] = {**configs.get(entry.get("like", ""), {}), **own}
+        like = configs.get(entry.pop("like", ""), {})
+        configs[env_id] = {**like, **entry}
     return configs

@@ -60,15 +60,8 @@ def folder_of_module(test_file: Path, corpus: str, rootpath: Path) -> Path:
 
 
 def folder_of_test(test_file: Path, test_name: str, corpus: str, rootpath: Path) -> Path:
-    """Where the findings of one test lie.
-
-    Args:
-        test_file: that holds the test.
-        test_name: the test with its class and parameters, as in ``TestBraking::test_it[4-slow]``.
-        corpus: as the option gives it, see :func:`corpus_root`.
-        rootpath: of the session.
-    """
-    return corpus_root(test_file, corpus, rootpath) / safe_name(test_file.stem) / safe_name(test_name)
+    """Where the findings of one test lie; its name has class and parameters, as ``TestBraking::test_it[4-slow]``."""
+    return folder_of_module(test_file, corpus, rootpath) / safe_name(test_name)
 
 
 def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
@@ -108,7 +101,6 @@ def safe_name(text: str) -> str:
     if all(map(_PLAIN.fullmatch, parts)) and len(name) <= MAX_NAME and not _RESERVED.match(name):
         return name
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
-    readable = re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", name.replace("::", "."))
-    readable = readable[: MAX_NAME - DIGEST - 2].strip("-.")
+    readable = re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", name.replace("::", "."))[: MAX_NAME - DIGEST - 2].strip("-.")
     prefix = "_" if not readable or _RESERVED.match(readable) else ""
     return f"{prefix}{readable}~{digest}"

@@ -51,7 +51,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     name = path.name.removesuffix(SUFFIX)
     if not path.name.endswith(SUFFIX) or not is_id(name):
         expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
-        raise CorpusError(path, expected=expected, received=path.name, fix="rename the file")
+        raise CorpusError(path, expected, path.name, "rename the file")
     fields = top.mapping(schema.FILE)
     scenario = _scenario(fields["scenario"])
     reason = 'write the reason in quotes, as in xfail: "issue 12"'
@@ -70,12 +70,9 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
 
 
 def located(path: Path, part: str, error: Exception) -> CorpusError:
-    """What is wrong with the world or the scenario of a file that could be read, with its line.
+    """What is wrong with the part ``world`` or ``scenario`` of a file that could be read, with its line.
 
-    Args:
-        path: of the file.
-        part: ``world`` or ``scenario``.
-        error: that came of it when it was built or run.
+    The error came of that part when it was built or run.
     """
     try:
         return _rule_broken(_top(path, _content(path)).at(part), error)
@@ -92,7 +89,7 @@ def _content(path: Path) -> bytes:
         received = "a folder" if stat.S_ISDIR(status.st_mode) else "something else"
     except OSError as error:
         received = error.strerror or str(error)
-    raise CorpusError(path, expected="a file that can be read", received=received)
+    raise CorpusError(path, "a file that can be read", received)
 
 
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:

@@ -12,13 +12,7 @@ if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of
 
 
 class Saved(NamedTuple):
-    """A corpus file as collected.
-
-    Attributes:
-        path: of the file.
-        finding: its content; None when it cannot be read.
-        error: why it cannot be read.
-    """
+    """A corpus file as collected: its finding, or without one the error that says why it cannot be read."""
 
     path: Path
     finding: Finding | None = None

@@ -20,11 +20,7 @@ T = TypeVar("T")
 
 
 class CorpusWriteError(RuntimeError):
-    """A finding that could not be written; nothing half written is left.
-
-    Attributes:
-        path: of the file that was to be written.
-    """
+    """A finding that could not be written to a path; nothing half written is left."""
 
     def __init__(self, path: Path, reason: str, fix: str) -> None:
         super().__init__(f"{path}: expected to write a finding, received: {reason}; {fix}")
@@ -32,10 +28,7 @@ class CorpusWriteError(RuntimeError):
 
 
 def write(path: Path, finding: Finding) -> bool:
-    """Write a new file, all at once.
-
-    Returns:
-        whether it was written: False when the file is there already, as when another process was first.
+    """Write a new file, all at once; False when the file is there already, as when another process was first.
 
     Raises:
         CorpusWriteError: when it cannot be written.
@@ -44,12 +37,9 @@ def write(path: Path, finding: Finding) -> bool:
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace a file's content, all at once; its name stays, and so does a reason for ``xfail`` that it has.
+    """Replace a file's content, all at once, and give the finding as written: a reason for ``xfail`` that it has stays.
 
     A file that has gone is written anew; one that cannot be read is not overwritten.
-
-    Returns:
-        the finding as written.
 
     Raises:
         CorpusWriteError: when it cannot be written.
@@ -69,13 +59,9 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
 
     The id is the finding's own, with ``-2``, ``-3`` ... appended while a file of that name holds another scenario
     or another failure: a file that was rewritten keeps its name, and what was first found under it can come back.
-    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone.
-
-    Args:
-        folder: of the test.
-        finding: to be written.
-        passed: files whose scenario does not show the failure any more; one of these that was shrunk from the
-            finding's scenario is a guard of its own, and stays as it is.
+    A file that holds this very finding, shrunk by now or not, is no obstacle; :func:`write` then leaves it alone. Not
+    so one that was shrunk from the finding's scenario and has ``passed``, which does not show the failure any more: it
+    is a guard of its own, and stays as it is.
     """
     number = 1
     while True:

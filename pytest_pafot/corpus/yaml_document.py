@@ -28,7 +28,6 @@ _NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:e[-+][0-9]+)?)?|-?\.inf|
 _WORD = re.compile(r"true|false|null|")
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
-
 Lines = dict[Place, int]
 """The line of every place of a document, counted from 1."""
 
@@ -37,7 +36,6 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
     """The YAML document in the content of a file: None, bool, int, float, str, and lists and dicts of these.
 
     Args:
-        path: of the file, for errors.
         content: UTF-8, with or without a byte order mark.
         base: PyYAML's safe loader to build on; the compiled one where it is there.
 
@@ -62,27 +60,24 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
 
 def _decoded(path: Path, content: bytes) -> str:
     if len(content) > MAX_BYTES:
-        expected, fix = f"at most {MAX_BYTES // 1024} KiB", "delete or shorten it"
-        raise CorpusError(path, expected=expected, received="a larger file", fix=fix)
+        raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
-        fix = "save it as UTF-8"
-        raise CorpusError(path, line=line, expected="text in UTF-8", received=received, fix=fix) from None
+        raise CorpusError(path, "text in UTF-8", received, "save it as UTF-8", line=line) from None
     if not text.strip():
-        fix = "restore it from version control, or delete it"
-        raise CorpusError(path, expected="a saved scenario", received="an empty file", fix=fix)
+        raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
-        raise CorpusError(path, line=line, expected="printable text", received=received, fix="remove it")
+        raise CorpusError(path, "printable text", received, "remove it", line=line)
     return text
 
 
 def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
-    received, fix = f"text with this fault: {problem}", "correct it, or restore the file"
-    return CorpusError(path, line=line, expected="valid YAML", received=received, fix=fix)
+    received = f"text with this fault: {problem}"
+    return CorpusError(path, "valid YAML", received, "correct it, or restore the file", line=line)
 
 
 class _Builder:
@@ -102,7 +97,7 @@ class _Builder:
         return value, self.lines
 
     def _error(self, event: Any, expected: str, received: str, fix: str) -> CorpusError:
-        return CorpusError(self.path, line=_line(event), expected=expected, received=received, fix=fix)
+        return CorpusError(self.path, expected, received, fix, line=_line(event))
 
     def _next(self, kind: type[yaml.Event]) -> None:
         event = self.loader.get_event()
@@ -120,7 +115,9 @@ class _Builder:
             return self._scalar(event)
         if len(place) >= DEPTH:
             raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "flatten it")
-        return self._mapping(place) if isinstance(event, yaml.MappingStartEvent) else self._list(place)
+        if isinstance(event, yaml.MappingStartEvent):
+            return self._mapping(place)
+        return [self._value((*place, index), each) for index, each in enumerate(self._until(yaml.SequenceEndEvent))]
 
     def _scalar(self, event: Any) -> Any:
         tag = self.loader.resolve(yaml.ScalarNode, event.value, event.implicit)
@@ -157,10 +154,6 @@ class _Builder:
             self.lines[(*place, key)] = _line(event)
         self.lines.pop((*place, "?"), None)
         return mapping
-
-    def _list(self, place: Place) -> list[Any]:
-        events = self._until(yaml.SequenceEndEvent)
-        return [self._value((*place, index), event) for index, event in enumerate(events)]
 
     def _until(self, end: type[yaml.Event]) -> Iterator[Any]:
         while not isinstance(event := self.loader.get_event(), end):

@@ -70,16 +70,11 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
         return
     yield "expect:"
     for key, value in entries.items():
-        yield from _block_entry(key, value)
-
-
-def _block_entry(key: str, value: object) -> Iterator[str]:
-    if isinstance(value, str) and _fits_literal(value):
-        body = value.removesuffix("\n")
-        yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
-        yield from (f"    {line}" if line else "" for line in body.split("\n"))
-    else:
-        yield f"  {key}: {_flow(value)}"
+        if isinstance(value, str) and _fits_literal(value):
+            yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
+            yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
+        else:
+            yield f"  {key}: {_flow(value)}"
 
 
 def _fits_literal(text: str) -> bool:
@@ -92,13 +87,8 @@ def _fits_literal(text: str) -> bool:
 def _filled(head: str, value: Any, tail: str = "", column: int = 0) -> list[str]:
     """Lines of a head, a mapping or list in flow style, and a tail, filled up to the width.
 
-    What does not fit into a line goes on under its own first entry.
-
-    Args:
-        head: what stands before the value, such as its key.
-        value: the mapping or list.
-        tail: what stands after it.
-        column: in which the head begins; whoever calls puts the first line there.
+    What does not fit into a line goes on under its own first entry. The head begins in a column other than 0 where
+    whoever calls puts the first line there.
     """
     if not value:
         return [head + _flow(value) + tail]
@@ -149,9 +139,7 @@ def _scalar(value: object) -> str:
 def _is_plain(text: str, also: str = "") -> bool:
     """Whether a text needs no quotes: YAML 1.1 and 1.2 read it as that very text, inside brackets too.
 
-    Args:
-        text: the text.
-        also: characters that may occur beside the usual ones; YAML gives them no meaning outside brackets.
+    Further characters may be named that YAML gives no meaning outside brackets.
     """
     if not _SAFE.union(also).issuperset(text) or not _BEGINS.match(text):
         return False
@@ -183,6 +171,4 @@ def _escaped(character: str) -> str:
         return character
     if "\ud800" <= character <= "\udfff":
         return "\ufffd"
-    short = {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(character)
-    code = ord(character)
-    return short or (f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" if code < 65536 else f"\\U{code:08x}")
+    return character.encode("unicode_escape").decode("ascii")  # \n, \x1b, \u2028, as YAML writes them too

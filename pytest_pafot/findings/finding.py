@@ -79,14 +79,13 @@ class Expect:
     def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = (), root: str = "") -> Expect:
         """What a failing run showed, as it shows again in any process: times rounded to milliseconds, texts portable.
 
-        Args:
-            run: that failed.
-            failure: of it.
-            preventable_by: reference drivers that survive it.
-            root: folder of the project, which paths in texts are relative to.
+        Paths in texts are relative to the root, the folder of the project.
         """
         hit, trace = run.collision, run.trace
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
+        text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
+        if len(text) > MAX_TRACEBACK:
+            text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         return cls(
             failure=failure.kind,
             assertion=normalised(failure.assertion, failure.message),
@@ -101,20 +100,13 @@ class Expect:
             npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             preventable_by=preventable_by,
-            traceback=_tail(portable(failure.traceback[-4 * MAX_TRACEBACK :], root)),
+            traceback=text,
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """How a finding came about.
-
-    Attributes:
-        seed: of the search.
-        generation: in which it was found, counted from 0.
-        algorithm: name of the search.
-        versions: of the packages that the run depends on.
-    """
+    """How a finding came about: in which generation of a search, from 0, and with which versions of packages."""
 
     seed: int
     generation: int
@@ -192,8 +184,8 @@ def ads_failure(run: Run) -> Failure | None:
 
     It raised, returned no action, hangs, or decided more slowly than the run's limit allows.
     """
-    if run.ads_error is not None:
-        return Failure(kind=run.ads_error.kind, message=run.ads_error.message, traceback=run.ads_error.traceback)
+    if (error := run.ads_error) is not None:
+        return Failure(kind=error.kind, message=error.message, traceback=error.traceback)
     if run.too_slow:
         message = f"a decision took {run.max_decision_time:.3f} s, allowed are {run.decision_limit:g} s"
         return Failure(kind=SLOW_DECISION, message=message)
@@ -215,11 +207,8 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     """The failure in what a user's function raised, with the source text of the statement that raised it.
 
     That is an ``assert`` anywhere, also in a helper's module; otherwise the statement of the test file in which
-    the exception arose, so that changes in other people's libraries do not change a signature.
-
-    Args:
-        exception: as caught, with its traceback.
-        test_file: path of the user's module, as in its code objects.
+    the exception arose, so that changes in other people's libraries do not change a signature. The path of the file is
+    the one in its code objects.
     """
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
@@ -265,10 +254,6 @@ def _portable_line(failure: Failure, root: str) -> str:
     first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
     line = portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
     return _TOOK.sub("took N s", line) if failure.kind == SLOW_DECISION else line
-
-
-def _tail(text: str) -> str:
-    return text if len(text) <= MAX_TRACEBACK else "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:

@@ -30,7 +30,6 @@ class Replayed:
     """What came of the replay of a saved finding.
 
     Attributes:
-        id: of the finding.
         signature: that it was saved with.
         observed: the signature with which it fails now, or None where it passes.
         xfailed: whether the file has an ``xfail`` reason.
@@ -73,17 +72,15 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 
     ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
     one, or it passes under other versions, so that the file may no longer test what it was saved for. ``fixed``:
-    it passes under the same versions, and nothing else happened instead.
-
-    Args:
-        finding: as saved.
-        run: of its scenario now.
-        failure: in that run; None where it passes.
-        versions: of the packages now; compared where the file names them.
+    it passes under the same versions, and nothing else happened instead. The run is the one of now, with its failure,
+    if any, and the versions of today's packages; these are compared where the file names them.
     """
-    is_same = _same_event(finding, run)
+    expect, side = finding.expect, None if run.collision is None else run.collision.side
+    then = (expect.outcome, expect.npc, expect.cell, expect.side)
+    is_same = (run.outcome, run.event_npc, run.event_cell, side) == then
+    is_same = is_same and abs(run.event_time - expect.time) <= SAME_TIME + 1e-9
     if failure is not None:
-        return "still failing" if is_same and failure.kind == finding.expect.failure else "drifted"
+        return "still failing" if is_same and failure.kind == expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
         return "drifted"
     # One that was cut short did not drive the rest of the scenario.
@@ -119,11 +116,3 @@ def disagreement(first: Run, again: Run) -> str:
         return ""
     tick = int(np.argmax(apart > SAME_PLACE))
     return f"positions differ by more than {SAME_PLACE:g} m from {tick / first.trace.physics_hz:.1f} s on"
-
-
-def _same_event(finding: Finding, run: Run) -> bool:
-    expect = finding.expect
-    side = None if run.collision is None else run.collision.side
-    now = (run.outcome, run.event_npc, run.event_cell, side)
-    same_kind = now == (expect.outcome, expect.npc, expect.cell, expect.side)
-    return same_kind and abs(run.event_time - expect.time) <= SAME_TIME + 1e-9

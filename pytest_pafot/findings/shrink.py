@@ -9,6 +9,7 @@ Nothing is simulated here: whether a scenario still fails is asked of a function
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -23,6 +24,7 @@ from pytest_pafot.scenario import (
     Scenario,
     ScenarioError,
 )
+from pytest_pafot.text import plural
 
 Attempt = Callable[[Scenario], Scenario | None]
 """Runs a scenario: the scenario as driven where the same property fails with the same signature, else None."""
@@ -113,9 +115,8 @@ def instructions(scenario: Scenario) -> int:
 
 def size_of(scenario: Scenario) -> str:
     """The size of a scenario in words: ``2 NPCs, 7 instructions, 60 s``."""
-    count, npcs = instructions(scenario), len(scenario.npcs)
-    seconds = scenario.genes * scenario.gene_seconds
-    return f"{npcs} NPC{'' if npcs == 1 else 's'}, {count} instruction{'' if count == 1 else 's'}, {seconds:g} s"
+    npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
+    return f"{npcs}, {told}, {scenario.genes * scenario.gene_seconds:g} s"
 
 
 def shrink(
@@ -127,32 +128,27 @@ def shrink(
     starts: Starts = lambda scenario: (),
     is_over: Callable[[], bool] = lambda: False,
 ) -> tuple[Scenario, Shrunk]:
-    """Simplify a failing scenario.
+    """The simplest scenario that was found to fail in the same way as one that fails, as driven; and how it came about.
 
     Args:
         scenario: as driven; it fails.
-        attempt: tells whether another one fails in the same way; never asked twice about the same one.
+        attempt: never asked twice about the same scenario.
         rollouts: how often it may be asked.
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
         is_over: asked before each run; whether time is up.
-
-    Returns:
-        the simplest scenario that was found, as driven, and how it came about.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
     gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts, top=top, is_over=is_over, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False
-    try:
-        later: Pass = partial(_later, starts=starts)
-        while sum(map(gate.exhausts, (*PASSES, later))):  # Each of them, in every round.
+    passes: tuple[Pass, ...] = (*PASSES, partial(_later, starts=starts))
+    with suppress(OutOfBudget):
+        while sum(map(gate.exhausts, passes)):  # Each of them, in every round.
             pass
         is_minimal = True
         intervals.extend(_intervals(gate))
-    except OutOfBudget:
-        pass
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
 
@@ -173,10 +169,10 @@ class _Gate:
 
     def simplifies(self, candidate: Scenario | None) -> bool:
         """Whether a candidate fails likewise and is simpler; it is the best from then on."""
-        if candidate is None or not sort_key(candidate) < sort_key(self.best):
+        if candidate is None or sort_key(candidate) >= sort_key(self.best):
             return False
         driven = self.driven(candidate)
-        if driven is None or not sort_key(driven) < sort_key(self.best):
+        if driven is None or sort_key(driven) >= sort_key(self.best):
             return False
         self.best = driven
         return True
@@ -253,9 +249,13 @@ def _staying(scenario: Scenario) -> Candidates:
     """From one gene to the end, or to the end of its block, an NPC stays in the cell or lane that it was in before."""
     for npc, chain in enumerate(scenario.npcs):
         for gene, end in blocks(chain):
-            if gene == 0 and isinstance(chain[0], PositionInstruction):
+            before = chain[max(gene - 1, 0)]
+            if isinstance(before, LaneInstruction):
+                stays: Chromosome = tuple(LaneInstruction("keep", each.speed) for each in chain[gene:])
+            elif gene > 0:
+                stays = tuple(PositionInstruction(before.cell, each.speed) for each in chain[gene:])
+            else:
                 continue
-            stays = tuple(_staying_gene(instruction, chain[max(gene - 1, 0)]) for instruction in chain[gene:])
             yield _with_chain(scenario, npc, chain[:gene] + stays)
             yield _with_chain(scenario, npc, chain[:gene] + stays[: end - gene] + chain[end:])
 
@@ -281,16 +281,7 @@ def _plain_seed(scenario: Scenario) -> Candidates:
         yield replace(scenario, seed=0)
 
 
-PASSES: tuple[Pass, ...] = (
-    _fewer_npcs,
-    _shorter,
-    _merged,
-    _staying,
-    _shorter_chains,
-    _rounder,
-    _slower,
-    _plain_seed,
-)
+PASSES: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _rounder, _slower, _plain_seed)
 """What a run saves most comes first; all are repeated until none of them finds anything."""
 
 
@@ -367,12 +358,6 @@ def _moves(chain: Chromosome) -> int:
     cells = [instruction.cell for instruction in chain if isinstance(instruction, PositionInstruction)]
     shifts = sum(isinstance(each, LaneInstruction) and each.lane != "keep" for each in chain)
     return shifts + sum(a != b for a, b in pairwise(cells))
-
-
-def _staying_gene(instruction: Gene, before: Gene) -> Gene:
-    if isinstance(instruction, PositionInstruction) and isinstance(before, PositionInstruction):
-        return replace(instruction, cell=before.cell)
-    return LaneInstruction("keep", instruction.speed)
 
 
 def _tenths(instruction: Gene) -> int:

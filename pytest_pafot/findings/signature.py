@@ -141,8 +141,7 @@ def _from_source(assertion: str) -> str:
 
 def _from_message(message: str) -> str:
     line = next((line for line in message.splitlines() if line.strip()), "")
-    line = _ADDRESS.sub("ADDRESS", line)
-    line = _NUMBER.sub(NUMBER, _PATH.sub("PATH", line))
+    line = _NUMBER.sub(NUMBER, _PATH.sub("PATH", _ADDRESS.sub("ADDRESS", line)))
     return " ".join("".join(character if character.isprintable() else " " for character in line).split())
 
 
