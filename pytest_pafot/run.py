@@ -222,16 +222,14 @@ class Run:
     @property
     def event_npc(self) -> int | None:
         """The NPC that collided, or the one with the least time to contact; None if there is none."""
-        if self.collision is not None:
-            return self.collision.npc
-        return None if self.worst_ttc is None else self.worst_ttc.npc
+        event = self.collision or self.worst_ttc
+        return None if event is None else event.npc
 
     @property
     def event_cell(self) -> Cell | None:
         """The cell that :attr:`event_npc` was in at that moment."""
-        if self.collision is not None:
-            return self.collision.cell
-        return None if self.worst_ttc is None else self.worst_ttc.cell
+        event = self.collision or self.worst_ttc
+        return None if event is None else event.cell
 
     def explain(self) -> str:
         """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
@@ -278,8 +276,8 @@ class Run:
 
     def _measures(self) -> list[str]:
         brake = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
-        if self.collision is not None:
-            hit = self.collision
+        hit = self.collision
+        if hit is not None:
             speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
             return [f"  at the impact: {speeds}", f"  {brake}"]
         lines, worst = [], self.worst_ttc

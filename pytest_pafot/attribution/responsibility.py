@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pytest_pafot.attribution.avoidance import Braking, Chase, Emergency
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, FloatArray, Trace, X, Y
+from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, Trace, X, Y
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -87,11 +87,6 @@ class Attribution:
     reason: str
     fault: Fault | None = None
 
-    @property
-    def blames_ego(self) -> bool:
-        """Whether the ego answers for the collision, alone or with the NPC."""
-        return self.responsibility in ("ego", "both")
-
 
 def rss_rule(trace: Trace) -> Attribution:
     """Who is responsible by Responsibility-Sensitive Safety: who made it dangerous and did not respond properly.
@@ -129,7 +124,7 @@ def rss_rule(trace: Trace) -> Attribution:
 
 def is_ego_responsible(trace: Trace) -> bool:
     """Whether the ego answers for a collision by :func:`rss_rule`, alone or with the NPC; False without one."""
-    return rss_rule(trace).blames_ego
+    return rss_rule(trace).responsibility in ("ego", "both")
 
 
 def position_rule(trace: Trace) -> Responsibility:
@@ -149,8 +144,6 @@ class Dangers:
     """Where in a run the ego and each NPC were closer than RSS allows; arrays have the shape [ticks + 1, NPCs].
 
     Attributes:
-        trace: of the run.
-        frame: positions and speeds along and across the road.
         along, across: gaps between the boxes [m].
         safe_along: what RSS asks for along the road [m].
         is_close, is_beside: where RSS would have more, along and across the road.
@@ -168,17 +161,10 @@ class Dangers:
 
 
 class Conflict:
-    """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one.
-
-    Args:
-        dangers: of the run.
-        npc: the other vehicle.
-        start: first tick of the danger.
-        end: tick at which they touched, or nearly did.
-        by_ego_front: whether it was, or would have been, the ego's front that hit.
-    """
+    """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one."""
 
     def __init__(self, dangers: Dangers, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
+        """``by_ego_front`` is whether it was, or would have been, the ego's front that hit."""
         frame, trace, past = dangers.frame, dangers.trace, slice(end + 1)
         self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
         self._by_ego_front = by_ego_front
@@ -211,7 +197,7 @@ class Conflict:
         by_moving = lateral_last or dangers.across[start, npc] > 0
         ego_moved, npc_moved = (by_moving and s >= max(DRIFTING, SHARE * sum(self._towards)) for s in self._towards)
         is_ahead = not self._ego_is_behind and self._gap > 0
-        if ego_moved and is_ahead and self._npc_chase.is_avoided(self._start, GIVING_WAY):
+        if ego_moved and is_ahead and self._chase(by_ego=False).is_avoided(self._start, GIVING_WAY):
             return self.attributed(
                 "npc",
                 f"at {self._when} the ego moved sideways towards {self._name} ({to_npc:.1f} m/s), {self._gap:.1f} m "
@@ -233,15 +219,14 @@ class Conflict:
         return self._ego_followed() if self._ego_is_behind else self._npc_followed()
 
     def _npc_moved(self) -> Attribution:
-        moved = (
-            f"at {self._when} {self._name} moved sideways towards the ego ({self._towards[1]:.1f} m/s), {self._place}"
-        )
+        how = f"sideways towards the ego ({self._towards[1]:.1f} m/s), {self._place}"
+        moved = f"at {self._when} {self._name} moved {how}"
         if not self._ego_is_behind or not self._by_ego_front:
             return self.attributed("npc", moved)
         offset = np.abs(_lane_offset(self._dangers.trace, self._npc, slice(self._start, self._end + 1)))
         left = np.flatnonzero(offset > LEAVING)
         seen = self._start + (int(left[0]) if left.size else 0)  # from the start where it never left a lane's centre
-        if not self._ego_chase.is_avoided(seen, CUT_OFF, EMERGENCY):
+        if not self._chase(by_ego=True).is_avoided(seen, CUT_OFF, EMERGENCY):
             return self.attributed("npc", f"{moved}, too late to avoid it")
         demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
         speed = self._speeds[0][min(seen + round(CUT_OFF.perception * self._hz), self._end) :]
@@ -254,7 +239,7 @@ class Conflict:
 
     def _ego_followed(self) -> Attribution:
         safe = f"the {self._safe:.1f} m"
-        if self._ego_chase.is_avoided(self._before, FOLLOWING):
+        if self._chase(by_ego=True).is_avoided(self._before, FOLLOWING):
             braked = f"{self._mean_braking(self._before, FOLLOWING):.1f} of {FOLLOWING.deceleration:.1f} m/s^2"
             reason = f"from {self._when} it was closer than {safe} that RSS demands behind {self._name}"
             return self.attributed("ego", f"{reason} and braked with {braked}", "leader-unanswered")
@@ -271,35 +256,25 @@ class Conflict:
         is_close = (dangers.along < dangers.safe_along) & (dangers.frame.ahead.T > 0)
         had_reason = bool((is_close & dangers.is_beside)[during].any())
         too_hard = hardest > DISTANCES.hardest_braking and not had_reason
-        if too_hard and not self._npc_chase.is_avoided(self._before, FOLLOWING):
+        if too_hard and not self._chase(by_ego=False).is_avoided(self._before, FOLLOWING):
             return self.attributed(
                 "ego",
                 f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
                 f"and {self._name} behind had no chance",
                 "braked-hard",
             )
-        reason = (
-            f"from {self._when} {self._name} was closer than the {self._safe:.1f} m that RSS demands behind the ego"
-        )
-        return self.attributed("npc", reason)
+        reason = f"{self._name} was closer than the {self._safe:.1f} m that RSS demands behind the ego"
+        return self.attributed("npc", f"from {self._when} {reason}")
 
-    @property
-    def _ego_chase(self) -> Chase:
-        """The ego behind the NPC."""
-        return self._chase(self._ahead, *self._speeds, self._accelerations[1])
-
-    @property
-    def _npc_chase(self) -> Chase:
-        """The NPC behind the ego."""
-        return self._chase(-self._ahead, *self._speeds[::-1], self._accelerations[0])
-
-    def _chase(self, ahead: FloatArray, follower: FloatArray, leader: FloatArray, acceleration: FloatArray) -> Chase:
+    def _chase(self, *, by_ego: bool) -> Chase:
+        """The ego behind the NPC, or the NPC behind the ego."""
+        follower, leader = (0, 1) if by_ego else (1, 0)
         return Chase(
-            gap=ahead - self._half_lengths,
+            gap=(self._ahead if by_ego else -self._ahead) - self._half_lengths,
             abreast=self._abreast,
-            follower=follower,
-            leader=leader,
-            leader_acceleration=acceleration,
+            follower=self._speeds[follower],
+            leader=self._speeds[leader],
+            leader_acceleration=self._accelerations[leader],
             hz=self._hz,
         )
 

@@ -175,8 +175,7 @@ class Encounters(RelativePositions):
     @cached_property
     def ego_follows(self) -> npt.NDArray[np.bool_]:
         """Whether the NPC's centre is level with the ego's or ahead of it, along the road."""
-        follows: npt.NDArray[np.bool_] = self.ahead >= 0
-        return follows
+        return self.ahead >= 0
 
     @cached_property
     def gain(self) -> FloatArray:
@@ -209,8 +208,7 @@ class Encounters(RelativePositions):
         """Between the centres of ego and NPC [m]; lower is worse."""
         # Along and across the ego's heading: the same distance, already at hand.
         along, across = self.pairs.offsets[0], self.pairs.offsets[1]
-        distance: FloatArray = np.sqrt(along * along + across * across)
-        return distance
+        return np.sqrt(along * along + across * across)
 
     @cached_property
     def gap(self) -> FloatArray:

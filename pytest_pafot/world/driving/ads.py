@@ -193,12 +193,7 @@ class SelfDriving:
 
 @dataclass(eq=False)
 class Planner:
-    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]).
-
-    Attributes:
-        road, lanes: highway-env's road with its vehicles, and the lanes of it.
-        every: physics ticks from one decision to the next.
-    """
+    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad])."""
 
     ads: Callable[[Observation], Any]
     road: Road

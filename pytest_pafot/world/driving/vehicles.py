@@ -74,8 +74,7 @@ class SearchedLanes(RoadNetwork):  # type: ignore[misc]
 
     def closest(self, x: float, y: float, heading: float | None) -> tuple[str, str, int]:
         """highway-env's index of the closest lane."""
-        index: tuple[str, str, int] = self.get_closest_lane_index(np.array([x, y]), heading)
-        return index
+        return self.get_closest_lane_index(np.array([x, y]), heading)
 
 
 def _box(lane: AbstractLane) -> tuple[float, float, float, float, float]:
