@@ -73,24 +73,16 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        raise WorldError(
-            field="world.wrappers",
-            expected="none, since a file holds no code",
-            received=f"{values['wrappers']!r:.200}",
-            fix="give pafot.World(..., wrappers=[...]) in their place",
-        )
+        expected, fix = "none, since a file holds no code", "give pafot.World(..., wrappers=[...]) in their place"
+        raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
             raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
         config = values.get("config")
         path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
         if not isinstance(path, str) or not path.startswith("highway_env.vehicle."):  # highway-env imports that class
-            raise WorldError(
-                field="world.config.other_vehicles_type",
-                expected="a class of highway_env.vehicle",
-                received=repr(path),
-                fix="a corpus file may not name other code",
-            )
+            place, fix = "world.config.other_vehicles_type", "a corpus file may not name other code"
+            raise WorldError(field=place, expected="a class of highway_env.vehicle", received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
 
 
@@ -110,27 +102,21 @@ def _registered() -> dict[str, metadata.EntryPoint]:
 
 def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> WorldLike:
     if set(values) != {"data"}:
-        raise WorldError(
-            field=f"world (kind {entry.name})", expected="the field data", received=", ".join(values) or "none"
-        )
+        received = ", ".join(values) or "none"
+        raise WorldError(field=f"world (kind {entry.name})", expected="the field data", received=received)
     cls = _loaded(entry)
     try:
         world: WorldLike = cls.from_dict(values["data"])
     except WorldError:
         raise
     except Exception as error:
-        raise WorldError(
-            field="world.data",
-            expected=f"what {entry.value}.from_dict takes",
-            received=f"{values['data']!r:.200}",
-            fix=f"it raised {type(error).__name__}: {error!s:.200}",
-        ) from error
+        expected, fix = f"what {entry.value}.from_dict takes", f"it raised {type(error).__name__}: {error!s:.200}"
+        received = f"{values['data']!r:.200}"
+        raise WorldError(field="world.data", expected=expected, received=received, fix=fix) from error
     if lacking := missing(world):
-        raise WorldError(
-            field="world.kind",
-            expected=f"that {entry.value}.from_dict gives a world",
-            received=f"{world!r:.100}, which has no {', '.join(lacking)}",
-        )
+        expected = f"that {entry.value}.from_dict gives a world"
+        received = f"{world!r:.100}, which has no {', '.join(lacking)}"
+        raise WorldError(field="world.kind", expected=expected, received=received)
     return world
 
 
@@ -139,11 +125,10 @@ def _loaded(entry: metadata.EntryPoint) -> Any:
     try:
         return entry.load()
     except Exception as error:
+        registered = f"{entry.value}, which is registered as {entry.name!r} in the entry points {GROUP}"
+        received = f"{type(error).__name__}: {error}"
         raise WorldError(
-            field="world.kind",
-            expected=f"that {entry.value}, which is registered as {entry.name!r} in the entry points {GROUP}, can be "
-            "imported",
-            received=f"{type(error).__name__}: {error}",
+            field="world.kind", expected=f"that {registered}, can be imported", received=received
         ) from error
 
 

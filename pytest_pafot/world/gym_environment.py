@@ -70,7 +70,6 @@ class GymEnvironment:
     """The environment of a world, made when it is first asked for.
 
     Attributes:
-        env_id: of a registered environment.
         config: as given by the user; None for that of the registration.
         wrappers: as given by the user; None where the policy must see the environment as it is.
     """
@@ -93,12 +92,9 @@ class GymEnvironment:
             with vehicle_classes_kept():
                 env = _without_traffic(self.env_id, creator, self._given_config)
         except Exception as error:
-            raise WorldError(
-                field="config",
-                expected=f"a configuration that the environment {self.env_id} accepts",
-                received=f"{self.config!r:.200}",
-                fix=f"it raised {type(error).__name__}: {error!s:.200}",
-            ) from error
+            expected = f"a configuration that the environment {self.env_id} accepts"
+            received, fix = f"{self.config!r:.200}", f"it raised {type(error).__name__}: {error!s:.200}"
+            raise WorldError(field="config", expected=expected, received=received, fix=fix) from error
         _check_base(self.env_id, type(env.unwrapped))
         _check_config(self.env_id, given, env.unwrapped)
         added = wrapper_names(env)
@@ -217,9 +213,8 @@ def _wrapped(env: Any, wrappers: Sequence[Callable[[Any], Any]]) -> Any:
         try:
             outer = wrapper(outer)
         except Exception as error:
-            raise WorldError(
-                f"{expected}, received {wrapper!r:.200}, which raised {type(error).__name__}: {error}"
-            ) from error
+            received = f"{wrapper!r:.200}, which raised {type(error).__name__}: {error}"
+            raise WorldError(f"{expected}, received {received}") from error
         if not isinstance(outer, gymnasium.Env) or outer.unwrapped is not env.unwrapped:
             raise WorldError(f"{expected}, received {wrapper!r:.200}, which returned {outer!r:.200}")
     return outer
@@ -293,13 +288,9 @@ def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
         if isinstance(value, str) and isinstance(default[name], (int, float)):  # it would fail once a run needs it
             expected = f"a number such as {default[name]!r}"
             raise WorldError(field=f"config.{name}", expected=expected, received=repr(value))
-    if env.config.get("controlled_vehicles", 1) != 1:
-        raise WorldError(
-            field="config.controlled_vehicles",
-            expected="1, the ego",
-            received=repr(env.config["controlled_vehicles"]),
-            fix="the other vehicles are the NPCs",
-        )
+    if (egos := env.config.get("controlled_vehicles", 1)) != 1:
+        fix = "the other vehicles are the NPCs"
+        raise WorldError(field="config.controlled_vehicles", expected="1, the ego", received=repr(egos), fix=fix)
     for name, module in (("observation", observation), ("action", action)):
         kind = getattr(env, f"{name}_type", None)
         if name in given and type(kind).__module__ == module.__name__:  # what others take is not known

@@ -69,12 +69,9 @@ class World(BuiltInWorld):
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
-            raise WorldError(
-                field="env_id",
-                expected='the id of a registered environment without a module in front, such as "highway-v0"',
-                received=repr(self.env_id),
-                fix="import the module that registers it first",
-            )
+            expected = 'the id of a registered environment without a module in front, such as "highway-v0"'
+            fix = "import the module that registers it first"
+            raise WorldError(field="env_id", expected=expected, received=repr(self.env_id), fix=fix)
         if self.config is not None and not isinstance(self.config, dict):
             raise WorldError(field="config", expected="a dict of the environment's options", received=repr(self.config))
         object.__setattr__(self, "config", plain_data("config", self.config))
@@ -224,15 +221,21 @@ class World(BuiltInWorld):
     @cached_property
     def rules(self) -> Rules:
         """What all runs have in common."""
-        config, environment = self.environment.unwrapped.config, self.environment
+        env = self.environment.unwrapped
+        config = env.config
         physics_hz = checked_whole("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
         ads_hz = checked_whole("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
         check_divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
         duration = self._wanted
         check_ticks(duration, physics_hz)
-        road: StraightRoad | NetworkRoad | None = environment.straight_road
+        road: StraightRoad | NetworkRoad | None = self.environment.straight_road
         if road is None:
-            road, duration = self._way(duration)
+            from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only where a road is not straight)
+
+            duration = min(duration, self._longest)
+            road = survey(env, self.env_id, self.limits, ahead=duration * TOP_SPEED)
+            if road.ego_speed > 0:  # a run ends where the ego, at its first speed, comes to the end of the road
+                duration = min(duration, (road.end - road.start) / road.ego_speed)
         return self._rules_on(road, physics_hz=physics_hz, ads_hz=ads_hz, duration=duration)
 
     @property
@@ -245,21 +248,6 @@ class World(BuiltInWorld):
     @property
     def _longest(self) -> float:
         """How long a run on any other road may last [s]."""
-        own = checked_number(
-            "config.duration", self.environment.unwrapped.config.get("duration", LONGEST_RUN), 0.0, math.inf
-        )
-        return min(own, LONGEST_RUN if self.duration is None else math.inf)
-
-    def _way(self, wanted: float) -> tuple[NetworkRoad, float]:
-        """The ego's way, and how long a run on it lasts [s].
-
-        At most as wanted, as the environment's own episodes, and as the ego needs at its first speed to the end of the
-        road.
-        """
-        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only where a road is not straight)
-
-        most = min(wanted, self._longest)
-        road = survey(self.environment.unwrapped, self.env_id, self.limits, ahead=most * TOP_SPEED)
-        if road.ego_speed > 0:
-            most = min(most, (road.end - road.start) / road.ego_speed)
-        return road, most
+        own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
+        most = LONGEST_RUN if self.duration is None else math.inf
+        return min(checked_number("config.duration", own, 0.0, math.inf), most)

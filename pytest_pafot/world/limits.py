@@ -60,10 +60,9 @@ class NpcLimits:
         """
         speed = self.overspeed * speed_limit
         if speed > TOP_SPEED:
-            raise WorldError(
-                field="speed_limit",
-                expected=f"at most {TOP_SPEED / self.overspeed:.1f} m/s, because NPCs may drive {self.overspeed:g} "
-                f"times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s",
-                received=f"{speed_limit:g}",
+            why = (
+                f"NPCs may drive {self.overspeed:g} times the limit and highway-env's vehicles reach {TOP_SPEED:g} m/s"
             )
+            expected = f"at most {TOP_SPEED / self.overspeed:.1f} m/s, because {why}"
+            raise WorldError(field="speed_limit", expected=expected, received=f"{speed_limit:g}")
         return speed

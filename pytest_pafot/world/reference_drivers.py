@@ -79,6 +79,13 @@ class Leader:
         """At constant speeds [s], infinite if the two do not close in."""
         return max(self.gap, 0.0) / self.closing if self.closing > 0 else math.inf
 
+    @property
+    def is_critical(self) -> bool:
+        """Whether a careful driver has to brake hard."""
+        near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
+        is_braking = self.braking > EMERGENCY.leader_braking and self.gap < near
+        return is_braking or self.time_to_collision < EMERGENCY.time_to_contact
+
 
 @dataclass(slots=True)
 class ReferenceDriver(ABC):
@@ -109,8 +116,14 @@ class ReferenceDriver(ABC):
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
         """Acceleration [m/s^2] and steering [rad]."""
-        self._look(observation)
-        ego = observation.ego
+        self.step, self.now = observation.time - self.now, observation.time
+        ego, speeds = observation.ego, tuple(_along(other) for other in observation.others)
+        if self.wanted is None:
+            self.lane, self.wanted = ego.lane, min(ego.speed, observation.speed_limit)
+        self.brakings = (0.0,) * len(speeds)
+        if self.step > 0 and len(self.speeds) == len(speeds):
+            self.brakings = tuple((before - now) / self.step for before, now in zip(self.speeds, speeds, strict=True))
+        self.speeds = speeds
         lowest = self.acceleration - self.JERK * self.step
         self.acceleration = max(self.wish(observation), min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
         steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
@@ -119,16 +132,6 @@ class ReferenceDriver(ABC):
     @abstractmethod
     def wish(self, observation: Observation) -> float:
         """The acceleration that the driver wants now [m/s^2]."""
-
-    def _look(self, observation: Observation) -> None:
-        self.step, self.now = observation.time - self.now, observation.time
-        speeds = tuple(_along(other) for other in observation.others)
-        if self.wanted is None:
-            self.lane, self.wanted = observation.ego.lane, min(observation.ego.speed, observation.speed_limit)
-        self.brakings = (0.0,) * len(speeds)
-        if self.step > 0 and len(self.speeds) == len(speeds):
-            self.brakings = tuple((before - now) / self.step for before, now in zip(self.speeds, speeds, strict=True))
-        self.speeds = speeds
 
     def held(self, condition: str, holds: bool) -> float:
         """For how long a condition has held without a break [s]; minus infinity while it does not hold."""
@@ -174,11 +177,12 @@ class CarefulHuman(ReferenceDriver):
         calm, is_danger, is_over = self.cruise(ego.speed), False, True
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
-            matters = leader is not None and matters_to(ego, other, observation.lane_width)
-            noticed = self.held(f"noticed {index}", matters)
-            critical = matters and leader is not None and is_critical(leader)
+            if leader is not None and not matters_to(ego, other, observation.lane_width):
+                leader = None
+            noticed = self.held(f"noticed {index}", leader is not None)
+            critical = leader is not None and leader.is_critical
             danger = self.held(f"danger {index}", critical)
-            if leader is None or not matters:
+            if leader is None:
                 continue
             is_danger |= danger >= EMERGENCY.perception - EPSILON
             is_over &= leader.closing <= 0 and not critical
@@ -221,10 +225,11 @@ class FuzzySafety(ReferenceDriver):
         calm, hardest = self.cruise(ego.speed), 0.0
         for index, other in enumerate(observation.others):
             leader = self.ahead(observation, index)
-            matters = leader is not None and self.will_be_in_the_way(ego, other, leader)
-            needed = self.braking(ego.speed, leader) if matters and leader is not None else 0.0
+            if leader is not None and not self.will_be_in_the_way(ego, other, leader):
+                leader = None
+            needed = 0.0 if leader is None else self.braking(ego.speed, leader)
             alert = self.held(f"alert {index}", needed > 0)
-            if leader is None or not matters:
+            if leader is None:
                 continue
             if alert >= DELAY - EPSILON:
                 hardest = max(hardest, needed)
@@ -328,15 +333,6 @@ def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> boo
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     return next_lane and offset > LEAVING and _towards(ego, other) > 0
-
-
-def is_critical(leader: Leader) -> bool:
-    """Whether a careful driver has to brake hard."""
-    if leader.time_to_collision < EMERGENCY.time_to_contact:
-        return True
-    return leader.braking > EMERGENCY.leader_braking and leader.gap < STANDSTILL_GAP + HEADWAY * (
-        leader.speed + leader.closing
-    )
 
 
 def _along(vehicle: VehicleState) -> float:

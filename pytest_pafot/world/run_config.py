@@ -23,12 +23,10 @@ class Rules:
     """What all runs of a world have in common.
 
     Attributes:
-        road: on which all drive.
         physics_hz, ads_hz: ticks and decisions per second.
         duration: of a run, at most [s].
         clearance: gap between the ego and the cells ahead and behind [m].
         headway: of NPCs that start ahead or behind [s].
-        limits: of the NPCs.
         hang_limit: longest decision of the ADS in wall-clock time [s].
     """
 
@@ -73,18 +71,12 @@ class Rules:
         self, scenario: Scenario, ego_length: float, length: float = NPC_LENGTH, width: float = NPC_WIDTH
     ) -> Director:
         """Who drives the NPCs of one run, of a length and width [m], around an ego of a length [m]."""
-        common: dict[str, Any] = {
-            "clearance": self.clearance,
-            "ego_length": ego_length,
-            "length": length,
-            "width": width,
-            "physics_hz": self.physics_hz,
-        }
+        common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
+        common |= {"ego_length": ego_length, "length": length, "width": width}
         if isinstance(self.road, StraightRoad):
             return Director(scenario, self.road, self.limits, **common)
-        return NetworkDirector(
-            scenario, self.road, self.limits, start_cells=self.start_cells(scenario, ego_length), **common
-        )
+        cells = self.start_cells(scenario, ego_length)
+        return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check a scenario against the world.
@@ -96,12 +88,10 @@ class Rules:
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         if not isinstance(self.road, StraightRoad) and not scenario.positions:
-            raise WorldError(
-                field="scenario",
-                expected="Position-Instructions on a road that is not straight",
-                received="Lane-Instructions, which know no lanes that begin and end",
-                fix="give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()",
-            )
+            expected = "Position-Instructions on a road that is not straight"
+            received = "Lane-Instructions, which know no lanes that begin and end"
+            fix = "give NPCs PositionInstruction(cell, speed), or take a straight road such as pafot.Highway()"
+            raise WorldError(field="scenario", expected=expected, received=received, fix=fix)
         self._check_lane(scenario.ego_lane)
         cells = self.start_cells(scenario)
         if len(scenario.npcs) > len(cells):
@@ -110,12 +100,9 @@ class Rules:
         self._check_speeds(scenario)
         ticks = scenario.gene_seconds * self.physics_hz
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
-            raise ScenarioError(
-                field="gene_seconds",
-                expected=f"a whole number of ticks of 1/{self.physics_hz} s",
-                received=f"{scenario.gene_seconds:g}",
-                fix=f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}",
-            )
+            expected = f"a whole number of ticks of 1/{self.physics_hz} s"
+            fix, received = f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}", f"{scenario.gene_seconds:g}"
+            raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
 
     def _check_lane(self, lane: int) -> None:
         road = self.road

@@ -1,4 +1,7 @@
-"""Checks of the arguments of worlds: numbers within bounds, plain data, frequencies."""
+"""Checks of the arguments of worlds: numbers within bounds, plain data, frequencies.
+
+Each of them raises a :class:`WorldError` that names the field, what is possible, and what was received.
+"""
 
 from __future__ import annotations
 
@@ -15,33 +18,21 @@ MOST_TICKS = 400_000
 
 
 def checked_number(name: str, value: object, low: float, high: float, why: str = "") -> float:
-    """A finite number within bounds, as float; ``why`` follows the bounds in the message.
-
-    Raises:
-        WorldError: naming the field, the bounds and what was received.
-    """
+    """A finite number within bounds, as float; ``why`` follows the bounds in the message."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise WorldError(field=name, expected=f"a number from {low:g} to {high:g}{why}", received=repr(value))
     return float(value)
 
 
 def checked_whole(name: str, value: object, low: int, high: int) -> int:
-    """A whole number within bounds.
-
-    Raises:
-        WorldError: naming the field, the bounds and what was received.
-    """
+    """A whole number within bounds."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise WorldError(field=name, expected=f"a whole number from {low} to {high}", received=repr(value))
     return value
 
 
 def plain_data(name: str, value: Any) -> Any:
-    """A copy of plain data, as a corpus file can hold it: tuples and numpy arrays become lists.
-
-    Raises:
-        WorldError: naming what cannot be written down.
-    """
+    """A copy of plain data, as a corpus file can hold it: tuples and numpy arrays become lists."""
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):
@@ -58,30 +49,18 @@ def plain_data(name: str, value: Any) -> Any:
 
 
 def check_ticks(duration: float, physics_hz: int) -> None:
-    """Check that the record of a run fits into memory.
-
-    Raises:
-        WorldError: with the longest run.
-    """
+    """Check that the record of a run fits into memory."""
     if duration * physics_hz > MOST_TICKS:
         expected = f"at most {MOST_TICKS / physics_hz:g} s at {physics_hz} ticks a second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 
 def check_divides(physics: tuple[str, int], ads: tuple[str, int]) -> None:
-    """Check that a decision takes a whole number of physics ticks.
-
-    Raises:
-        WorldError: with the pairs that would do.
-    """
+    """Check that a decision takes a whole number of physics ticks."""
     (physics_name, physics_hz), (ads_name, ads_hz) = physics, ads
     if physics_hz % ads_hz == 0:
         return
-    divisors = [n for n in range(1, physics_hz + 1) if physics_hz % n == 0]
-    up = math.ceil(physics_hz / ads_hz) * ads_hz
-    raise WorldError(
-        field=ads_name,
-        expected=f"a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number of ticks",
-        received=str(ads_hz),
-        fix=f"use one of {', '.join(map(str, divisors))}, or {physics_name}={up}",
-    )
+    divisors = ", ".join(str(n) for n in range(1, physics_hz + 1) if physics_hz % n == 0)
+    expected = f"a divisor of {physics_name}={physics_hz}, so that every decision lasts a whole number of ticks"
+    fix = f"use one of {divisors}, or {physics_name}={math.ceil(physics_hz / ads_hz) * ads_hz}"
+    raise WorldError(field=ads_name, expected=expected, received=str(ads_hz), fix=fix)

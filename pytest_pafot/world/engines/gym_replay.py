@@ -76,13 +76,8 @@ class StockVehicle(Vehicle):  # type: ignore[misc]
 class StockPolicy:
     """A policy in its environment: it sees what ``env.step`` returned, and ``env.step`` gets its action.
 
-    Wrappers stand between the two. What one of them raises is raised in the decision that would have seen its result.
-
-    Args:
-        ads: the callable.
-        outer: the environment in its wrappers, if it has any.
-        every: physics ticks per decision.
-        view: of kind (d), shown to the planner before each decision.
+    Wrappers, where the environment ``outer`` has any, stand between the two. The ``view`` is what a planner that
+    simulates inside of the environment is shown before each decision.
     """
 
     def __init__(self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None) -> None:
@@ -108,10 +103,7 @@ class StockPolicy:
             plain.reset = lambda **_: _reset_result(plain)
         plain._reset = lambda: None
         plain.action_space.seed(seed)
-        if self._outer is plain:
-            self._seen, _ = plain.reset(seed=seed)
-        else:
-            self._through_wrappers(lambda: self._outer.reset(seed=seed))
+        self._see(lambda: self._outer.reset(seed=seed))
         plain.road.np_random = plain.np_random
         if plain.road.vehicles != vehicles:
             raise WorldError(
@@ -130,15 +122,15 @@ class StockPolicy:
 
     def step(self) -> None:
         """The environment's, with what was decided."""
-        if self._outer is self._outer.unwrapped:
-            self._seen, *_ = self._outer.step(self._action)
-        else:
-            self._through_wrappers(lambda: self._outer.step(self._action))
+        self._see(lambda: self._outer.step(self._action))
 
-    def _through_wrappers(self, call: Callable[[], tuple[Any, ...]]) -> None:
+    def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
+        """What a wrapper raises is raised in the decision that would have seen its result."""
         try:
             self._seen, *_ = call()
         except UNFIT as error:
+            if self._outer is self._outer.unwrapped:
+                raise
             let_through(error)
             self.failure = error
 
@@ -169,7 +161,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
     put_ego(env, _ego(StockVehicle, rules, scenario, env), None)
-    return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, make_ads(ads_factory), None))
+    return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, make_ads(ads_factory), None)).run()
 
 
 def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -189,9 +181,9 @@ def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scen
         view = View(environment.make().unwrapped, env)
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
     if is_vehicle_class(ads):
-        return _replayed(rules, scenario, env, _si_driver(rules, scenario, env, ads, route))
+        return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
     policy = StockPolicy(ads, env if environment.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)
-    return _replayed(rules, scenario, env, policy)
+    return _Loop(rules, scenario, env, policy).run()
 
 
 def _reset(outer: Any, scenario: Scenario) -> Any:
@@ -236,21 +228,16 @@ def _nothing(*_: Any, **__: Any) -> None:
     """In the place of what shall not happen in an environment."""
 
 
-def _replayed(rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> Trace:
-    with HangGuard(rules.hang_limit) as guard:
-        return _Loop(rules, scenario, env, driver, guard).run()
-
-
 class _Loop:
     """One episode. The road's ``act`` and ``step`` are extended by the NPCs' driver and by the record."""
 
-    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver, guard: HangGuard) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, env: Any, driver: Driver) -> None:
         def npc(x: float, y: float, heading: float, speed: float) -> StockVehicle:
             vehicle = StockVehicle(env.road, [x, y], heading, speed)
             vehicle.check_collisions = False
             return vehicle
 
-        self._env, self._driver, self._guard = env, driver, guard
+        self._env, self._driver, self._guard = env, driver, HangGuard(rules.hang_limit)
         self._traffic = Traffic(rules, scenario, driver, npc)
         env.road.vehicles = self._traffic.vehicles
         self._last = rules.ticks(scenario)
@@ -264,25 +251,26 @@ class _Loop:
 
     def run(self) -> Trace:
         """Decide and step until the run ends."""
-        driver, record, guard = self._driver, self._traffic.record, self._guard
-        if isinstance(driver, StockPolicy):
-            driver.begin(record.scenario.seed)
-        while record.tick < self._last:
-            tick = record.tick
-            error = decide(driver, tick, record, guard)
-            if error is not None:
-                return record.trace(error=error)
+        driver, record = self._driver, self._traffic.record
+        with self._guard as guard:
             if isinstance(driver, StockPolicy):
-                driver.step()
-            else:
-                AbstractEnv.step(self._env, None)  # The driver has set the ego's controls; the environment leaves them.
-            if self._ended is not None:
-                return self._ended
-            if record.tick == tick and getattr(driver, "failure", None) is None:
-                raise WorldError(
-                    f"wrappers: expected that a step through them steps the environment, received one that did not, "
-                    f"at {tick / record.rules.physics_hz:.1f} s; leave out what ends or resets episodes"
-                )
+                driver.begin(record.scenario.seed)
+            while record.tick < self._last:
+                tick = record.tick
+                error = decide(driver, tick, record, guard)
+                if error is not None:
+                    return record.trace(error=error)
+                if isinstance(driver, StockPolicy):
+                    driver.step()
+                else:  # The driver has set the ego's controls; the environment leaves them.
+                    AbstractEnv.step(self._env, None)
+                if self._ended is not None:
+                    return self._ended
+                if record.tick == tick and getattr(driver, "failure", None) is None:
+                    raise WorldError(
+                        f"wrappers: expected that a step through them steps the environment, received one that did "
+                        f"not, at {tick / record.rules.physics_hz:.1f} s; leave out what ends or resets episodes"
+                    )
         return record.trace()
 
     def _act(self) -> None:

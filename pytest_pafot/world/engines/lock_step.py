@@ -21,11 +21,7 @@ from pytest_pafot.world.kernel.action import shown
 
 
 class SteppedRun(Protocol):
-    """A run that goes from one decision to the next.
-
-    Attributes:
-        trace: once the run is over.
-    """
+    """A run that goes from one decision to the next, until it has a trace."""
 
     trace: Trace | None
 
@@ -62,8 +58,7 @@ def rollouts(
     Args:
         scenarios: checked against the world.
         factory: of the ADS.
-        start: begins a run in lock step.
-        rollout: simulates one by one.
+        start, rollout: begins a run in lock step, and simulates one by itself.
         hang_limit: longest decision for one run [s]; one for many may take as many times as long.
 
     Raises:
@@ -97,8 +92,13 @@ def _in_lock_step(
             guard.decision_ends()
             let_through(error)
             return None  # nothing is lost: whoever is at fault raises again by itself
-        seconds = (guard.clock() - started) / len(live)
-        for run, action in zip(live, _one_each(actions, len(live)), strict=True):
+        seconds, count = (guard.clock() - started) / len(live), len(live)
+        if not isinstance(actions, list) or len(actions) != count:
+            raise AdsFactoryError(
+                f"ads.batch: expected {count} actions, one for each of {count} observations in the same order, "
+                f"received {shown(actions)}; runs that are over are not asked for any more, so that the number changes"
+            )
+        for run, action in zip(live, actions, strict=True):
             run.take(action, seconds)
         live = [run for run in live if run.trace is None]
     return [run.trace for run in runs if run.trace is not None]
@@ -111,12 +111,3 @@ def _listed(actions: Any) -> Any:
     except TypeError:
         return actions
     return list(iterator)
-
-
-def _one_each(actions: Any, count: int) -> list[Any]:
-    if not isinstance(actions, list) or len(actions) != count:
-        raise AdsFactoryError(
-            f"ads.batch: expected {count} actions, one for each of {count} observations in the same order, received "
-            f"{shown(actions)}; runs that are over are not asked for any more, so that the number changes"
-        )
-    return actions

@@ -34,11 +34,9 @@ def run(
     make_ego: Callable[[tuple[float, float, float]], EgoDriver],
     decisions: Sequence[Any] = (),
 ) -> Trace:
-    """Simulate one scenario.
+    """Simulate one scenario, with what an :class:`ObjectRun` needs.
 
-    Args:
-        rules, scenario, road, make_ego: see :class:`ObjectRun`.
-        decisions: the first ones of the run, which the driver, an :class:`AskedDriver`, is not asked for.
+    The driver, an :class:`AskedDriver` then, is not asked for ``decisions``, the first ones of the run.
     """
     guard = HangGuard(rules.hang_limit)
     under_way = ObjectRun(rules, scenario, road, make_ego, guard)
@@ -79,12 +77,8 @@ def _planner(rules: Rules, scenario: Scenario, road: Road, ads: Any, start: tupl
 class ObjectRun:
     """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`.
 
-    Args:
-        rules: of the world.
-        scenario: checked against the world.
-        road: fresh, without vehicles; they are added with the ego first.
-        make_ego: from the ego's start to its driver; called before the NPCs exist.
-        guard: of the decisions.
+    The road is fresh: vehicles are added here, the ego first. Its driver is made for its start (x [m], y [m],
+    heading [rad]) before the NPCs exist.
     """
 
     def __init__(
@@ -164,15 +158,7 @@ def step_ego(tick: int, guard: HangGuard, step: Callable[[], Any]) -> AdsError |
 class Traffic:
     """The vehicles of a run, as highway-env has them, between the director and the record.
 
-    Args:
-        rules: of the world.
-        scenario: to run.
-        driver: of the ego, which is at its start.
-        make_npc: from x [m], y [m], heading [rad] and speed [m/s] to a vehicle.
-
-    Attributes:
-        vehicles: the ego first.
-        record: of the run.
+    The ego is at its start. ``make_npc`` goes from x [m], y [m], heading [rad] and speed [m/s] to a vehicle.
     """
 
     def __init__(
@@ -186,7 +172,7 @@ class Traffic:
         _, *starts = start_positions(rules, scenario, cells, length)
         speeds = start_speeds(rules, scenario, cells, length)
         self._npcs = [make_npc(*start, speed) for start, speed in zip(starts, speeds, strict=True)]
-        self.vehicles = [ego, *self._npcs]
+        self.vehicles = [ego, *self._npcs]  # in the order of the record
         self._by_floats = isinstance(ego, Car)
         self._bodies = [Body(length, float(ego.WIDTH)), *self._director.npcs]
         self._frame: StraightFrame | NetworkFrame

@@ -26,14 +26,10 @@ class Record:
     """A run as far as it has come.
 
     Attributes:
-        rules: of the world.
-        scenario: as requested.
-        director: of the NPCs.
         sizes: length and width of each vehicle [m].
         rows: :data:`COLUMNS` numbers for each vehicle at each tick.
         tick: the last one that is recorded.
-        actions: of the ADS.
-        slowest: its longest decision [s].
+        slowest: longest decision of the ADS [s].
         frame: where everybody is on a road that is not straight; None on a straight one.
     """
 
