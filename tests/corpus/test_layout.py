@@ -119,15 +119,15 @@ def test_a_file_in_place_of_the_folder_and_a_loop_of_links_have_no_files(tmp_pat
     assert files_in(tmp_path / "corpus") == files_in(tmp_path / "loop") == []
 
 
-ROOT = Path("/work/project")
+ROOT = Path("/projects/project")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
 @pytest.mark.parametrize(
     ("corpus", "root"),
     [
-        ("pafot_corpus", "/work/project/tests/deep/pafot_corpus"),
-        ("found/here", "/work/project/tests/deep/found/here"),
+        ("pafot_corpus", "/projects/project/tests/deep/pafot_corpus"),
+        ("found/here", "/projects/project/tests/deep/found/here"),
         ("/all", "/all/tests/deep"),
     ],
 )
@@ -148,9 +148,9 @@ def test_a_test_file_outside_of_the_rootdir_has_the_top_of_a_corpus_for_all():
 @pytest.mark.parametrize(
     ("file", "corpus"),
     [
-        ("/work/project/a.pafot.yaml", "pafot_corpus"),
+        ("/projects/project/a.pafot.yaml", "pafot_corpus"),
         ("/a.pafot.yaml", "pafot_corpus"),
-        ("/work/project/other/test_safety/test_it/a.pafot.yaml", "pafot_corpus"),
+        ("/projects/project/other/test_safety/test_it/a.pafot.yaml", "pafot_corpus"),
         ("/other/test_safety/test_it/a.pafot.yaml", "/all"),
     ],
 )
@@ -162,11 +162,11 @@ def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
 @pytest.mark.parametrize(
     ("path", "corpus", "holds"),
     [
-        ("/work/tests/pafot_corpus", "pafot_corpus", True),
-        ("/work/tests/found/here", "found/here", True),
-        ("/work/tests/here", "found/here", False),
-        ("/work/all", "/work/all", True),
-        ("/elsewhere/work/all", "/work/all", False),
+        ("/projects/tests/pafot_corpus", "pafot_corpus", True),
+        ("/projects/tests/found/here", "found/here", True),
+        ("/projects/tests/here", "found/here", False),
+        ("/projects/all", "/projects/all", True),
+        ("/elsewhere/work/all", "/projects/all", False),
     ],
 )
 def test_a_folder_is_a_corpus_where_the_option_names_it(path, corpus, holds):
