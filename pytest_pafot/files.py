@@ -49,10 +49,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def write_if_free(path: Path, content: bytes) -> bool:
-    """Write a new file as :func:`write_whole` does; of two processes that try at once, the system chooses one.
+    """Write a new file as :func:`write_whole` does; False when the path is taken.
 
-    Returns:
-        whether it was written: False when the path is taken.
+    Of two processes that try at once, the system chooses one.
 
     Raises:
         OSError: when it cannot be written; nothing half written is left.

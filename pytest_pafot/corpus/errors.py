@@ -10,14 +10,7 @@ RESTORE = "restore the file from version control, or delete it"
 
 
 class CorpusError(FieldError):
-    """A file of the corpus that cannot be used.
-
-    Attributes:
-        path: of the file.
-        line: counted from 1, or None where the fault has no line.
-        field: such as ``scenario.npcs[0][3].cell``; empty where the fault has no field.
-        expected, received, fix: what should be there, what is, and the way out.
-    """
+    """A file of the corpus that cannot be used, with the line, from 1, and the field of the fault where it has them."""
 
     def __init__(
         self, path: Path, expected: str, received: str, fix: str = RESTORE, *, field: str = "", line: int | None = None

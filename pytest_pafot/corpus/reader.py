@@ -216,14 +216,12 @@ def _found(field: Field) -> Found:
 
 def _shrunk(field: Field, scenario: Scenario) -> Shrunk:
     fields = field.mapping(schema.SHRUNK)
-    speeds = tuple(_interval(inner, scenario) for inner in fields["speeds"].items())
-    return Shrunk(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=speeds)
-
-
-def _interval(field: Field, scenario: Scenario) -> SpeedInterval:
-    fields = field.mapping(schema.SPEEDS)
-    npc, low = fields["npc"].whole(0, len(scenario.npcs) - 1), fields["low"].number()
-    gene, high = fields["gene"].whole(0, len(scenario.npcs[npc]) - 1), fields["high"].number()
-    if low > high:
-        raise fields["high"].error(f"at least the low end, {low:g}", "restore the two from version control")
-    return SpeedInterval(npc=npc, gene=gene, low=low, high=high)
+    speeds = []
+    for entry in fields["speeds"].items():
+        interval = entry.mapping(schema.SPEEDS)
+        npc, low = interval["npc"].whole(0, len(scenario.npcs) - 1), interval["low"].number()
+        gene, high = interval["gene"].whole(0, len(scenario.npcs[npc]) - 1), interval["high"].number()
+        if low > high:
+            raise interval["high"].error(f"at least the low end, {low:g}", "restore the two from version control")
+        speeds.append(SpeedInterval(npc=npc, gene=gene, low=low, high=high))
+    return Shrunk(rollouts=fields["rollouts"].whole(), is_minimal=fields["is_minimal"].truth(), speeds=tuple(speeds))

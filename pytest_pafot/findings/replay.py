@@ -27,13 +27,7 @@ HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outco
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replayed:
-    """What came of the replay of a saved finding.
-
-    Attributes:
-        signature: that it was saved with.
-        observed: the signature with which it fails now, or None where it passes.
-        xfailed: whether the file has an ``xfail`` reason.
-    """
+    """What came of the replay of a saved finding: the signature ``observed`` now, None where it passes."""
 
     id: str
     signature: Signature

@@ -33,10 +33,8 @@ def campaign_view(
 ) -> CampaignView:
     """The view of a search from everything that it told; also of one that was cut short.
 
-    Args:
-        speed_limit: highest target speed [m/s], which says how many bins there are.
-        responsibilities: simulated runs by who was responsible.
-        cut_by: ``error`` or ``interrupted`` where that ended it, which no event tells.
+    The speed limit, the highest target speed [m/s], says how many bins there are. Responsibilities are simulated runs
+    by who was responsible. What no event tells is that the search was ``cut_by`` an ``error`` or ``interrupted``.
     """
     events = list(events)
     simulated = [event.evaluation for event in events if isinstance(event, Evaluated) and not event.reused]
@@ -67,7 +65,15 @@ def _generations(events: Iterable[Event]) -> tuple[GenerationView, ...]:
     restarts: set[int] = set()
     for event in events:
         if isinstance(event, GenerationFinished) and event.local_generation == 0:
-            views[event.generation] = _generation(event, restarted=event.generation in restarts)
+            fitness = [each.fitness for each in event.population if each.eligible and math.isfinite(each.fitness)]
+            views[event.generation] = GenerationView(
+                generation=event.generation,
+                best=round(max(fitness), 4) if fitness else None,
+                mean=round(sum(fitness) / len(fitness), 4) if fitness else None,
+                failing=sum(evaluation.failing for evaluation in event.population),
+                population=len(event.population),
+                restarted=event.generation in restarts,
+            )
         elif isinstance(event, Restarted):
             restarts.add(event.generation)
         elif isinstance(event, LocalSearchFinished) and event.generation in views:
@@ -75,18 +81,6 @@ def _generations(events: Iterable[Event]) -> tuple[GenerationView, ...]:
             view = views[event.generation]
             views[event.generation] = replace(view, local_best=best, local_replaced=event.replaced)
     return tuple(views[generation] for generation in sorted(views))
-
-
-def _generation(event: GenerationFinished, *, restarted: bool) -> GenerationView:
-    fitness = [each.fitness for each in event.population if each.eligible and math.isfinite(each.fitness)]
-    return GenerationView(
-        generation=event.generation,
-        best=round(max(fitness), 4) if fitness else None,
-        mean=round(sum(fitness) / len(fitness), 4) if fitness else None,
-        failing=sum(evaluation.failing for evaluation in event.population),
-        population=len(event.population),
-        restarted=restarted,
-    )
 
 
 def _rows(coverage: Coverage, labels: Iterable[tuple[str, Key]]) -> tuple[CoverageRow, ...]:

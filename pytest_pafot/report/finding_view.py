@@ -85,19 +85,18 @@ def finding_view(
 def _with_run(view: FindingView, trace: Trace, clearance: float) -> FindingView:
     """The view with all that only a run shows: the road, who was where when, and the moment that it is about."""
     run, ticks = Run(trace), frame_ticks(trace)
-    event = EventView(
-        kind=str(run.outcome),
-        time=round(min(run.event_time, run.duration), 3),
-        npc=run.event_npc,
-        side="" if run.collision is None else run.collision.side,
-        cell=None if run.event_cell is None else int(run.event_cell),
-    )
     return replace(
         view,
         road=road_view(trace, clearance),
         vehicles=_vehicles(trace, ticks),
         times=tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
-        event=event,
+        event=EventView(
+            kind=str(run.outcome),
+            time=round(min(run.event_time, run.duration), 3),
+            npc=run.event_npc,
+            side="" if run.collision is None else run.collision.side,
+            cell=None if run.event_cell is None else int(run.event_cell),
+        ),
         grid=() if trace.track is None else grid_poses(trace, ticks, clearance),
     )
 

@@ -135,8 +135,6 @@ class FindingView:
     Attributes:
         id: unique within a report together with the node id.
         node_id: of the item that replays it.
-        test: node id of the test.
-        headline: one line that says what happened.
         assertion: the line of the test that failed, or what was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: of the search that failed in this way.
@@ -146,7 +144,6 @@ class FindingView:
         times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
         yaml, path: the text of its file and where that is.
-        command: that runs it again.
         preventable_by, preventable_tried: reference drivers that survive the scenario in the ego's place, and all that
             were tried.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
@@ -186,10 +183,8 @@ class GenerationView:
     """One generation of the main search.
 
     Attributes:
-        generation: from 0.
         best, mean: fitness over the population's eligible runs.
         failing: runs of the population that the test rejected.
-        population: its size.
         restarted: whether its population was random again.
         local_best: fitness of the best of a local search after it.
         local_replaced: whether that took the incumbent's place.
@@ -224,8 +219,7 @@ class CampaignView:
     """How a search went.
 
     Attributes:
-        generations: finished, in order.
-        asked: generations asked for.
+        generations, asked: those that finished, in order, and how many were asked for.
         reason: why it ended, ``error`` and ``interrupted`` among it.
         simulated, reused: scenarios that were run, and that were known from an earlier run.
         outcomes, responsibilities: counts of simulated runs by name.

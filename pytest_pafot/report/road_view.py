@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,15 +24,24 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
 
     The clearance is the gap between the ego and the cells ahead and behind [m].
     """
-    ends = np.array([(lane.x, lane.y) for lane in trace.lanes])
-    across = along_and_across(trace, ends[:, 0], ends[:, 1])[1]
-    return RoadView(
-        lanes=() if trace.track is not None else tuple(round(float(value), 2) for value in across),
+    road = RoadView(
+        lanes=(),
         lane_width=float(trace.lanes[0].width),
         speed_limit=round(float(trace.speed_limit), 2),
         clearance=clearance,
-        shapes=() if trace.track is None else _lane_lines(trace.lanes, trace.track),
     )
+    if trace.track is None:
+        starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
+        across = along_and_across(trace, starts[:, 0], starts[:, 1])[1]
+        return replace(road, lanes=tuple(round(float(value), 2) for value in across))
+    reach = float(trace.track[:, 0, ALONG].max()) + BEYOND
+    shapes = []
+    for lane in trace.lanes:
+        points, length = _measured(lane)
+        shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
+        line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
+        shapes.append(LaneView(points=line, width=float(lane.width)))
+    return replace(road, shapes=tuple(shapes))
 
 
 def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -40,17 +50,6 @@ def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatA
     dx, dy = x - lane.x, y - lane.y
     cos, sin = np.cos(lane.heading), np.sin(lane.heading)
     return dx * cos + dy * sin, dy * cos - dx * sin
-
-
-def _lane_lines(lanes: Sequence[Lane], track: FloatArray) -> tuple[LaneView, ...]:
-    reach = float(track[:, 0, ALONG].max()) + BEYOND
-    views = []
-    for lane in lanes:
-        points, length = _measured(lane)
-        shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
-        line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
-        views.append(LaneView(points=line, width=float(lane.width)))
-    return tuple(views)
 
 
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:

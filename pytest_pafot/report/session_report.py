@@ -28,13 +28,9 @@ ORDER = ("ego", "both", "npc", "none")
 
 @dataclass(slots=True, kw_only=True)
 class Draft:
-    """What is known so far of what a report will show.
+    """What is known so far of what a report will show at the option's target.
 
-    Attributes:
-        target: where it is to be written, as the option gives it.
-        findings, campaigns: by node id.
-        replayed: number of replays by label.
-        seeds: base seeds of the searches, in their order.
+    That are findings and searches by node id, the number of replays by label, and the searches' base seeds, in order.
     """
 
     target: str

@@ -100,12 +100,8 @@ def find_section(
 ) -> str:
     """The section of a find's own report: what its failure's message does not say.
 
-    Args:
-        find: what it is about.
-        explanation: of the run; empty where the failure's message has it.
-        content: of the file that could not be written; else empty.
-        details: further lines, each with a title of up to ten letters.
-        advice: what follows from the find's remark, if anything.
+    That is the explanation of the run where it does not have it, the content of a file that could not be written,
+    further details, each with a title of up to ten letters, and the advice that follows from the find's remark.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
@@ -158,7 +154,6 @@ def failure_line(search: SearchSummary) -> str:
 
 def failure_message(search: SearchSummary) -> str:
     """Why a searching item fails: its new finds, each of which is reported as an item of its own."""
-    count = len(search.finds) + len(search.unsaved)
     firm, flaky = [], []
     for find in search.finds:
         name = f"{find.id} ({plural(1 + find.repeats, 'run')})"
@@ -166,7 +161,8 @@ def failure_message(search: SearchSummary) -> str:
             flaky.append(f"  {name} is flaky, so never called fixed: {ascii_text(find.difference)}")
         else:
             firm.append(name)
-    first = f"{plural(count, 'new finding')} in {plural(search.runs, 'run')}, reported below"
+    count = plural(len(search.finds) + len(search.unsaved), "new finding")
+    first = f"{count} in {plural(search.runs, 'run')}, reported below"
     return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
 
 
