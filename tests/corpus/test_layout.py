@@ -166,7 +166,7 @@ def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
         ("/projects/tests/found/here", "found/here", True),
         ("/projects/tests/here", "found/here", False),
         ("/projects/all", "/projects/all", True),
-        ("/elsewhere/work/all", "/projects/all", False),
+        ("/elsewhere/projects/all", "/projects/all", False),
     ],
 )
 def test_a_folder_is_a_corpus_where_the_option_names_it(path, corpus, holds):
