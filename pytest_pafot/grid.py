@@ -149,15 +149,10 @@ def repair_gene(
 
 
 def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Cell, ...], ...]:
-    """Make chains valid, gene by gene and on a road where every cell exists.
+    """Make chains valid, gene by gene and on a road where every cell exists; one chain per NPC, of any length.
 
-    Args:
-        chains: one sequence of cells per NPC; they may differ in length.
-        seed: of the draws, which depend on (seed, NPC, gene) alone.
-
-    Returns:
-        chains of the same lengths in which each cell equals the one before or is its ring neighbour, and no
-        two NPCs hold the same cell in the same gene. Valid chains come back unchanged.
+    In the chains that come back, of the same lengths, each cell equals the one before or is its ring neighbour, and no
+    two NPCs hold the same cell in the same gene. Valid chains are unchanged. Draws depend on (seed, NPC, gene) alone.
     """
     repaired: list[list[Cell]] = [[] for _ in chains]
     for gene in range(max(map(len, chains), default=0)):

@@ -302,9 +302,8 @@ def _gene_table(trace: Trace) -> list[str]:
     shown = rows[-MAX_GENE_ROWS:]
     widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
-    skipped = len(rows) - len(shown)
-    if skipped:
-        lines[0] += f"  ({skipped} earlier)"
+    if len(rows) > len(shown):
+        lines[0] += f"  ({len(rows) - len(shown)} earlier)"
     return [line.rstrip() for line in lines]
 
 

@@ -76,13 +76,9 @@ class Chase:
     def is_avoided(self, since: int, response: Braking, emergency: Emergency | None = None) -> bool:
         """Whether the follower keeps off the leader by braking.
 
-        During the delay it drives as it did, except that it does not speed up once it perceives the danger. Beyond
-        the last tick the leader goes on braking as it did then, to a standstill, or keeps its speed.
-
-        Args:
-            since: tick from which on there is something to respond to.
-            response: with which it brakes at least, to a standstill.
-            emergency: the harder response, where it is one.
+        Since a tick there is something to respond to. During the delay of the response it drives as it did, except that
+        it does not speed up once it perceives the danger; then it brakes at least so hard, to a standstill, and harder
+        in an emergency. Beyond the last tick the leader goes on braking as it did then, or keeps its speed.
         """
         ticks = len(self.gap) + math.ceil(HORIZON * self.hz) - since
         leader = self._extended(self.leader, since, ticks)

@@ -17,13 +17,7 @@ DISPLACEMENT = 1.0
 
 
 def manoeuvre_before(trace: Trace, vehicle: int, tick: int) -> Manoeuvre:
-    """Whether a vehicle changed lanes in the last seconds before a tick, or was doing so.
-
-    Args:
-        trace: of the run.
-        vehicle: 0 for the ego, ``i + 1`` for the NPC ``i``.
-        tick: of the event.
-    """
+    """Whether a vehicle (0: the ego, ``i + 1``: NPC ``i``) changed lanes shortly before a tick, or was doing so."""
     first = max(0, tick - round(WINDOW_SECONDS * trace.physics_hz))
     if trace.track is not None:
         across = trace.track[first : tick + 1, vehicle, ACROSS]

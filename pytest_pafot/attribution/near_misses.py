@@ -28,7 +28,6 @@ class NearMiss:
 
     Attributes:
         fault: of the ego, had they touched then.
-        npc: the other vehicle.
         tick: of the greatest severity.
         severity: mean of the risks of the time to contact and of the gap of the boxes, 0 to 1.
     """

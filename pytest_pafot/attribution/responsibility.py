@@ -26,21 +26,12 @@ vehicle ahead in its lane; it braked harder than anybody may with nothing ahead.
 STANDING_SPEED = 0.1
 """Up to this speed [m/s] the ego counts as standing."""
 
-DISTANCES = RssRules(
-    ego_response=1.0,
-    npc_response=1.0,
-    acceleration=0.0,
-    least_braking=6.0,
-    hardest_braking=8.0,
-    lateral_acceleration=0.2,
-    lateral_braking=0.8,
-    fluctuation=0.1,
-)
+DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
 """The safe distances of attribution. The usual two seconds behind a leader of equal speed must never be a fault: with
 these values they are safe up to 48 m/s (v + v^2 / 48 <= 2 v). Speeding up during the response time, which RSS counts
 with, would ask for more than that; a follower that does so has to answer for it through the distance itself. A leader
 brakes with at most 8 m/s^2, the hardest that NPCs can; a follower with at least 6 m/s^2, what UN R157 5.2.5.2 takes for
-granted of a system that must avoid. Lateral values are those of :class:`~pytest_pafot.criticality.RssRules`."""
+granted of a system that must avoid. Lateral values are the defaults of :class:`~pytest_pafot.criticality.RssRules`."""
 
 FOLLOWING = Braking(delay=1.0, deceleration=6.0)
 """The proper response of the one behind in a lane: that of RSS, with the numbers of :data:`DISTANCES`."""

@@ -21,7 +21,6 @@ from pytest_pafot.trace import FloatArray
 _TINY = 1e-290
 """Stands in for a relative velocity of zero [m/s]: it vanishes in any other, and dividing by it does not overflow."""
 
-
 FourAxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """One array per axis. Not one stacked array: those are large enough for the allocator to hand back to the system
 each time, and faulting their pages in again costs several times the arithmetic."""
@@ -59,11 +58,8 @@ class Boxes:
 
     def part(self, vehicles: slice, ticks: slice) -> Boxes:
         """Some vehicles at some ticks, of boxes with shape [vehicles, ticks] and sizes [vehicles, 1]."""
-        x, y, cos, sin, vx, vy = (
-            array[vehicles, ticks] for array in (self.x, self.y, self.cos, self.sin, self.vx, self.vy)
-        )
-        length, width = self.half_length[vehicles], self.half_width[vehicles]
-        return Boxes(x=x, y=y, cos=cos, sin=sin, vx=vx, vy=vy, half_length=length, half_width=width)
+        moving = {name: getattr(self, name)[vehicles, ticks] for name in ("x", "y", "cos", "sin", "vx", "vy")}
+        return Boxes(**moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,11 +64,9 @@ class HangGuard:
     clock then: if by that clock the decision was within the limit, nobody has found it overdue, since the watching
     thread reads the clock before it looks at ``started``. Else :meth:`settle` is to be called.
 
-    Args:
+    Attributes:
         limit: longest decision [s].
         clock: seconds, monotonic.
-
-    Attributes:
         started: when the decision under way began, by the clock [s]; None between decisions.
     """
 
@@ -120,11 +118,7 @@ class HangGuard:
             _let_it_arrive()
 
     def look(self) -> float:
-        """Interrupt the decision under way if it takes too long; called by the watching thread.
-
-        Returns:
-            For how long that decision has ignored interruptions [s].
-        """
+        """From the watching thread, interrupt a decision that takes too long; for how long it has ignored that [s]."""
         with self._lock:
             now, started = self.clock(), self.started  # in this order, see above
             if started is None or now - started <= self.limit:

@@ -57,11 +57,7 @@ class Policy:
 
 
 def check_action_space(space: Any) -> None:
-    """Refuse actions that are not for one vehicle.
-
-    Raises:
-        WorldError: with the space.
-    """
+    """Raise a :class:`WorldError` for actions that are not for one vehicle."""
     if not isinstance(space, (spaces.Discrete, spaces.Box)):
         raise WorldError(
             f"config.action: expected a discrete or continuous action for one vehicle, received the space "
@@ -70,11 +66,7 @@ def check_action_space(space: Any) -> None:
 
 
 def checked_action(action: Any, space: Any) -> Any:
-    """An action as the space has it: an int, or a float array of its shape.
-
-    Raises:
-        BadAction: when it is none, or not finite.
-    """
+    """An action as the space has it, an int or a float array of its shape; raises :class:`BadAction` for any other."""
     is_choice = isinstance(space, spaces.Discrete)
     expected = f"expected finite numbers of shape {space.shape}"
     if is_choice:

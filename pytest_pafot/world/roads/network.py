@@ -106,9 +106,8 @@ class NetworkRoad:
 
     def exists(self, lane: int, along: float) -> bool:
         """Whether there is such a lane at a place of the road."""
-        if not (0 <= lane < len(self.columns) and 0 <= along <= self.end):
-            return False
-        return self.columns[lane].exists[self.point(along)]
+        is_on_road = 0 <= lane < len(self.columns) and 0 <= along <= self.end
+        return is_on_road and self.columns[lane].exists[self.point(along)]
 
     def continues(self, lane: int, since: float, until: float) -> bool:
         """Whether a lane exists from one place to another, or to the end of the road."""
