@@ -9,23 +9,16 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reported:
-    """One technique over ten runs of 100 generations with two NPCs on CARLA.
+    """One technique over ten runs of 100 generations with two NPCs on CARLA."""
 
-    Attributes:
-        scenarios, collisions, local_searches: in total.
-        per_run: collisions of a run: mean, most, least.
-        time_to_collision: where there is one: mean, longest, shortest [s].
-        seconds_per_scenario: simulated, 60 s where safe [s].
-        hours: simulated in total.
-    """
-
+    # in total
     scenarios: int
     collisions: int
     local_searches: int
-    per_run: tuple[int, int, int]
-    time_to_collision: tuple[float, float, float]
-    seconds_per_scenario: float
-    hours: float
+    per_run: tuple[int, int, int]  # collisions of a run: mean, most, least
+    time_to_collision: tuple[float, float, float]  # where there is one: mean, longest, shortest [s]
+    seconds_per_scenario: float  # simulated, 60 s where safe [s]
+    hours: float  # simulated in total
 
 
 PAPER_GENERATIONS = 100

@@ -36,33 +36,23 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A comparison. Every (algorithm, run) is a function of this value alone.
+    """A comparison. Every (algorithm, run) is a function of this value alone."""
 
-    Attributes:
-        ads: the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``.
-        algorithms: names, or ``module:Class``.
-        runs: of each algorithm.
-        generations: of the main search; None where the budget is a time.
-        seconds: simulated time of each run, at the end of which the last scenario is finished; None for generations.
-        seed: from which the seeds of all runs follow.
-        blame: ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible
-            for, and steers the default fitness towards them.
-        fitness: of all algorithms, a name or ``module:function``; None for each one's own.
-        parameters: of the algorithms, such as ``{"population": 8}``; each must take all of them.
-        world: as a corpus file has it.
-        space: fields of :class:`~pytest_pafot.searching.space.SearchSpace`.
-    """
-
-    ads: str
-    algorithms: tuple[str, ...]
-    runs: int = 10
-    generations: int | None = 100
+    ads: str  # the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
+    algorithms: tuple[str, ...]  # names, or ``module:Class``
+    runs: int = 10  # of each algorithm
+    generations: int | None = 100  # of the main search; None where the budget is a time
+    # simulated time of each run, at the end of which the last scenario is finished; None for generations
     seconds: float | None = None
-    seed: int = 0
+    seed: int = 0  # from which the seeds of all runs follow
+    # ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible for, and
+    # steers the default fitness towards them
     blame: str = "any"
-    fitness: str | None = None
+    fitness: str | None = None  # of all algorithms, a name or ``module:function``; None for each one's own
+    # of the algorithms, such as ``{"population": 8}``; each must take all of them
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())
+    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # as a corpus file has it
+    # fields of :class:`~pytest_pafot.searching.space.SearchSpace`
     space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))
 
     @property

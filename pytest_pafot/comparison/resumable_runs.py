@@ -77,18 +77,13 @@ def claim(plan: Plan, folder: Path) -> None:
 
 @dataclass(slots=True)
 class ProgressLine:
-    """Tells how far the runs are and how long they will take.
+    """Tells how far the runs are and how long they will take."""
 
-    Attributes:
-        total, done: runs.
-        told: where to.
-        clock: seconds since any moment.
-    """
-
+    # runs
     total: int
     done: int
-    told: TextIO
-    clock: Callable[[], float]
+    told: TextIO  # where to
+    clock: Callable[[], float]  # seconds since any moment
     started: float = 0.0
     told_at: float = float("-inf")
     first_done: int = 0

@@ -31,21 +31,13 @@ TESTED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Results:
-    """What a report is made of.
+    """What a report is made of."""
 
-    Attributes:
-        plan: of the comparison.
-        frame: the rows.
-        horizon: the simulated time that all runs have [s]: what equal times can be compared up to.
-        whole: measures of the runs to their ends.
-        equal: the same up to the horizon.
-    """
-
-    plan: Plan
-    frame: pd.DataFrame
-    horizon: float
-    whole: pd.DataFrame
-    equal: pd.DataFrame
+    plan: Plan  # of the comparison
+    frame: pd.DataFrame  # the rows
+    horizon: float  # the simulated time that all runs have [s]: what equal times can be compared up to
+    whole: pd.DataFrame  # measures of the runs to their ends
+    equal: pd.DataFrame  # the same up to the horizon
 
     @classmethod
     def of(cls, plan: Plan, path: Path) -> Results:
@@ -144,26 +136,17 @@ def first_failures(runs: pd.DataFrame) -> tuple[list[float], list[bool]]:
 
 
 class Comparison(NamedTuple):
-    """One test of one algorithm against another.
+    """One test of one algorithm against another."""
 
-    Attributes:
-        measure: what is compared.
-        at: ``generations`` or ``seconds``, the budget at which it is equal for both.
-        first, second: algorithms.
-        values: of the two: medians, or counts of runs.
-        effect: None for tests of counts and of censored times.
-        p: of the test.
-        test: its name.
-    """
-
-    measure: str
-    at: str
+    measure: str  # what is compared
+    at: str  # ``generations`` or ``seconds``, the budget at which it is equal for both
+    # algorithms
     first: str
     second: str
-    values: tuple[float, float]
-    effect: Effect | None
-    p: float
-    test: str
+    values: tuple[float, float]  # of the two: medians, or counts of runs
+    effect: Effect | None  # None for tests of counts and of censored times
+    p: float  # of the test
+    test: str  # its name
 
 
 def comparisons(whole: pd.DataFrame, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:

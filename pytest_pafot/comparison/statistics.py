@@ -19,33 +19,22 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """How two samples compare.
+    """How two samples compare."""
 
-    Attributes:
-        a12: probability that a value of the first exceeds one of the second, ties by half (Vargha-Delaney).
-        low, high: 95 % confidence interval of it.
-        p: two-sided Mann-Whitney U test.
-    """
-
-    a12: float
+    a12: float  # probability that a value of the first exceeds one of the second, ties by half (Vargha-Delaney)
+    # 95 % confidence interval of it
     low: float
     high: float
-    p: float
+    p: float  # two-sided Mann-Whitney U test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survival:
-    """Kaplan-Meier's estimate of the share that is without an event yet.
+    """Kaplan-Meier's estimate of the share that is without an event yet."""
 
-    Attributes:
-        times: at which the estimate steps down.
-        shares: from each of these times on.
-        median: the first time at which it is at most one half; infinite if it never is.
-    """
-
-    times: FloatArray
-    shares: FloatArray
-    median: float
+    times: FloatArray  # at which the estimate steps down
+    shares: FloatArray  # from each of these times on
+    median: float  # the first time at which it is at most one half; infinite if it never is
 
 
 def compared(first: Sequence[float], second: Sequence[float]) -> Effect:

@@ -19,15 +19,10 @@ PAGE = "page"
 
 
 class Message(NamedTuple):
-    """What an item tells.
+    """What an item tells."""
 
-    Attributes:
-        kind: of the data, such as ``progress``.
-        data: plain.
-    """
-
-    kind: str
-    data: dict[str, Any]
+    kind: str  # of the data, such as ``progress``
+    data: dict[str, Any]  # plain
 
 
 def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:

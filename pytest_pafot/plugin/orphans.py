@@ -21,15 +21,11 @@ _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
 
 
 class Unrun(NamedTuple):
-    """What a session found.
+    """What a session found."""
 
-    Attributes:
-        orphans: folders of saved scenarios whose test is gone, each with the files that may be removed.
-        strays: saved scenarios that lie in no folder of a test, each with where it should be, in words.
-    """
-
+    # folders of saved scenarios whose test is gone, each with the files that may be removed
     orphans: dict[Path, list[Path]]
-    strays: dict[str, str]
+    strays: dict[str, str]  # saved scenarios that lie in no folder of a test, each with where it should be, in words
 
 
 UNRUN = pytest.StashKey[Unrun]()
@@ -37,23 +33,15 @@ UNRUN = pytest.StashKey[Unrun]()
 
 @dataclass(slots=True, kw_only=True)
 class Collected:
-    """What a session collected, before any selection.
+    """What a session collected, before any selection."""
 
-    Attributes:
-        rootpath: of the session.
-        folders: corpus folders of the items.
-        roots: corpora, with the folder of the test files that each serves.
-        classes: node ids of the classes that exist in collected modules and classes.
-        opened: node ids of the classes whose members were collected.
-        files: test files with at least one item.
-    """
-
-    rootpath: Path
-    folders: set[Path] = field(default_factory=set)
-    roots: dict[Path, Path] = field(default_factory=dict)
+    rootpath: Path  # of the session
+    folders: set[Path] = field(default_factory=set)  # corpus folders of the items
+    roots: dict[Path, Path] = field(default_factory=dict)  # corpora, with the folder of the test files that each serves
+    # node ids of the classes that exist in collected modules and classes
     classes: set[str] = field(default_factory=set)
-    opened: set[str] = field(default_factory=set)
-    files: set[Path] = field(default_factory=set)
+    opened: set[str] = field(default_factory=set)  # node ids of the classes whose members were collected
+    files: set[Path] = field(default_factory=set)  # test files with at least one item
 
 
 def find_orphans(collected: Collected) -> dict[Path, list[Path]]:

@@ -21,24 +21,16 @@ LOG_SECONDS = 10.0
 
 @dataclass(slots=True, kw_only=True)
 class Shared:
-    """Values that the controller decides and every worker uses.
+    """Values that the controller decides and every worker uses."""
 
-    Attributes:
-        fresh_seed: base seed where no option gives one.
-        progress_seconds: between two reports of progress.
-        width: of the terminal, in columns, which a worker cannot ask.
-        began: when the session did, by ``time.monotonic`` of this process [s].
-        frozen: node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed
-            one collects these and no files that were written since. None before.
-        begun: node ids of the searches that this process has begun.
-    """
-
-    fresh_seed: int
-    progress_seconds: float
-    width: int
-    began: float
+    fresh_seed: int  # base seed where no option gives one
+    progress_seconds: float  # between two reports of progress
+    width: int  # of the terminal, in columns, which a worker cannot ask
+    began: float  # when the session did, by ``time.monotonic`` of this process [s]
+    # node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed one collects
+    # these and no files that were written since. None before
     frozen: frozenset[str] | None = None
-    begun: set[str] = field(default_factory=set)
+    begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
 
     @classmethod
     def of_new_session(cls) -> Self:
@@ -53,15 +45,10 @@ class Shared:
 
 @dataclass(frozen=True, slots=True)
 class SummaryLines:
-    """Lines for the summary of the session, on the controller.
+    """Lines for the summary of the session, on the controller."""
 
-    Attributes:
-        problems: anything that went wrong beside the tests.
-        reports: where reports are.
-    """
-
-    problems: list[str] = field(default_factory=list)
-    reports: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)  # anything that went wrong beside the tests
+    reports: list[str] = field(default_factory=list)  # where reports are
 
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:

@@ -37,22 +37,15 @@ class AlgorithmClass:
     """The class of a search algorithm, and what it says of itself by class attributes.
 
     All but the name may be missing in a class; they are then as here.
-
-    Attributes:
-        made_by: the class.
-        name: by which files and reports call it.
-        fitness: that it maximises unless another one is asked for: a name, weights or a function.
-        knows_grid: whether its genes are Position-Instructions; else they are Lane-Instructions.
-        reads_near_misses: whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`.
-        library: that it needs beside this package, as it is imported.
     """
 
-    made_by: Callable[..., Algorithm[Any]]
-    name: str
+    made_by: Callable[..., Algorithm[Any]]  # the class
+    name: str  # by which files and reports call it
+    # that it maximises unless another one is asked for: a name, weights or a function
     fitness: str | Weights | Fitness = "default"
-    knows_grid: bool = True
-    reads_near_misses: bool = False
-    library: str | None = None
+    knows_grid: bool = True  # whether its genes are Position-Instructions; else they are Lane-Instructions
+    reads_near_misses: bool = False  # whether it makes use of :attr:`~pytest_pafot.searching.Evaluation.near_misses`
+    library: str | None = None  # that it needs beside this package, as it is imported
 
     def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
         """The algorithm on a space, with its own parameters, such as ``population=4``.

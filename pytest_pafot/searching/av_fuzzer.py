@@ -39,34 +39,23 @@ LEAST_WEIGHT = 0.001
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvFuzzerState:
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        generation: of the main search, from 0, which is the random population.
-        local_generation: 0 in the main search; in a local search 1 for the mutants and then upwards.
-        population: selected at the end of the last generation; empty before a random population.
-        local_population: the same within a local search.
-        global_best: of all generations, by fitness, kept aside.
-        local_best: of the local search that is going on.
-        slot: of the best in the population, which the result of a local search may take.
-        bests: the highest fitness of each selected population since the last random one, that one first.
-        restarted_at: the generation whose population was random.
-        checkpoints: all selected populations so far, those of local searches included, as distances see them.
-        fresh: a random population to ask for next.
-        asked: positions and scenarios that are out; None when it is time to ask.
-    """
-
-    generation: int = 0
-    local_generation: int = 0
+    generation: int = 0  # of the main search, from 0, which is the random population
+    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
+    # selected at the end of the last generation; empty before a random population
     population: tuple[Evaluation, ...] = ()
-    local_population: tuple[Evaluation, ...] = ()
-    global_best: Evaluation | None = None
-    local_best: Evaluation | None = None
-    slot: int = 0
+    local_population: tuple[Evaluation, ...] = ()  # the same within a local search
+    global_best: Evaluation | None = None  # of all generations, by fitness, kept aside
+    local_best: Evaluation | None = None  # of the local search that is going on
+    slot: int = 0  # of the best in the population, which the result of a local search may take
+    # the highest fitness of each selected population since the last random one, that one first
     bests: tuple[float, ...] = ()
-    restarted_at: int = 0
+    restarted_at: int = 0  # the generation whose population was random
+    # all selected populations so far, those of local searches included, as distances see them
     checkpoints: tuple[FloatArray, ...] = ()
-    fresh: tuple[Scenario, ...] = ()
+    fresh: tuple[Scenario, ...] = ()  # a random population to ask for next
+    # positions and scenarios that are out; None when it is time to ask
     asked: tuple[tuple[int, Scenario], ...] | None = None
 
 

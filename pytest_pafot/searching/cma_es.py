@@ -29,15 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CmaEsState(GenerationState):
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        optimiser: of cmaes, with its distribution and its own random state; never changed, but copied.
-        solutions: of the optimiser, one for each scenario that is out.
-    """
-
-    optimiser: CatCMAwM
-    solutions: tuple[Any, ...] = ()
+    optimiser: CatCMAwM  # of cmaes, with its distribution and its own random state; never changed, but copied
+    solutions: tuple[Any, ...] = ()  # of the optimiser, one for each scenario that is out
 
 
 @dataclass(frozen=True, slots=True)

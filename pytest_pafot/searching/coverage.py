@@ -33,17 +33,12 @@ def speed_bins(speed_limit: float) -> tuple[Key, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How often simulated runs did what. Lane-Instructions have speeds, and neither cells nor steps.
+    """How often simulated runs did what. Lane-Instructions have speeds, and neither cells nor steps."""
 
-    Attributes:
-        requested: asked for by the scenarios.
-        driven: by the genes that the runs came to, after the repair inside the run.
-        reached: those driven whose cell, or lane, was reached.
-    """
-
-    requested: Counter[Key] = field(default_factory=Counter)
+    requested: Counter[Key] = field(default_factory=Counter)  # asked for by the scenarios
+    # by the genes that the runs came to, after the repair inside the run
     driven: Counter[Key] = field(default_factory=Counter)
-    reached: Counter[Key] = field(default_factory=Counter)
+    reached: Counter[Key] = field(default_factory=Counter)  # those driven whose cell, or lane, was reached
 
     def counted(self, evaluation: Evaluation) -> Coverage:
         """With one more run."""

@@ -43,18 +43,13 @@ Near = tuple[NearMiss, Evaluation]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistinctState(GenerationState):
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        kinds: of failures that were shown so far.
-        faults: of the ego that these failures had.
-        elites: the worst run for the ego of each niche, in the order of the niches, without those of known kinds.
-        near: the worst near-misses of each fault that is not known, with their runs, the worst first.
-    """
-
-    kinds: frozenset[Hashable] = frozenset()
-    faults: frozenset[Fault] = frozenset()
+    kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
+    faults: frozenset[Fault] = frozenset()  # of the ego that these failures had
+    # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
     elites: tuple[tuple[Niche, Evaluation], ...] = ()
+    # the worst near-misses of each fault that is not known, with their runs, the worst first
     near: tuple[tuple[Near, ...], ...] = ()
 
 

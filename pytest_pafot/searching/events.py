@@ -27,33 +27,23 @@ class CampaignStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluated:
-    """One scenario of a generation was evaluated.
-
-    Attributes:
-        index: position in what the algorithm asked for in this generation, from 0.
-        reused: whether an earlier run already showed what this scenario does, so that it was not simulated.
-    """
+    """One scenario of a generation was evaluated."""
 
     generation: int
     local_generation: int
-    index: int
+    index: int  # position in what the algorithm asked for in this generation, from 0
     evaluation: Evaluation
-    reused: bool
+    reused: bool  # whether an earlier run already showed what this scenario does, so that it was not simulated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """All scenarios of a generation were evaluated.
-
-    Attributes:
-        population: the elites that passed on untouched, then the new ones in the order asked for.
-        elites: how many of the population passed on.
-    """
+    """All scenarios of a generation were evaluated."""
 
     generation: int
     local_generation: int
-    population: tuple[Evaluation, ...]
-    elites: int
+    population: tuple[Evaluation, ...]  # the elites that passed on untouched, then the new ones in the order asked for
+    elites: int  # how many of the population passed on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,54 +65,35 @@ class LocalSearchStarted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalSearchFinished:
-    """The main search goes on.
-
-    Attributes:
-        best: of the local search; the incumbent itself if nothing better was found.
-        replaced: whether the best took the incumbent's place in the main population.
-    """
+    """The main search goes on."""
 
     generation: int
     incumbent: Evaluation
-    best: Evaluation
-    replaced: bool
+    best: Evaluation  # of the local search; the incumbent itself if nothing better was found
+    replaced: bool  # whether the best took the incumbent's place in the main population
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restarted:
-    """The population was given up.
+    """The population was given up."""
 
-    Attributes:
-        generation: the one whose population is random again.
-        stagnant: generations without improvement before it.
-    """
-
-    generation: int
-    stagnant: int
+    generation: int  # the one whose population is random again
+    stagnant: int  # generations without improvement before it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignFinished:
-    """The last event of a campaign that was not closed before.
+    """The last event of a campaign that was not closed before."""
 
-    Attributes:
-        reason: ``generations`` when all given ones are finished, ``time`` when the time was over before,
-            ``stopped`` when the consumer asked for it.
-        generations: of the main search that were finished.
-        evaluated: scenarios that were evaluated.
-        simulated: those of them that were run.
-        best: None when no run was eligible.
-        coverage: of the instructions of the simulated scenarios.
-        seconds: by the campaign's clock; not reproducible.
-    """
-
+    # ``generations`` when all given ones are finished, ``time`` when the time was over before, ``stopped`` when the
+    # consumer asked for it
     reason: EndReason
-    generations: int
-    evaluated: int
-    simulated: int
-    best: Evaluation | None
-    coverage: Coverage = field(default_factory=Coverage)
-    seconds: float = field(compare=False)
+    generations: int  # of the main search that were finished
+    evaluated: int  # scenarios that were evaluated
+    simulated: int  # those of them that were run
+    best: Evaluation | None  # None when no run was eligible
+    coverage: Coverage = field(default_factory=Coverage)  # of the instructions of the simulated scenarios
+    seconds: float = field(compare=False)  # by the campaign's clock; not reproducible
 
 
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted

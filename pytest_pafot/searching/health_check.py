@@ -41,37 +41,24 @@ IMMEDIATE = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """Counts over the evaluations of a search. All but ``evaluated`` count simulated scenarios only.
+    """Counts over the evaluations of a search. All but ``evaluated`` count simulated scenarios only."""
 
-    Attributes:
-        evaluated: scenarios that the algorithm asked for.
-        simulated: those of them that were run; the others were known from earlier runs.
-        invalid: runs in which two NPCs touched.
-        discarded: runs that the user's function declined to judge.
-        genes_started, genes_reached: counted over all NPCs, but for runs that a fault of the ADS cut short.
-        valid: runs that were neither invalid nor discarded; the counts below are among these.
-        failing: runs that the user's function rejected.
-        no_interaction: runs in which no NPC gave the ego a reason to react. A run that a fault of the ADS cut short
-            is none of these, nor of the next two.
-        outran: runs in which the ego left all NPCs behind.
-        barely_moved: runs in which the ego hardly drove.
-        immediate: collisions within the first second.
-        coverage: of the instructions, requested, driven and reached.
-    """
-
-    evaluated: int = 0
-    simulated: int = 0
-    invalid: int = 0
-    discarded: int = 0
+    evaluated: int = 0  # scenarios that the algorithm asked for
+    simulated: int = 0  # those of them that were run; the others were known from earlier runs
+    invalid: int = 0  # runs in which two NPCs touched
+    discarded: int = 0  # runs that the user's function declined to judge
+    # counted over all NPCs, but for runs that a fault of the ADS cut short
     genes_started: int = 0
     genes_reached: int = 0
-    valid: int = 0
-    failing: int = 0
+    valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
+    failing: int = 0  # runs that the user's function rejected
+    # runs in which no NPC gave the ego a reason to react. A run that a fault of the ADS cut short is none of these,
+    # nor of the next two
     no_interaction: int = 0
-    outran: int = 0
-    barely_moved: int = 0
-    immediate: int = 0
-    coverage: Coverage = field(default_factory=Coverage)
+    outran: int = 0  # runs in which the ego left all NPCs behind
+    barely_moved: int = 0  # runs in which the ego hardly drove
+    immediate: int = 0  # collisions within the first second
+    coverage: Coverage = field(default_factory=Coverage)  # of the instructions, requested, driven and reached
 
     @classmethod
     def of(cls, events: Iterable[Event]) -> Health:

@@ -35,15 +35,10 @@ CLOSING_SPEED_NICHES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapElitesState(GenerationState):
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        archive: of pyribs, with numbers of evaluations for solutions; never changed, but copied.
-        evaluations: all eligible ones so far.
-    """
-
-    archive: GridArchive
-    evaluations: tuple[Evaluation, ...] = ()
+    archive: GridArchive  # of pyribs, with numbers of evaluations for solutions; never changed, but copied
+    evaluations: tuple[Evaluation, ...] = ()  # all eligible ones so far
 
 
 @dataclass(frozen=True, slots=True)

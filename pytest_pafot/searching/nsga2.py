@@ -27,13 +27,9 @@ WORST = 1e9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nsga2State(GenerationState):
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        population: survivors, the best rank first, and within a rank the least crowded.
-    """
-
-    population: tuple[Evaluation, ...] = ()
+    population: tuple[Evaluation, ...] = ()  # survivors, the best rank first, and within a rank the least crowded
 
 
 @dataclass(frozen=True, slots=True)

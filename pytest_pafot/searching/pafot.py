@@ -30,31 +30,18 @@ from pytest_pafot.searching.space import SearchSpace, sample
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PafotState:
-    """Where a search is, between two calls.
+    """Where a search is, between two calls."""
 
-    Attributes:
-        generation: of the main search, from 0; it advances when the generation and its local search are over.
-        local_generation: 0 in the main search; in a local search 1 for the mutants and then upwards.
-        population: of the main search.
-        local_population: of the local search that is going on.
-        best: since the last restart; None before the first eligible run.
-        restarted_at: the generation whose population was random.
-        improved_at: the last generation that set a new best, or ``restarted_at``.
-        kept: evaluated members that the population in the making starts with.
-        fresh: scenarios that the next ask gives instead of breeding.
-        asked: scenarios that are out for evaluation; None when it is time to ask.
-    """
-
-    generation: int = 0
-    local_generation: int = 0
-    population: tuple[Evaluation, ...] = ()
-    local_population: tuple[Evaluation, ...] = ()
-    best: Evaluation | None = None
-    restarted_at: int = 0
-    improved_at: int = 0
-    kept: tuple[Evaluation, ...] = ()
-    fresh: tuple[Scenario, ...] = ()
-    asked: tuple[Scenario, ...] | None = None
+    generation: int = 0  # of the main search, from 0; it advances when the generation and its local search are over
+    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
+    population: tuple[Evaluation, ...] = ()  # of the main search
+    local_population: tuple[Evaluation, ...] = ()  # of the local search that is going on
+    best: Evaluation | None = None  # since the last restart; None before the first eligible run
+    restarted_at: int = 0  # the generation whose population was random
+    improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
+    kept: tuple[Evaluation, ...] = ()  # evaluated members that the population in the making starts with
+    fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask gives instead of breeding
+    asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
 
 
 @dataclass(frozen=True, slots=True)
