@@ -127,10 +127,7 @@ def _efficiency(results: Results) -> str:
         rows.append(
             [
                 name,
-                *(
-                    f"{seconds / total['unique']:.2f} s",
-                    "" if told is None else f"{told.seconds_per_scenario:.2f} s",
-                ),
+                *(f"{seconds / total['unique']:.2f} s", "" if told is None else f"{told.seconds_per_scenario:.2f} s"),
                 f"{seconds / hits:.2f} s" if hits else "no collision",
                 "" if told is None else f"{told.hours * SECONDS_PER_HOUR / told.collisions:.2f} s",
                 *(f"{seconds / SECONDS_PER_HOUR:.2f} h", "" if told is None else f"{told.hours:.2f} h"),

@@ -17,13 +17,7 @@ from numpy.random import Generator
 from pytest_pafot.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
 from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import (
-    AlgorithmEvent,
-    GenerationFinished,
-    LocalSearchStarted,
-    NewBest,
-    Restarted,
-)
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
 from pytest_pafot.searching.operators import with_chain
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.trace import FloatArray
@@ -188,14 +182,7 @@ class AvFuzzerSearch:
         generation = state.generation + 1
         candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
         fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
-        return replace(
-            state,
-            generation=generation,
-            population=(),
-            restarted_at=generation,
-            bests=(),
-            fresh=fresh,
-        )
+        return replace(state, generation=generation, population=(), restarted_at=generation, bests=(), fresh=fresh)
 
     def _after_local_generation(
         self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator

@@ -162,11 +162,7 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
         )
     make = Scenario.trusted if isinstance(start, Scenario) else Scenario  # a space is what somebody asked for
     return make(
-        npcs=npcs,
-        seed=seed,
-        ego_lane=start.ego_lane,
-        ego_speed=start.ego_speed,
-        gene_seconds=start.gene_seconds,
+        npcs=npcs, seed=seed, ego_lane=start.ego_lane, ego_speed=start.ego_speed, gene_seconds=start.gene_seconds
     )
 
 
