@@ -29,14 +29,12 @@ from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import WorldLike, first_decision
 
-UNBOUNDED = 10**9
-"""Generations of a run whose budget is a time."""
+UNBOUNDED = 10**9  # generations of a run whose budget is a time
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
 """The failure of a property that forbids collisions, under which collisions are told apart."""
 
-Tick = Callable[[float], None]
-"""Told the share of a run that is done, 0 to 1."""
+Tick = Callable[[float], None]  # told the share of a run that is done, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,12 +168,7 @@ def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
 
 
 def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:
-    """Check that an ADS drives at all: a fault of the set-up says nothing of any algorithm.
-
-    Args:
-        world: in which it drives.
-        factory: of the ADS.
-        first: the runs of the first generation, with their :class:`RunFacts`.
+    """Check by the first generation that an ADS drives at all: a fault of the set-up says nothing of any algorithm.
 
     Raises:
         PlanError: where one cause made it fail at its first decision in all of them.

@@ -22,11 +22,8 @@ from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-
 START = "; where the road is not straight, the environment's"
-
-BAD_USE = 2
-"""Exit code for wrong arguments, as argparse has it."""
+BAD_USE = 2  # exit code for wrong arguments, as argparse has it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,15 +79,7 @@ def _add_world_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run the comparison and write its report.
-
-    Args:
-        arguments: parsed.
-        command: as it was given, for the report.
-
-    Returns:
-        the exit code.
-    """
+    """Run the comparison and write its report, which shows the command as it was given; the exit code."""
     sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
     try:
         plan = checked(plan_of(arguments))

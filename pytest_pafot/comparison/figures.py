@@ -34,8 +34,7 @@ SETTINGS: Any = {
     "svg.hashsalt": "pytest-pafot",
     "hatch.linewidth": 0.7,
 }
-POINTS = 300
-"""On a curve over time."""
+POINTS = 300  # on a curve over time
 
 
 class Style(NamedTuple):
@@ -80,11 +79,7 @@ def _unique(results: Results) -> pd.DataFrame:
 
 
 def draw_all(results: Results, folder: Path) -> dict[str, str]:
-    """Write every figure as PNG and SVG.
-
-    Returns:
-        titles by the names of the files, without their endings.
-    """
+    """Write every figure as PNG and SVG; their titles by the names of the files, without endings."""
     titles: dict[str, str] = {}
     with mpl.rc_context(SETTINGS):
         for name, (title, draw, size) in FIGURES.items():
@@ -144,10 +139,6 @@ def _curves(axes: Axes, results: Results, *, label: str, counts: Callable[[pd.Da
     axes.legend(loc="upper left")
 
 
-def _is_collision(rows: pd.DataFrame) -> pd.Series[bool]:
-    return rows["outcome"] == "collision"
-
-
 def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
     """Whether a failure is the first of its signature in its run."""
     known = rows[rows["is_ego_failure"]].duplicated(["algorithm", "run", "signature"])
@@ -200,13 +191,11 @@ def _first_failure(axes: Axes, results: Results) -> None:
     axes.legend(loc="upper right")
 
 
-Draw = Callable[[Axes, Results], None]
-
-FIGURES: Mapping[str, tuple[str, Draw, tuple[float, float]]] = {
+FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None], tuple[float, float]]] = {
     "totals": ("Scenarios and collisions in total, beside the paper's", _totals, (7.0, 3.8)),
     "collisions-over-time": (
         "Collisions over simulated time",
-        partial(_curves, label="unique collisions of a run", counts=_is_collision),
+        partial(_curves, label="unique collisions of a run", counts=lambda rows: rows["outcome"] == "collision"),
         (6.0, 3.6),
     ),
     "unsafe-per-run": (

@@ -23,8 +23,7 @@ from pytest_pafot.comparison.run_measures import (
 )
 from pytest_pafot.versions import installed_versions
 
-BIN_SECONDS = 10.0
-"""Width of the intervals in which the paper tells when collisions happen [s]."""
+BIN_SECONDS = 10.0  # width of the intervals in which the paper tells when collisions happen [s]
 
 HOW_TO_READ = """
 ## How to read this
@@ -40,13 +39,9 @@ HOW_TO_READ = """
 
 
 def report(results: Results, command: Sequence[str], wall: float | None, figures: Mapping[str, str]) -> str:
-    """The whole text.
+    """The whole text, with the command that made it, and the titles of figures by file name, without ending.
 
-    Args:
-        results: of the comparison.
-        command: that made them.
-        wall: time of all runs together by the clock on the wall [s]; None where unknown.
-        figures: titles by file name, without ending.
+    ``wall`` is the time of all runs together by the clock on the wall [s]; None where unknown.
     """
     parts = [
         _head(results, command, wall),
@@ -55,9 +50,8 @@ def report(results: Results, command: Sequence[str], wall: float | None, figures
         _responsibility(results),
         _distinct(results),
         _tests(results),
-        "\n\n".join(
-            ["## Figures", *(f"![{title}](figures/{name}.png)\n\n*{title}.*" for name, title in figures.items())]
-        ),
+        "## Figures",
+        *(f"![{title}](figures/{name}.png)\n\n*{title}.*" for name, title in figures.items()),
         HOW_TO_READ.format(rows=len(results.frame)),
     ]
     return "\n\n".join(part.strip() for part in parts) + "\n"

@@ -11,8 +11,7 @@ from types import MappingProxyType
 class Reported:
     """One technique over ten runs of 100 generations with two NPCs on CARLA."""
 
-    # in total
-    scenarios: int
+    scenarios: int  # in total, and so are the next two
     collisions: int
     local_searches: int
     per_run: tuple[int, int, int]  # collisions of a run: mean, most, least
@@ -21,8 +20,7 @@ class Reported:
     hours: float  # simulated in total
 
 
-PAPER_GENERATIONS = 100
-"""Of each run."""
+PAPER_GENERATIONS = 100  # of each run
 
 PAPER: Mapping[str, Reported] = MappingProxyType(
     {

@@ -26,8 +26,7 @@ from pytest_pafot.world.protocol import WorldLike, road_start
 EXAMPLES = "example_ads"
 """The package of example policies: at the top of a clone, inside of this package where it is installed."""
 
-RUNS = "runs"
-"""Folder of the results of single runs."""
+RUNS = "runs"  # folder of the results of single runs
 
 
 class PlanError(ValueError):
@@ -42,8 +41,7 @@ class Plan:
     algorithms: tuple[str, ...]  # names, or ``module:Class``
     runs: int = 10  # of each algorithm
     generations: int | None = 100  # of the main search; None where the budget is a time
-    # simulated time of each run, at the end of which the last scenario is finished; None for generations
-    seconds: float | None = None
+    seconds: float | None = None  # simulated time of a run, after which no scenario begins; None for generations
     seed: int = 0  # from which the seeds of all runs follow
     # ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible for, and
     # steers the default fitness towards them
@@ -52,8 +50,7 @@ class Plan:
     # of the algorithms, such as ``{"population": 8}``; each must take all of them
     parameters: Mapping[str, Any] = field(default_factory=dict)
     world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # as a corpus file has it
-    # fields of :class:`~pytest_pafot.searching.space.SearchSpace`
-    space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))
+    space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))  # fields of a SearchSpace
 
     @property
     def question(self) -> str:

@@ -18,28 +18,19 @@ from pytest_pafot.files import write_whole
 
 QUESTION = "comparison.json"
 RESULTS = "results.csv"
-TIME = ".seconds"
-"""Ending of the file with the wall-clock time of a run, the only thing that is not reproducible."""
+TIME = ".seconds"  # ending of the file with the wall-clock time of a run, the only thing that is not reproducible
 
 POLL_SECONDS = 0.5
-TOLD_EVERY = 10.0
-"""How often progress is told where it cannot be rewritten in place [s]."""
+TOLD_EVERY = 10.0  # how often progress is told where it cannot be rewritten in place [s]
 
 Task = tuple[str, int]
 
 
 def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
-    """Run what is not finished yet, and put all results of the plan together.
+    """Run what is not finished yet; the file with all rows, by algorithm and run in the order of the plan.
 
-    Args:
-        plan: checked.
-        folder: one comparison; what is there of it is kept.
-        workers: processes; 1 runs everything in this one.
-        told: progress, with the time that is left.
-        clock: seconds since any moment.
-
-    Returns:
-        the file with all rows, by algorithm and run in the order of the plan.
+    What the folder has of the comparison is kept. One worker is this process itself. The progress is ``told`` with the
+    time that is left, by a clock of seconds.
 
     Raises:
         PlanError: when the folder holds another comparison.
@@ -79,7 +70,6 @@ def claim(plan: Plan, folder: Path) -> None:
 class ProgressLine:
     """Tells how far the runs are and how long they will take."""
 
-    # runs
     total: int
     done: int
     told: TextIO  # where to

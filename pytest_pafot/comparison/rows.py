@@ -33,9 +33,8 @@ class Row:
     position_responsibility: str  # by the rule of the authors' code
     signature: str | None  # of a collision or a fault of the ADS: which runs show the same failure; else empty
     fitness: float | None  # that the search maximised; empty where there is none
-    # over all NPCs
-    genes_started: int
-    genes_reached: int
+    genes_started: int  # over all NPCs
+    genes_reached: int  # of these
     executed: str  # the scenario as driven, in canonical text
 
 

@@ -140,8 +140,7 @@ class Comparison(NamedTuple):
 
     measure: str  # what is compared
     at: str  # ``generations`` or ``seconds``, the budget at which it is equal for both
-    # algorithms
-    first: str
+    first: str  # algorithm
     second: str
     values: tuple[float, float]  # of the two: medians, or counts of runs
     effect: Effect | None  # None for tests of counts and of censored times
@@ -152,10 +151,7 @@ class Comparison(NamedTuple):
 def comparisons(whole: pd.DataFrame, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:
     """The first algorithm against each other one, at equal generations and at equal simulated seconds.
 
-    Args:
-        whole: measures of the runs to their ends.
-        equal: the same up to the time that all of them have.
-        algorithms: names, the one of interest first.
+    ``whole`` has the measures of the runs to their ends, ``equal`` those up to the time that all of them have.
     """
     first, *others = algorithms
     found: list[Comparison] = []

@@ -22,8 +22,7 @@ class Effect:
     """How two samples compare."""
 
     a12: float  # probability that a value of the first exceeds one of the second, ties by half (Vargha-Delaney)
-    # 95 % confidence interval of it
-    low: float
+    low: float  # end of its 95 % confidence interval
     high: float
     p: float  # two-sided Mann-Whitney U test
 
@@ -56,12 +55,7 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
 
     Newcombe, "Confidence intervals for an effect size measure based on the Mann-Whitney statistic. Part 2", Statistics
     in Medicine 25(4), 2006, method 5: the values whose own standard error, by Hanley and McNeil with the mean of the
-    two sizes, allows the estimate.
-
-    Args:
-        estimate: A12.
-        first, second: sizes of the samples.
-        confidence: of the interval.
+    two sizes, allows the estimate. ``first`` and ``second`` are the sizes of the samples.
     """
     z = float(stats.norm.ppf((1 + confidence) / 2))
     others = (first + second) / 2 - 1

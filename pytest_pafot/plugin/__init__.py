@@ -38,14 +38,14 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_pafot.plugin.xdist import Worker, shared_by_controller  # noqa: PLC0415
 
         config.stash[SHARED] = shared_by_controller(config)
-        features["worker"] = Worker(config)
+        features["worker"] = Worker()
     else:
         config.stash[SHARED] = Shared.of_new_session()
         features |= {"reporting": Reporter(config), "pages": Pages(config)}
     if config.getoption("dist", "no") != "no":
         from pytest_pafot.plugin.xdist import Controller  # noqa: PLC0415
 
-        features["controller"] = Controller(config)
+        features["controller"] = Controller()
     if config.get_verbosity() > 0:
         from pytest_pafot.plugin import header  # noqa: PLC0415
 

@@ -18,16 +18,11 @@ from pytest_pafot.plugin.options import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, base_line
 
-SEARCH = "search"
-"""The argument of an item, until a simulated run takes its place."""
+SEARCH = "search"  # the argument of an item, until a simulated run takes its place
 
 
 def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
-    """Let corpus files be given on the command line: their test files are collected, and filtered later.
-
-    Returns:
-        the files, and the test files that are collected for their sake alone.
-    """
+    """Let corpus files be given on the command line; these, and the test files that are collected for them alone."""
     given = [arg for arg in config.args if arg.endswith(layout.SUFFIX)]
     if not given:
         return set(), set()

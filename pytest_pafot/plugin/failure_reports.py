@@ -17,8 +17,7 @@ from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import MARKER, fitted_lines
 
-SUMMARY = pytest.StashKey[str]()
-"""What the summary line of a failing item says."""
+SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 
 SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+")
 """Closes what ``run.explain()`` says; its file and its report have it."""

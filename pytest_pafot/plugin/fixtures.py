@@ -26,7 +26,6 @@ class Simulate(Protocol):
 
     def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         """One run of a scenario; without a world in that of the fixture ``pafot_world``."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,7 @@ WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
 
-POSITIONAL = "<positional>"
-"""Key of positional arguments, which a search does not take, so that the item can say so."""
+POSITIONAL = "<positional>"  # key of positional arguments, which a search does not take, so that the item can say so
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
 

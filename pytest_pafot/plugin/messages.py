@@ -11,11 +11,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-PHASE = "pafot"
-"""Of a report that is a message."""
-
-PAGE = "page"
-"""Kind of the messages for a report page."""
+PHASE = "pafot"  # of a report that is a message
+PAGE = "page"  # kind of the messages for a report page
 
 
 class Message(NamedTuple):

@@ -15,8 +15,7 @@ import pytest
 from pytest_pafot.campaign.options import OptionError
 from pytest_pafot.plugin.options import resolve
 
-LOG_SECONDS = 10.0
-"""How often a search reports its progress where nobody looks at a terminal [s]."""
+LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 
 
 @dataclass(slots=True, kw_only=True)

@@ -23,11 +23,8 @@ from pytest_pafot.world.driving.guard import LastResort, last_resort
 STATUS = pytest.ExitCode.INTERRUPTED
 """Of the process; where no thread of Python's comes to run, it is 1, which faulthandler ends it with."""
 
-FLUSH = 120.0
-"""How long the summary may take, in which plugins may wait for what the ADS holds [s]."""
-
-SHOWN = 6
-"""Innermost frames that are told."""
+FLUSH = 120.0  # how long the summary may take, in which plugins may wait for what the ADS holds [s]
+SHOWN = 6  # innermost frames that are told
 
 
 @contextmanager

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import SearchSummary
     from pytest_pafot.report import terminal
 
-TERMINAL_SECONDS = 0.25
-"""How often a search reports its progress on a terminal [s]."""
+TERMINAL_SECONDS = 0.25  # how often a search reports its progress on a terminal [s]
 
 
 class LiveTerminal:

@@ -6,6 +6,7 @@ What they tell while items run are messages, like those of a session without wor
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,7 @@ from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import SHARED, Shared
 
-KEY = "pafot"
-"""Of what this plugin adds to the input and the output of a worker."""
+KEY = "pafot"  # of what this plugin adds to the input and the output of a worker
 
 
 def is_worker(config: pytest.Config) -> bool:
@@ -34,25 +34,16 @@ def shared_by_controller(config: pytest.Config) -> Shared:
 class Controller:
     """Hooks of the controller."""
 
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
-
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
         """Give a worker what it shares with this session, as plain data."""
-        shared = self._config.stash[SHARED]
-        node.workerinput[KEY] = {
-            "fresh_seed": shared.fresh_seed,
-            "progress_seconds": shared.progress_seconds,
-            "width": shared.width,
-            "began": time.time() - (time.monotonic() - shared.began),
-            "frozen": shared.frozen,
-        }
+        shared = node.config.stash[SHARED]
+        node.workerinput[KEY] = asdict(shared) | {"began": time.time() - (time.monotonic() - shared.began)}
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
         """Remember which saved scenarios the first workers collected."""
-        shared = self._config.stash[SHARED]
+        shared = node.config.stash[SHARED]
         if shared.frozen is None:
             # Under --dist=loadgroup the name of the group is appended.
             names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
@@ -62,7 +53,7 @@ class Controller:
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Take what a worker collected and no item runs."""
         orphans, strays = getattr(node, "workeroutput", {}).get(KEY, ({}, {}))
-        unrun = self._config.stash[UNRUN]
+        unrun = node.config.stash[UNRUN]
         unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
         unrun.strays.update(strays)
 
@@ -70,11 +61,8 @@ class Controller:
 class Worker:
     """Hooks of a worker."""
 
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
-
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Hand over what this worker collected and no item runs, as plain data."""
-        unrun = self._config.stash[UNRUN]
+        unrun = session.config.stash[UNRUN]
         orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
-        self._config.workeroutput[KEY] = (orphans, unrun.strays)  # type: ignore[attr-defined]
+        session.config.workeroutput[KEY] = (orphans, unrun.strays)  # type: ignore[attr-defined]

@@ -28,8 +28,7 @@ CATALOGUE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({each.name: eac
 )})  # fmt: skip
 """Ours by name; a new one is imported and listed here."""
 
-ALGORITHMS = tuple(CATALOGUE)
-"""Names that :func:`resolve_algorithm` takes."""
+ALGORITHMS = tuple(CATALOGUE)  # names that :func:`resolve_algorithm` takes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

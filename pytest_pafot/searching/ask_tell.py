@@ -27,12 +27,10 @@ class SearchState(Protocol):
     @property
     def generation(self) -> int:
         """The generation of the main search that is in progress or comes next, from 0."""
-        ...
 
     @property
     def local_generation(self) -> int:
         """Within a local search the generation from 1; 0 in the main search."""
-        ...
 
 
 StateT = TypeVar("StateT", bound=SearchState)
@@ -48,11 +46,9 @@ class Algorithm(Protocol[StateT]):
     @property
     def name(self) -> str:
         """By which files and reports call it."""
-        ...
 
     def start(self, rng: Generator) -> StateT:
         """The state before the first generation."""
-        ...
 
     def ask(self, state: StateT, rng: Generator) -> tuple[StateT, tuple[Scenario, ...]]:
         """The scenarios to evaluate next; none where a generation brings nothing new.
@@ -60,7 +56,6 @@ class Algorithm(Protocol[StateT]):
         Raises:
             RuntimeError: when the last ask has not been told.
         """
-        ...
 
     def tell(
         self, state: StateT, evaluations: Sequence[Evaluation], rng: Generator
@@ -71,7 +66,6 @@ class Algorithm(Protocol[StateT]):
             RuntimeError: without an ask before.
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,13 +204,7 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
 
 
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:
-    """Refuse numbers that are too small or too large.
-
-    Args:
-        search: with attributes of all names.
-        rates: names of probabilities and shares.
-        factors: names of factors, finite and at least 0.
-        least: names of counts, and the smallest value of each.
+    """Refuse numbers of a search that are too small or too large: its rates, factors, and counts by their least value.
 
     Raises:
         ValueError: naming the first that is wrong.

@@ -22,13 +22,11 @@ from pytest_pafot.searching.operators import with_chain
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.trace import FloatArray
 
-LANE_CHANGE = 34.0
-"""What a change of lane counts in the distance of two scenarios, where speeds count in m/s."""
+LANE_CHANGE = 34.0  # what a change of lane counts in the distance of two scenarios, where speeds count in m/s
 
 RESTART_CANDIDATES = 1000
 
-LEAST_WEIGHT = 0.001
-"""In place of a fitness of 0, which no turn of the roulette would select."""
+LEAST_WEIGHT = 0.001  # in place of a fitness of 0, which no turn of the roulette would select
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,9 +136,7 @@ class AvFuzzerSearch:
         members = state.local_population if is_local else state.population
         scenarios = [member.scenario for member in members]
         if state.local_generation == 1:
-            return tuple(
-                (index, mutated(scenario, self.space.top_step, rng)) for index, scenario in enumerate(scenarios)
-            )
+            return tuple(enumerate([mutated(scenario, self.space.top_step, rng) for scenario in scenarios]))
         rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
         touched: set[int] = set()
         for _ in range(len(scenarios) // 2):
@@ -179,15 +175,15 @@ class AvFuzzerSearch:
         return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
 
     def _restarted(self, state: AvFuzzerState, rng: Generator) -> AvFuzzerState:
-        generation = state.generation + 1
         candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
         fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
+        generation = state.generation + 1
         return replace(state, generation=generation, population=(), restarted_at=generation, bests=(), fresh=fresh)
 
     def _after_local_generation(
         self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
     ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
-        best = max((*selected, *([] if state.local_best is None else [state.local_best])), key=_weight)
+        best = max((*selected, *filter(None, [state.local_best])), key=_weight)
         state = replace(state, local_population=selected, local_best=best)
         if state.local_generation <= self.local_generations:
             return replace(state, local_generation=state.local_generation + 1), ()
@@ -219,23 +215,19 @@ def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenari
 def mutated(scenario: Scenario, top_step: int, rng: Generator) -> Scenario:
     """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
 
-    Args:
-        scenario: with Lane-Instructions.
-        top_step: highest speed, in steps of 0.1 m/s.
-        rng: of the draws.
+    Speeds are drawn up to the top step, which counts in 0.1 m/s.
     """
     npc = int(rng.integers(len(scenario.npcs)))
     chain = scenario.npcs[npc]
-    gene = int(rng.integers(len(chain)))
-    before = chain[gene]
-    assert isinstance(before, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
+    index = int(rng.integers(len(chain)))
+    gene = chain[index]
+    assert isinstance(gene, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
     kind = int(rng.integers(3))
-    after = before
     if kind == 0:
-        after = replace(before, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
+        gene = replace(gene, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
     elif kind == 1:
-        after = replace(before, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
-    return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:gene], after, *chain[gene + 1 :])))
+        gene = replace(gene, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
+    return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:index], gene, *chain[index + 1 :])))
 
 
 def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
@@ -255,14 +247,10 @@ def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluati
 def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
     """The candidates with the greatest mean distance to earlier scenarios, the first of equals.
 
-    Args:
-        candidates: scenarios.
-        checkpoints: earlier scenarios as :func:`features` has them, shape [scenarios, NPCs, slices, 2].
-        count: how many to take.
+    The earlier ones, ``checkpoints``, are as :func:`features` has them, of shape [scenarios, NPCs, slices, 2].
     """
-    distances = [float(np.mean(distance(features(candidate), checkpoints))) for candidate in candidates]
-    order = sorted(range(len(candidates)), key=lambda index: -distances[index])
-    return tuple(candidates[index] for index in order[:count])
+    by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
+    return tuple(by_distance[:count])
 
 
 def features(scenario: Scenario) -> FloatArray:

@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction, Scenario
+from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.space import fresh_seed, repaired
+from pytest_pafot.searching.space import chains_of, fresh_seed, repaired
 
 if TYPE_CHECKING:
     from cmaes import CatCMAwM
@@ -83,14 +82,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
         steps = np.hstack([choices[:, :1], choices[:, 1:] - 1])
         cells = np.cumsum(steps, axis=1) % 8 + 1
-        chains = [
-            [
-                PositionInstruction(Cell(int(cell)), int(speed) / SPEED_STEPS_PER_MPS)
-                for cell, speed in zip(*chain, strict=True)
-            ]
-            for chain in zip(cells, speeds, strict=True)
-        ]
-        return repaired(chains, seed, space)
+        return repaired(chains_of(cells.tolist(), speeds.tolist()), seed, space)
 
 
 def losses(evaluations: Sequence[Evaluation]) -> list[float]:

@@ -11,14 +11,12 @@ from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Gene, PositionInstruction
 from pytest_pafot.searching.evaluation import Evaluation
 
-SPEED_BIN = 5.0
-"""Width of a bin of target speeds [m/s]."""
+SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
 
 Key = tuple[str, int] | tuple[str, int, int]
 """``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, or ``("bin", 4)`` of target speeds, from 0."""
 
-CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)
-"""The eight, cell 1 first."""
+CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
 
 STEPS: tuple[Key, ...] = tuple(
     ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))

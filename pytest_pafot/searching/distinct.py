@@ -24,21 +24,13 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
 
-SPEED_NICHE = 5.0
-"""Width of a niche in closing speed [m/s]."""
-FASTEST_NICHE = 5
-"""Index of the last one, which has no upper end."""
-NO_IMPACT = (0, 0)
-"""The niche of all runs without a collision, in which the nearest miss stays."""
+SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
+FASTEST_NICHE = 5  # index of the last one, which has no upper end
+NO_IMPACT = (0, 0)  # the niche of all runs without a collision, in which the nearest miss stays
+NEAREST = 3  # near-misses of each fault, whose runs may be parents
 
-NEAREST = 3
-"""Near-misses of each fault, whose runs may be parents."""
-
-Niche = tuple[int, int]
-"""The cell of an impact, 1 to 8, and the index of its closing speed."""
-
-Near = tuple[NearMiss, Evaluation]
-"""A run, and what the ego nearly had to answer for in it."""
+Niche = tuple[int, int]  # the cell of an impact, 1 to 8, and the index of its closing speed
+Near = tuple[NearMiss, Evaluation]  # a run, and what the ego nearly had to answer for in it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,22 +20,16 @@ from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outc
 Rank = tuple[bool, bool, float]
 """Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
 
+# An NPC in the ego's lane interacts with it within so many seconds of the follower's travel [s], fewer than the 2 s at
+# which NPCs start, so that a start alone is no interaction ...
 INTERACTION_HEADWAY = 1.5
-"""An NPC in the ego's lane interacts with it within so many seconds of the follower's travel [s].
-
-Below the 2 s at which NPCs start, so that a start alone is no interaction."""
-
-INTERACTION_GAP = 2.0
-"""... and within this gap at any speed [m]."""
-
-FAR_BEHIND = 100.0
-"""An NPC farther behind than this cannot catch up within a gene of 10 s [m]."""
+INTERACTION_GAP = 2.0  # ... and within this gap at any speed [m]
+FAR_BEHIND = 100.0  # an NPC farther behind than this cannot catch up within a gene of 10 s [m]
 
 BARELY_MOVING = 2.0
 """Mean speed of an ego that tests nothing [m/s]; one that brakes to a stop from 22 m/s is below it after 30 s."""
 
 _SWEEPS = sweep.is_in_use()
-
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
 
@@ -202,8 +196,6 @@ def _longitudinal(trace: Trace) -> FloatArray:
     """
     if trace.track is not None:
         return Encounters(trace).ahead.T
-    ego = trace.ego[:, None, :]
-    offset_x = trace.npcs[:, :, X] - ego[:, :, X]
-    offset_y = trace.npcs[:, :, Y] - ego[:, :, Y]
-    along: FloatArray = offset_x * np.cos(ego[:, :, HEADING]) + offset_y * np.sin(ego[:, :, HEADING])
+    x, y, heading = (trace.ego[:, None, column] for column in (X, Y, HEADING))
+    along: FloatArray = (trace.npcs[:, :, X] - x) * np.cos(heading) + (trace.npcs[:, :, Y] - y) * np.sin(heading)
     return along

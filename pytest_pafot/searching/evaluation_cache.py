@@ -9,8 +9,7 @@ from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
-Chains = tuple[tuple[float, ...], ...]
-"""One number for each gene."""
+Chains = tuple[tuple[float, ...], ...]  # one number for each gene
 
 _Key = tuple[object, ...]
 

@@ -13,7 +13,7 @@ from typing import Literal
 from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 
-EndReason = Literal["generations", "time", "stopped"]
+EndReason = Literal["generations", "time", "stopped"]  # all are finished, the time was over, the consumer asked for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,8 +85,6 @@ class Restarted:
 class CampaignFinished:
     """The last event of a campaign that was not closed before."""
 
-    # ``generations`` when all given ones are finished, ``time`` when the time was over before, ``stopped`` when the
-    # consumer asked for it
     reason: EndReason
     generations: int  # of the main search that were finished
     evaluated: int  # scenarios that were evaluated
@@ -99,5 +97,4 @@ class CampaignFinished:
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 """What an algorithm returns from ``tell``."""
 
-Event = CampaignStarted | Evaluated | AlgorithmEvent | CampaignFinished
-"""What a campaign yields."""
+Event = CampaignStarted | Evaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields

@@ -28,14 +28,10 @@ from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.searching.references import referred_to
 from pytest_pafot.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 
-Fitness = Callable[[Trace], float]
-"""Trace to a number, higher = worse for the ego."""
+Fitness = Callable[[Trace], float]  # trace to a number, higher = worse for the ego
+Responsible = Callable[[Trace], bool]  # whether the ego is responsible for the collision in which a run ended
 
-Responsible = Callable[[Trace], bool]
-"""Whether the ego is responsible for the collision in which a run ended."""
-
-WORST_RANK = -math.inf
-"""The fitness of what must never be preferred: invalid runs and NaN."""
+WORST_RANK = -math.inf  # the fitness of what must never be preferred: invalid runs and NaN
 
 
 class FitnessError(ValueError):
@@ -116,21 +112,12 @@ def paper(trace: Trace) -> float:
     )
 
 
-FAR = 130.0
-"""Stands for every distance that no sample gives, and for all beyond it [m]."""
-
 SAMPLES_PER_SECOND = 4
-CAR_LENGTH = 4.6
-"""Taken off the distance of centres; also the least distance along the road in both cases [m]."""
-
-NEAR = 20.0
-"""The largest distance along the road in both cases [m]."""
-
-BESIDE = 2.0
-"""... and across it [m]."""
-
-TURNING = math.radians(1.0)
-"""Heading to the road from which on the ego counts as changing lanes [rad]."""
+FAR = 130.0  # stands for every distance that no sample gives, and for all beyond it [m]
+CAR_LENGTH = 4.6  # taken off the distance of centres; also the least distance along the road in both cases [m]
+NEAR = 20.0  # the largest distance along the road in both cases [m]
+BESIDE = 2.0  # ... and across it [m]
+TURNING = math.radians(1.0)  # heading to the road from which on the ego counts as changing lanes [rad]
 
 
 def braking_distance(speed: FloatArray) -> FloatArray:
@@ -180,17 +167,13 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType({"default": weighted, "paper
 
 
 def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
-    """The function that a search maximises.
+    """The function that a search maximises; it raises a :class:`FitnessError` where a user's function fails.
 
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
             a function of a Trace that returns a number, higher = worse for the ego, or ``module:function``.
         responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
             then :class:`Steered` by it.
-
-    Returns:
-        a function that maps invalid runs and NaN to minus infinity, and that raises a :class:`FitnessError`
-        where a user's function raises or returns anything but a number.
 
     Raises:
         FitnessError: for anything else.

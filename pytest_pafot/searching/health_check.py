@@ -12,8 +12,7 @@ from pytest_pafot.trace import Outcome
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.3
-MAX_USELESS_SHARE = 0.5
-"""Of the valid runs, for each kind of run that tests nothing."""
+MAX_USELESS_SHARE = 0.5  # of the valid runs, for each kind of run that tests nothing
 
 USELESS = (
     (
@@ -35,8 +34,7 @@ USELESS = (
 )
 """What runs that test nothing did, and what to do: without interaction, outran, barely moved, immediate collision."""
 
-IMMEDIATE = 1.0
-"""A collision before this time was hardly caused by driving [s]."""
+IMMEDIATE = 1.0  # a collision before this time was hardly caused by driving [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,14 +45,12 @@ class Health:
     simulated: int = 0  # those of them that were run; the others were known from earlier runs
     invalid: int = 0  # runs in which two NPCs touched
     discarded: int = 0  # runs that the user's function declined to judge
-    # counted over all NPCs, but for runs that a fault of the ADS cut short
-    genes_started: int = 0
+    genes_started: int = 0  # over all NPCs, but for runs that a fault of the ADS cut short, and so are the next
     genes_reached: int = 0
     valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
     failing: int = 0  # runs that the user's function rejected
-    # runs in which no NPC gave the ego a reason to react. A run that a fault of the ADS cut short is none of these,
-    # nor of the next two
-    no_interaction: int = 0
+    # A run that a fault of the ADS cut short is none of the next three.
+    no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react
     outran: int = 0  # runs in which the ego left all NPCs behind
     barely_moved: int = 0  # runs in which the ego hardly drove
     immediate: int = 0  # collisions within the first second

@@ -14,22 +14,13 @@ from pytest_pafot.trace import FloatArray
 
 
 class InteractionSweep:
-    """One pass over a run.
+    """One pass over a run: the states of its trace, shape [ticks + 1, vehicles, 7], and its sizes, [vehicles, 2].
 
-    Args:
-        states: of a trace, shape [ticks + 1, vehicles, 7].
-        sizes: of a trace, shape [vehicles, 2].
-        headway: of an interaction [s].
-        gap: likewise [m].
-        far: farther behind than this, an NPC is left behind [m].
-
-    Attributes:
-        interacted: whether a follower in one lane was ever nearer than the headway or the gap.
-        alone: ticks at which all NPCs were farther behind than far.
+    NPCs interact within a headway [s] or a gap [m]; farther behind than ``far`` [m] they are left behind.
     """
 
-    interacted: bool
-    alone: int
+    interacted: bool  # whether a follower in one lane was ever nearer than the headway or the gap
+    alone: int  # ticks at which all NPCs were farther behind than far
 
     def __init__(self, states: FloatArray, sizes: FloatArray, headway: float, gap: float, far: float) -> None:
         if states.ndim != 3 or states.shape[2] != 7 or sizes.shape != (states.shape[1], 2):

@@ -24,11 +24,8 @@ from pytest_pafot.searching.operators import crossover, mutate
 if TYPE_CHECKING:
     from ribs.archives import GridArchive
 
-NO_IMPACT = 0
-"""The cell of a run without a collision; all of these share one niche, in which the nearest miss stays."""
-
-TOP_CLOSING_SPEED = 30.0
-"""Closing speeds beyond it share the last niche [m/s]."""
+NO_IMPACT = 0  # the cell of a run without a collision; all of these share one niche, in which the nearest miss stays
+TOP_CLOSING_SPEED = 30.0  # closing speeds beyond it share the last niche [m/s]
 
 CLOSING_SPEED_NICHES = 6
 

@@ -21,8 +21,7 @@ from pytest_pafot.searching.operators import varied
 from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import FloatArray
 
-WORST = 1e9
-"""The objectives of a run that is not eligible; finite, since crowding is a difference."""
+WORST = 1e9  # the objectives of a run that is not eligible; finite, since crowding is a difference
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +60,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
         """Children of the survivors, random scenarios before there are any."""
         proposed: list[Scenario] = []
         while len(proposed) < self.population:
-            proposed += self._pair(state.population, rng) if state.population else [sample(self.space, rng)]
+            proposed += self._children(state.population, rng) if state.population else [sample(self.space, rng)]
         return state, proposed[: self.population]
 
     def kept(self, state: Nsga2State) -> Sequence[Evaluation]:
@@ -72,7 +71,7 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
         """Those who survive the generation."""
         return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
 
-    def _pair(self, population: Sequence[Evaluation], rng: Generator) -> tuple[Scenario, Scenario]:
+    def _children(self, population: Sequence[Evaluation], rng: Generator) -> tuple[Scenario, Scenario]:
         """Two children; the population is in the order in which tournaments prefer it."""
         first, second = (int(rng.integers(len(population), size=2).min()) for _ in range(2))
         pair = population[first].executed, population[second].executed

@@ -121,25 +121,20 @@ class PafotSearch:
 
         A local search only mutates (section 3.6: "a mutation-based fuzzing process").
         """
-        local = state.local_generation > 0
-        population = state.local_population if local else state.population
+        population, crossover_rate, mutation_rate = state.population, self.crossover_rate, self.mutation_rate
+        if state.local_generation:
+            population, crossover_rate = state.local_population, 0.0
+            mutation_rate = min(1.0, mutation_rate * self.local_mutation_factor)
         kept = elites(population, self.elite_share)
         known = EvaluationCache(population)
         children: list[Scenario] = []
         attempts = self.breeding_attempts * self.population
         while len(children) < self.population - len(kept):
-            pair = self._pair(population, rng, local=local)
+            driven = (parent.executed for parent in parents(population, rng))
+            pair = varied(driven, self.space, crossover_rate, mutation_rate, rng)
             children += [child for child in pair if attempts <= 0 or known.recall(child) is None]
             attempts -= 1
         return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
-
-    def _pair(self, population: tuple[Evaluation, ...], rng: Generator, *, local: bool) -> tuple[Scenario, Scenario]:
-        """Two children of two parents, varied at the rates of the search."""
-        crossover_rate, mutation_rate = self.crossover_rate, self.mutation_rate
-        if local:
-            crossover_rate, mutation_rate = 0.0, min(1.0, mutation_rate * self.local_mutation_factor)
-        pair = (parent.executed for parent in parents(population, rng))
-        return varied(pair, self.space, crossover_rate, mutation_rate, rng)
 
     def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
         """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""

@@ -78,8 +78,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             return "stopped"
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
-    evaluator = _Evaluator(evaluate, batch, foresee)
-    return _campaign(algorithm, evaluator, exceeded, now, generations=generations, seed=seed)
+    evaluator = _Evaluator(evaluate, foresee)
+    return _campaign(algorithm, evaluator, exceeded, now, generations=generations, seed=seed, batch=batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -95,6 +95,7 @@ def _campaign(
     *,
     generations: int,
     seed: int,
+    batch: int,
 ) -> Generator[Event, None, None]:
     started = now()
     end = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
@@ -105,12 +106,12 @@ def _campaign(
         state, scenarios = algorithm.ask(state, rng)
         evaluations: list[Evaluation] = []
         evaluator.foresee(scenarios)
-        for batch in evaluator.batches(scenarios):
+        for first in range(0, len(scenarios), batch):
             reason = exceeded(now() - started) if end.evaluated else None
             if reason is not None:
                 yield replace(end, reason=reason, seconds=now() - started)
                 return
-            for evaluation, reused in evaluator.evaluated(batch):
+            for evaluation, reused in evaluator.evaluated(scenarios[first : first + batch]):
                 event = Evaluated(
                     generation=state.generation,
                     local_generation=state.local_generation,
@@ -133,23 +134,20 @@ def _campaign(
 
 def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
     """The sums of a campaign after one more evaluation."""
-    return CampaignFinished(
-        reason=end.reason,
-        generations=end.generations,
+    return replace(
+        end,
         evaluated=end.evaluated + 1,
         simulated=end.simulated + (not event.reused),
         best=event.evaluation if improves(event.evaluation, end.best) else end.best,
         coverage=end.coverage if event.reused else end.coverage.counted(event.evaluation),
-        seconds=end.seconds,
     )
 
 
 class _Evaluator:
     """The one gate before each simulation."""
 
-    def __init__(self, evaluate: Evaluate, batch: int, foresee: Callable[[Sequence[Scenario]], None] | None) -> None:
+    def __init__(self, evaluate: Evaluate, foresee: Callable[[Sequence[Scenario]], None] | None) -> None:
         self._evaluate = evaluate
-        self._batch = batch
         self._foresee = foresee
         self._cache = EvaluationCache()
 
@@ -157,10 +155,6 @@ class _Evaluator:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
         if self._foresee is not None:
             self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None]))
-
-    def batches(self, scenarios: Sequence[Scenario]) -> Iterator[Sequence[Scenario]]:
-        for first in range(0, len(scenarios), self._batch):
-            yield scenarios[first : first + self._batch]
 
     def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
         """The evaluation of each scenario, and whether it is reused.

@@ -76,13 +76,8 @@ class SearchSpace:
 def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
     """The space of scenarios on a world, with as many genes as a run of it comes to unless it is given how many.
 
-    On a road that is not straight the environment says where and how fast the ego starts, and all genes together last
-    as long as a run: as many of about ten seconds as fit, at least three.
-
-    Args:
-        world: with ``speed_limit`` [m/s] and ``longest_run`` [s].
-        given: fields of :class:`SearchSpace` that are wanted, but for the speed limit.
-        start: where the road gives it, the ego's lane and speed [m/s], and the world's ticks per second.
+    On a road that is not straight the environment gives the ``start``: the ego's lane and speed [m/s], and the world's
+    ticks per second. All genes then last as long as a run: as many of about ten seconds as fit, at least three.
 
     Raises:
         TypeError, ValueError: when a field is unknown or out of range, or the world cannot be built.
@@ -119,11 +114,15 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     steps = rng.integers(-1, 2, size=(space.npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()
     speeds = rng.integers(space.top_step + 1, size=(space.npcs, space.genes)).tolist()
-    chains = [
+    return repaired(chains_of(walks, speeds), fresh_seed(rng), space)
+
+
+def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -> list[list[PositionInstruction]]:
+    """A chain for each NPC from its cells, and from its speeds in steps of 0.1 m/s."""
+    return [
         [PositionInstruction(Cell(cell), speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
-        for chain in zip(walks, speeds, strict=True)
+        for chain in zip(cells, speeds, strict=True)
     ]
-    return repaired(chains, fresh_seed(rng), space)
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
@@ -144,12 +143,8 @@ def repaired(chains: Sequence[Sequence[Gene]], seed: int, start: Scenario | Sear
     """A valid scenario, the step after every draw and every variation (section 2.1 of the paper).
 
     It is the one from :meth:`Scenario.repaired` at a fraction of its cost: a search makes one for every child, and
-    valid chains, which a repair does not change, skip it.
-
-    Args:
-        chains: of genes that may break the ring or meet in a cell.
-        seed: of the repair.
-        start: gives the ego's lane, everybody's speed and the duration of a gene.
+    valid chains, which a repair does not change, skip it. ``start`` gives the ego's lane, everybody's speed and the
+    duration of a gene.
     """
     positions = positions_of(chains)
     cells = [[gene.cell for gene in chain] for chain in positions]
