@@ -54,10 +54,8 @@ def _is_alive(pid: int) -> bool:
         return pid > 0
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)  # another error is of a process that is somebody else's
     return True
 
 

@@ -34,12 +34,7 @@ FRAMES_PER_SECOND = 7
 
 
 def finding_view(
-    trace: Trace | None,
-    finding: Finding,
-    *,
-    node_id: str,
-    headline: str = "",
-    preventable_tried: Sequence[str] = (),
+    trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", preventable_tried: Sequence[str] = ()
 ) -> FindingView:
     """The view of a finding, with the node id of the item that replays it.
 

@@ -25,36 +25,8 @@ FRAME_HEIGHT = 1010
 """Of a finding inside another page [px]."""
 
 
-def render_page(report: Report) -> str:
-    """One self-contained page; the same report gives the same text."""
-    return _rendered(report, embedded=False)
-
-
-def render_frame(finding: FindingView) -> str:
-    """An ``<iframe>`` that holds the page of a single finding, for a row of another report such as pytest-html's.
-
-    The frame may run its own scripts and nothing else.
-    """
-    page = _rendered(Report(title=finding.headline, findings=(finding,)), embedded=True)
-    return (
-        f'<iframe class="pafot-finding" title="{text(finding.headline)}" sandbox="allow-scripts" '
-        f'loading="lazy" width="100%" height="{FRAME_HEIGHT}" style="border:0" srcdoc="{escape(page)}"></iframe>'
-    )
-
-
-def data_json(report: Report) -> str:
-    """What the scripts draw from, as JSON that can stand inside a ``<script>`` element.
-
-    Texts that the page holds already are left out. Nothing in it can end the element or begin a comment, and
-    everything beyond ASCII is escaped, U+2028 among it.
-    """
-    findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
-    data = encode(replace(report, findings=findings, errors=()))
-    plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _rendered(report: Report, *, embedded: bool) -> str:
+def render_page(report: Report, *, embedded: bool = False) -> str:
+    """One self-contained page, for itself or inside another one; the same report gives the same text."""
     style = _asset(STYLE)
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # This very style and script, and no connection to anywhere.
@@ -76,6 +48,30 @@ def _rendered(report: Report, *, embedded: bool) -> str:
         campaigns=searches if campaigns else "",
         data=data_json(report),
     )
+
+
+def render_frame(finding: FindingView) -> str:
+    """An ``<iframe>`` that holds the page of a single finding, for a row of another report such as pytest-html's.
+
+    The frame may run its own scripts and nothing else.
+    """
+    page = render_page(Report(title=finding.headline, findings=(finding,)), embedded=True)
+    return (
+        f'<iframe class="pafot-finding" title="{text(finding.headline)}" sandbox="allow-scripts" '
+        f'loading="lazy" width="100%" height="{FRAME_HEIGHT}" style="border:0" srcdoc="{escape(page)}"></iframe>'
+    )
+
+
+def data_json(report: Report) -> str:
+    """What the scripts draw from, as JSON that can stand inside a ``<script>`` element.
+
+    Texts that the page holds already are left out. Nothing in it can end the element or begin a comment, and
+    everything beyond ASCII is escaped, U+2028 among it.
+    """
+    findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
+    data = encode(replace(report, findings=findings, errors=()))
+    plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _errors(report: Report) -> str:

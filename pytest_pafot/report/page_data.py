@@ -13,6 +13,8 @@ from dataclasses import dataclass
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
 """Along [m], across [m], heading [rad]."""
+Errors = tuple[tuple[str, str], ...]
+"""Of tests that failed by no finding: node id and what pytest shows of it."""
 
 NEW = "new"
 """How the label of a finding begins that was not known before."""
@@ -253,7 +255,6 @@ class Report:
         facts: of the session, such as versions and seeds: name and value.
         command: by which the session was started.
         findings, campaigns: in the order in which they are listed.
-        errors: of tests that failed by no finding: node id and what pytest shows of it.
         is_interrupted: whether the session was.
     """
 
@@ -262,5 +263,5 @@ class Report:
     command: str = ""
     findings: tuple[FindingView, ...] = ()
     campaigns: tuple[CampaignView, ...] = ()
-    errors: tuple[tuple[str, str], ...] = ()
+    errors: Errors = ()
     is_interrupted: bool = False

@@ -17,7 +17,7 @@ from pytest_pafot.files import write_whole
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.finding_markup import finding_keys
 from pytest_pafot.report.page import render_page
-from pytest_pafot.report.page_data import NEW, CampaignView, FindingView, Report
+from pytest_pafot.report.page_data import NEW, CampaignView, Errors, FindingView, Report
 from pytest_pafot.text import plural
 from pytest_pafot.versions import installed_versions
 
@@ -50,18 +50,11 @@ class Draft:
             self.replayed[data["replayed"]] += 1
 
     def report(
-        self,
-        *,
-        project: str,
-        command: str,
-        findings: Iterable[FindingView],
-        errors: tuple[tuple[str, str], ...],
-        is_interrupted: bool,
+        self, *, project: str, command: str, findings: Iterable[FindingView], errors: Errors, is_interrupted: bool
     ) -> Report:
         """The report, in an order that does not depend on who was first.
 
-        The findings are those of the draft, with what is known at the end; the errors are node ids of what failed by
-        no finding, and what pytest shows of it.
+        The findings are those of the draft, with what is known at the end.
         """
         ranked = sorted(findings, key=_rank)
         tests = list(dict.fromkeys(finding.test for finding in ranked))

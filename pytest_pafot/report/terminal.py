@@ -90,13 +90,7 @@ def found_lines(find: Find, width: int = WIDTH) -> list[str]:
 
 
 def find_section(
-    find: Find,
-    *,
-    explanation: str,
-    content: str,
-    details: Sequence[str] = (),
-    advice: str = "",
-    width: int = WIDTH,
+    find: Find, *, explanation: str, content: str, details: Sequence[str] = (), advice: str = "", width: int = WIDTH
 ) -> str:
     """The section of a find's own report: what its failure's message does not say.
 
