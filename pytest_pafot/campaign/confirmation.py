@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pytest_pafot.campaign.harness import is_same_run
-from pytest_pafot.campaign.simulation import Simulation
+from pytest_pafot.campaign.harness import Simulation, is_same_run
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.replay import disagreement

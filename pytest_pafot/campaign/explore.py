@@ -97,9 +97,8 @@ def explore(
         result = _searched(request, holds, name, Path(scratch), listen)
     if result.fault is not None:
         raise result.fault
-    return Exploration(
-        findings=tuple(kept.finding for kept in result.kept), summary=result.summary, events=tuple(events)
-    )
+    findings = tuple(kept.finding for kept in result.kept)
+    return Exploration(findings=findings, summary=result.summary, events=tuple(events))
 
 
 def _request(given: dict[str, Any]) -> Request:
@@ -144,7 +143,6 @@ def _searched(
         node_id=node_id,
         harness=harness,
         listener=listener,
-        clock=time.monotonic,
         limit=time_limit(settings, now=now, began=now, left=1),
         replays=Replays(harness=harness, in_own_session=_no_session),
         progress_seconds=0.5,

@@ -13,8 +13,11 @@ from pytest_pafot.campaign.request import Request, RequestError, hint_at_world
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.job import Job
+from pytest_pafot.execution.runner import Runner
+from pytest_pafot.execution.scenario_pool import ExecutionError
+from pytest_pafot.execution.separate_runs import replay_in_gym_apart
 from pytest_pafot.run import Run
-from pytest_pafot.scenario import ScenarioError
+from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
@@ -79,14 +82,71 @@ class Harness:
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """Errors of a world, a factory or a scenario that are the user's to mend, as errors of the request."""
+    """Errors that are the user's to mend, of a world, a factory, a scenario or a process, as errors of the request."""
     __tracebackhide__ = True
     try:
         yield
-    except (WorldError, AdsFactoryError, ScenarioError) as error:
+    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
         raise RequestError(str(error)) from None
     except skips() as error:  # of the factory: what the ADS raises is in the trace
         raise RequestError(no_skip("the factory of the ADS", error)) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """The runs of one search, each with its scenario on disk, in the record of this process, until it is judged."""
+
+    harness: Harness
+    runner: Runner
+    record: CrashRecord
+
+    def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
+        """One run, whose verdict follows; ``afresh`` as in :meth:`pytest_pafot.execution.runner.Runner.run`.
+
+        Raises:
+            ProcessLostError: where another process made it, and did not come back.
+            RequestError: for a world, factory or scenario that does not fit.
+        """
+        __tracebackhide__ = True
+        with refusals():
+            trace = self.runner.run(scenario, afresh=afresh)
+        return self.harness.seen(trace)
+
+    def judge(self, run: Run) -> Verdict:
+        """The verdict on the last run."""
+        __tracebackhide__ = True
+        verdict = self.harness.judge(run)
+        self.record.clear()
+        return verdict
+
+    def rerun(self, scenario: Scenario) -> Run:
+        """One run without a verdict, with the ADS asked for every decision."""
+        __tracebackhide__ = True
+        run = self.run(scenario, afresh=True)
+        self.record.clear()
+        return run
+
+    def rerun_one_by_one(self, leftover: Leftover) -> None:
+        """Run by itself what was in lock step when a process died, so that a second death has one name."""
+        __tracebackhide__ = True
+        leftover.discard()  # before another death, of which it would otherwise be the cause for ever
+        for scenario in leftover.scenarios:
+            self.rerun(scenario)
+
+    def rerun_in_gym(self, scenario: Scenario) -> Run | None:
+        """One run by ``env.step`` of highway-env's own environment; None in a world that has none."""
+        __tracebackhide__ = True
+        world = protocol.gym_replaying(self.harness.world)
+        if world is None:
+            return None
+        self.record.write(scenario)
+        with refusals():
+            if self.harness.request.settings.isolate:
+                trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
+            else:
+                trace = world.rollout_in_gym(scenario, self.harness.ads)
+        self.record.clear()
+        return Run(trace, decision_limit=self.harness.request.decision_limit)
 
 
 def check_world(world: Any, origin: str) -> None:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.campaign.events import Judged, Listener
+from pytest_pafot.campaign.harness import Simulation
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
-from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
@@ -18,15 +18,8 @@ from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching import events
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import (
-    CampaignFinished,
-    Evaluated,
-    Event,
-    GenerationFinished,
-    LocalSearchFinished,
-    LocalSearchStarted,
-)
 from pytest_pafot.searching.health_check import Health
 from pytest_pafot.trace import Outcome, Trace
 
@@ -51,7 +44,7 @@ class SearchLoop:
     verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
     health: Health = field(default_factory=Health)
     generation: int = 0  # of the main search, from 0
-    finished: CampaignFinished | None = None  # the last event, once the campaign is over
+    finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
     skip: BaseException | None = None  # the last exception by which the function declined to judge
     # What the runs of the first generation have in common
     first: FirstGeneration = field(default_factory=FirstGeneration)
@@ -93,35 +86,34 @@ class SearchLoop:
             evaluations.append(_not_run(scenario))
         return evaluations
 
-    def follow(self, events: Iterable[Event], tick: Callable[[], None]) -> None:
+    def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
         """Run a campaign to its end; ``tick`` is called after each event.
 
         Raises:
             SetupFaultError: where the same exception ends all runs of the first generation.
         """
-        for event in events:
+        for event in campaign:
             self.listener(event)
-            if isinstance(event, Evaluated):
+            if isinstance(event, events.Evaluated):
                 self.health = self.health.counted(event.evaluation, reused=event.reused)
-            elif isinstance(event, GenerationFinished) and event.local_generation == 0:
+            elif isinstance(event, events.GenerationFinished) and event.local_generation == 0:
                 self.generation = event.generation + 1
                 self.first.end()
-            elif isinstance(event, LocalSearchStarted):
+            elif isinstance(event, events.LocalSearchStarted):
                 self.generation = event.generation
-            elif isinstance(event, LocalSearchFinished):
+            elif isinstance(event, events.LocalSearchFinished):
                 self.generation = event.generation + 1
-            elif isinstance(event, CampaignFinished):
+            elif isinstance(event, events.CampaignFinished):
                 self.finished = event
             tick()
 
     def lose(self, lost: LostRun) -> None:
         """Know of a scenario whose process did not come back; it is not run again, in later sessions either."""
         self.fatal.add(lost.task)
-        signature = expectation(lost).signature
-        self._count(signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
+        self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
 
     def _judged(self, run: Run) -> Evaluation:
-        is_alone = self.simulation.is_alone
+        is_alone = self.simulation.runner.is_alone
         verdict = self.simulation.judge(run)
         self.listener(Judged(run=run, verdict=verdict))
         if verdict.failed and not is_alone:  # A find is what its replay will be, also where a batch mixes up its rows.

@@ -36,10 +36,7 @@ PROFILES: Mapping[str, Mapping[str, object]] = {
 
 
 class OptionError(ArgumentTypeError):
-    """A value that an option cannot take; the message names the place, what was expected and received.
-
-    Of a class whose text argparse shows as it is.
-    """
+    """A value that an option cannot take: its place, what was expected and received. argparse shows it as it is."""
 
 
 class Option(NamedTuple):

@@ -61,11 +61,7 @@ class Recorder:
     def keep(self, run: Run, verdict: Verdict, generation: int, number: int) -> str:
         """Save a new find, run it again to confirm it, and announce it or hold it; returns its id.
 
-        Args:
-            run: that failed.
-            verdict: on it.
-            generation: of the search, from 0.
-            number: of the run in the search, from 1.
+        The generation of the search counts from 0, the number of the run in the search from 1.
         """
         if verdict.failure is None or verdict.exception is None:
             raise ValueError(f"verdict: expected a failed one, received {verdict!r}")
@@ -171,10 +167,7 @@ class Recorder:
         self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
-        """Save a scenario whose process did not come back to this search, and announce it; returns its id.
-
-        What is passed besides is as in :meth:`keep`.
-        """
+        """Save a scenario whose process did not come back, and announce it; returns its id. See :meth:`keep`."""
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
         text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")

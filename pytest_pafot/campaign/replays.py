@@ -15,7 +15,7 @@ from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import ExecutionError, expectation
+from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
@@ -88,7 +88,7 @@ class Replays:
         isolate, trace = harness.request.settings.isolate, None
         job = harness.job(world, owner)
         if isolate or saved.needs_own_process or harness.left_behind(owner):
-            try:
+            with refusals():
                 trace = run_apart(
                     job,
                     scenario,
@@ -96,8 +96,6 @@ class Replays:
                     isolate=isolate,
                     in_own_session=lambda: self.in_own_session(saved.path, job, scenario),
                 )
-            except ExecutionError as error:
-                raise RequestError(str(error)) from None
         with harness.recording(job) as record:
             record.write(scenario)
             if trace is None:  # What raised in another process, or cannot be sent from there, is to be seen here.

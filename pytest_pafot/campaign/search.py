@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.confirmation import difference
 from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
-from pytest_pafot.campaign.harness import Harness, refusals
+from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder
@@ -25,7 +26,6 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError, build_space
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
-from pytest_pafot.campaign.simulation import Simulation
 from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
@@ -88,9 +88,9 @@ class Search:
     node_id: str  # under which it is told
     harness: Harness
     listener: Listener
-    clock: Callable[[], float]  # seconds since any moment
     limit: TimeLimit
     replays: Replays
+    clock: Callable[[], float] = time.monotonic  # seconds since any moment
     stops_at_first: bool = False  # whether it ends at its first new finding
     progress_seconds: float = 10.0  # between two tellings of progress
     notes: list[str] = field(default_factory=list)  # to be told once in the summary

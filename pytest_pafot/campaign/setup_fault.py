@@ -32,9 +32,7 @@ class SetupFaultError(Exception):
 
     def __init__(self, run: Run, verdict: Verdict, runs: str) -> None:
         super().__init__(f"{runs} ended in {verdict.exception!r}")
-        self.run = run
-        self.verdict = verdict
-        self.runs = runs
+        self.run, self.verdict, self.runs = run, verdict, runs
 
     def shown(self, world: Any, ads: Callable[..., Any]) -> BaseException:
         """The exception for the item: what was raised and where, why it is no finding, and what to do."""

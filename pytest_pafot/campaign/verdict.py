@@ -50,11 +50,8 @@ class Verdict:
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     """Judge a run: by the function, except where the ADS or the NPCs themselves failed.
 
-    Args:
-        run: to judge.
-        test: the user's function.
-        blame: ``ego`` for a function that is not asked about collisions that an NPC is responsible for.
-        test_file: in which the function is written; a failure is identified by the line of it that failed.
+    With ``blame="ego"`` the function is not asked about collisions that an NPC is responsible for. A failure is
+    identified by the line of the ``test_file`` that failed.
 
     Raises:
         BaseException: what says nothing of the run: an interrupt, the end of the session, a timeout of the item,

@@ -11,24 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.campaign.options import (
-    BY_NAME,
-    FULL,
-    LOCAL,
-    OPTIONS,
-    PROFILES,
-    Kind,
-    Option,
-    OptionError,
-    Settings,
-    is_ci,
-)
+from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, OPTIONS, PROFILES, Option, OptionError, Settings, is_ci
 from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
 
-_INI_TYPES: Mapping[Kind, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
+_INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
 """Types of ini keys; those of other kinds are strings."""
 
 

@@ -105,13 +105,11 @@ def run_search(item: pytest.Function, request: Request) -> None:
     harness = harness_of(item, request)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     chosen = isolated_after_a_death(harness, replays)
-    now = time.monotonic()
     search = Search(
         node_id=item.nodeid,
         harness=chosen,
         listener=SearchMessages(item, page_messages_of(item, settings)),
-        clock=time.monotonic,
-        limit=time_limit(settings, now=now, began=shared.began, left=searches_left(item)),
+        limit=time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item)),
         replays=replace(replays, harness=chosen),
         # The session ends at the first failure then, which a loop inside of an item must do by itself.
         stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,

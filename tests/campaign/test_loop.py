@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ class Simulation:
 
     verdicts: Callable[[int], Verdict]
     simulate: Callable[[Scenario], Run]
-    is_alone: bool = True
+    runner: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(is_alone=True))
     numbers: Iterator[int] = field(default_factory=count)
 
     def run(self, scenario, *, afresh=False):
