@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
-from pytest_pafot.campaign.harness import Harness, check_world, source_file
+from pytest_pafot.campaign.harness import Harness, source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
@@ -121,13 +121,11 @@ def _searched(
 ) -> SearchResult:
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
-    world = build_world(request, Highway())
-    check_world(world, "world= to be")
     settings, (module, _, test) = request.settings, node_id.partition("::")
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     harness = Harness(
         request=request,
-        world=world,
+        world=build_world(request, Highway()),
         ads=request.ads,
         test=holds,
         test_file=source_file(holds),

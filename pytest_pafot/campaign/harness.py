@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.request import Request, RequestError, hint_at_world
+from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.job import Job
@@ -147,21 +147,6 @@ class Simulation:
                 trace = world.rollout_in_gym(scenario, self.harness.ads)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)
-
-
-def check_world(world: Any, origin: str) -> None:
-    """Check that a world has what a search needs of it.
-
-    Raises:
-        RequestError: naming ``origin``, who gave it, and what is missing.
-    """
-    missing = protocol.missing(world)
-    if missing:
-        raise RequestError(
-            f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
-            f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
-            f"{hint_at_world(world)}"
-        )
 
 
 def checked_factory(given: object, name: str) -> Callable[..., Any]:

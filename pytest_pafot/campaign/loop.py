@@ -34,19 +34,16 @@ class SearchLoop:
     listener: Listener = lambda event: None
     # What the ego nearly had to answer for in a trace; None where the algorithm does not read that
     near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
-    # Scenarios in which a process died, earlier or in this search; they are not run
-    fatal: set[Scenario] = field(default_factory=set)
+    fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
     replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new finds by signature
     repeats: Counter[str] = field(default_factory=Counter)  # further runs of each new find, by id
-    # Failing runs by the id of the saved scenario that covers them
-    known: Counter[str] = field(default_factory=Counter)
+    known: Counter[str] = field(default_factory=Counter)  # failing runs by the id of the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
     health: Health = field(default_factory=Health)
     generation: int = 0  # of the main search, from 0
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
     skip: BaseException | None = None  # the last exception by which the function declined to judge
-    # What the runs of the first generation have in common
     first: FirstGeneration = field(default_factory=FirstGeneration)
     doubt: str = ""  # about the units of the ADS's actions, once there is one
 

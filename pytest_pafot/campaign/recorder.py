@@ -25,8 +25,6 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import codec
 
-NOT_SAVED = "--pafot-save=none"
-
 UNSEEN_CRASH = Expect(
     failure=PROCESS_CRASH,
     outcome=Outcome.ADS_ERROR,  # The ADS is the code that a process can die in.
@@ -49,8 +47,7 @@ class Recorder:
     kept: dict[str, Kept] = field(default_factory=dict)  # the finds so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of those that the limit of saved scenarios left out
     first: BaseException | None = None  # the exception of the first find, for a debugger
-    # Finds that are saved and not told yet, since they may turn out to be a fault of the set-up; None once finds are
-    # told at once
+    # Finds not told yet, since they may turn out to be a fault of the set-up; None once finds are told at once
     held: list[FindTold] | None = field(default_factory=list)
 
     @property
@@ -205,7 +202,7 @@ class Recorder:
         find = Find(id=finding.id, node_id=node_id, headline=line, is_timed=is_timed)
         kept = Kept(finding=finding, find=find, origin=origin)
         if self.harness.request.settings.save == "none":
-            return replace(kept, find=replace(find, problem=NOT_SAVED))
+            return replace(kept, find=replace(find, problem="--pafot-save=none"))
         try:
             write(path, finding)
         except CorpusWriteError as error:

@@ -16,10 +16,9 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace, sample, space_on
 from pytest_pafot.trace import Trace
-from pytest_pafot.world import Highway, WorldError
+from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.kernel.action import shown
-from pytest_pafot.world.protocol import road_start
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
@@ -161,14 +160,14 @@ def build_world(request: Request, fixture_world: Any) -> Any:
     Where the mark says how long the chains are, runs on a Highway that it does not give itself last as long.
 
     Raises:
-        RequestError: when the road arguments do not fit the world.
+        RequestError: when the road arguments do not fit the world, or it lacks what a search needs.
     """
     if request.world is not None:
-        return request.world
+        return _checked_world(request.world, "world= to be")
     changes = dict(request.road)
     if not isinstance(fixture_world, Highway):
         if not changes:
-            return fixture_world
+            return _checked_world(fixture_world, "the fixture pafot_world to give")
         raise request.error(
             f"{next(iter(changes))}=...",
             f"expected the fixture pafot_world to give a pafot.Highway, received {fixture_world!r}; describe the whole "
@@ -194,7 +193,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     """
     given = ", ".join(request.space)
     try:
-        space = space_on(world, request.space, road_start(world))
+        space = space_on(world, request.space, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
     except WorldError as error:
@@ -202,6 +201,17 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
+
+
+def _checked_world(world: Any, origin: str) -> Any:
+    missing = protocol.missing(world)
+    if missing:
+        raise RequestError(
+            f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
+            f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
+            f"{hint_at_world(world)}"
+        )
+    return world
 
 
 def hint_at_world(given: Any) -> str:

@@ -45,8 +45,7 @@ AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this s
 
 def search_seed(base_seed: int, node_id: str) -> int:
     """The seed of a search: a function of the base seed and its test's node id, the same in every process."""
-    digest = hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()
-    return int.from_bytes(digest[:4], "big")
+    return int.from_bytes(hashlib.sha256(f"{base_seed}:{node_id}".encode()).digest()[:4], "big")
 
 
 class TimeLimit(NamedTuple):
@@ -94,8 +93,6 @@ class Search:
     stops_at_first: bool = False  # whether it ends at its first new finding
     progress_seconds: float = 10.0  # between two tellings of progress
     notes: list[str] = field(default_factory=list)  # to be told once in the summary
-    _simulation: Simulation = field(init=False)
-    _recorder: Recorder = field(init=False)
     _loop: SearchLoop = field(init=False)
     _shrink_runs: int = field(init=False, default=0)
     _started: float = field(init=False)
@@ -124,7 +121,7 @@ class Search:
             self.notes += [note for each in retried for note in each.notes]
             pending = [each.pending for each in retried if each.pending is not None]
             summary, fault = self._conducted(space, pending)
-        loop, recorder = self._loop, self._recorder
+        loop, recorder = self._loop, self._loop.recorder
         return SearchResult(
             summary=summary,
             kept=tuple(recorder.kept.values()),
@@ -158,12 +155,11 @@ class Search:
                 times_decisions=request.decision_limit is not None,
             )
         stack.push(runner.__exit__)  # What runs after the search begins processes anew.
-        self._simulation = Simulation(harness, runner, record)
-        confirm = partial(difference, simulation=self._simulation)
-        self._recorder = Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener)
+        simulation = Simulation(harness, runner, record)
+        confirm = partial(difference, simulation=simulation)
         self._loop = SearchLoop(
-            simulation=self._simulation,
-            recorder=self._recorder,
+            simulation=simulation,
+            recorder=Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener),
             fitness=fitness,
             listener=self.listener,
             near_misses=near_misses if is_for_ego and request.algorithm.reads_near_misses else None,
@@ -174,19 +170,20 @@ class Search:
     ) -> tuple[SearchSummary, SetupFaultError | None]:
         """Search and simplify; whatever ends that, all is told that was found until then."""
         __tracebackhide__ = True
-        reason, fault, recorder = "interrupted", None, self._recorder
+        loop, recorder, simulation = self._loop, self._loop.recorder, self._loop.simulation
+        reason, fault = "interrupted", None
         saved = saved_in(self.harness.folder)
         recorder.replayed = frozenset(each.path for each in saved)
-        self._loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
+        loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         try:
-            with self._simulation.runner:
+            with simulation.runner:
                 reason = self._searched(space, saved)
             recorder.release()
             self._simplify()
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()
-            self._loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
+            loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
             raise
@@ -194,9 +191,9 @@ class Search:
             recorder.release()
             for leftover in pending:
                 leftover.discard()
-            self.notes += self._simulation.runner.notes
-            if self._simulation.record.error:
-                self.notes += [str(self._simulation.record.error)]
+            self.notes += simulation.runner.notes
+            if simulation.record.error:
+                self.notes += [str(simulation.record.error)]
             summary = self._summary(reason)
             self.listener(summary)
         return summary, fault
@@ -214,8 +211,8 @@ class Search:
             None if world is None else harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
-            keep=self._recorder.keep_crash,
-            run_here=self._simulation.rerun_one_by_one,
+            keep=self._loop.recorder.keep_crash,
+            run_here=self._loop.simulation.rerun_one_by_one,
         )
 
     def _searched(self, space: SearchSpace | None, saved: Sequence[Saved]) -> str:
@@ -227,7 +224,7 @@ class Search:
         __tracebackhide__ = True
         if space is None:
             return "replay only"
-        loop, runner = self._loop, self._simulation.runner
+        loop, runner = self._loop, self._loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
         loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
         limit = 1 if self.stops_at_first else settings.stop_after
@@ -243,7 +240,7 @@ class Search:
             seed=self.seed,
             max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
-            stop=lambda: limit is not None and self._recorder.count >= limit,
+            stop=lambda: limit is not None and loop.recorder.count >= limit,
             foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
         )
         try:
@@ -279,7 +276,7 @@ class Search:
                 generations=generations,
                 runs=loop.runs,
                 failing=loop.verdicts["failed"],
-                finds=self._recorder.count,
+                finds=loop.recorder.count,
                 seconds=now - self._started,
                 phase=phase,
             )
@@ -288,7 +285,7 @@ class Search:
     def _summary(self, reason: str) -> SearchSummary:
         settings, loop, health = self.harness.request.settings, self._loop, self._loop.health
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason == self.limit.flag)
-        finds = [kept.find for kept in self._recorder.kept.values()]
+        finds = [kept.find for kept in loop.recorder.kept.values()]
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -306,7 +303,7 @@ class Search:
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
-            unsaved={id_: 1 + loop.repeats[id_] for id_ in self._recorder.unsaved},
+            unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
             known=dict(loop.known),
             warnings=loop.warnings if reason in (DONE, self.limit.flag) else (),
@@ -316,7 +313,7 @@ class Search:
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """What a longer search would do besides, and how to have it."""
-        settings, recorder = self.harness.request.settings, self._recorder
+        settings, recorder = self.harness.request.settings, self._loop.recorder
         left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
         if left and settings.shrink_rollouts and reason in ("interrupted", "error"):
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"

@@ -19,8 +19,6 @@ from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.kernel.action import possible_acceleration, possible_steering
 from pytest_pafot.world.protocol import first_decision
 
-NOT_ASKED = ("npc", "invalid")
-"""Verdicts on runs that the test function was not asked about."""
 NO_STEERING = math.pi / 2
 """No car steers so far, and no planner asks for it [rad]."""
 NO_ACCELERATION = 30.0
@@ -71,7 +69,7 @@ class FirstGeneration:
 
     def see(self, run: Run, verdict: Verdict) -> None:
         """Learn how a run ended."""
-        if verdict.kind in NOT_ASKED:
+        if verdict.kind in ("npc", "invalid"):  # The test function was not asked about it.
             self.unjudged += 1
             return
         cause = cause_of(run, verdict)

@@ -80,11 +80,9 @@ class SearchSummary:
     no_interaction: int = 0  # runs in which no NPC came near the ego
     failing: int = 0  # runs that the test rejected
     finds: tuple[Find, ...] = ()  # distinct ones that are new
-    # Further ones that the limit of saved scenarios left out, with their runs
-    unsaved: Mapping[str, int] = field(default_factory=dict)
+    unsaved: Mapping[str, int] = field(default_factory=dict)  # runs of those that the limit of saved ones left out
     shrink_runs: int = 0  # taken to simplify the finds, beside ``runs``
-    # Failing runs by the id of the saved scenario that covers them
-    known: Mapping[str, int] = field(default_factory=dict)
+    known: Mapping[str, int] = field(default_factory=dict)  # failing runs by the id of the file that covers them
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to be told once
     coverage: str = ""  # one line on the Position-Instructions that the runs came to

@@ -37,8 +37,7 @@ class PageMessages:
     item: pytest.Item  # that runs
     settings: Settings  # of it; they name the page
     events: list[Event] = field(default_factory=list)  # of the search's algorithm so far
-    # Number of runs of the search by who is responsible for a collision
-    responsibilities: Counter[str] = field(default_factory=Counter)
+    responsibilities: Counter[str] = field(default_factory=Counter)  # runs by who is responsible for a collision
     speed_limit: float = 0.0  # of the search's world [m/s]
 
     def __call__(self, event: SearchEvent) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.events import FindTold, Listener, SearchEvent, SearchStarted
-from pytest_pafot.campaign.harness import Harness, check_world, checked_factory, source_file
+from pytest_pafot.campaign.harness import Harness, checked_factory, source_file
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
@@ -51,7 +51,6 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         RequestError: when a fixture gives something that cannot be used.
     """
     world = build_world(request, item.funcargs[WORLD_FIXTURE])
-    check_world(world, f"the fixture {WORLD_FIXTURE} to give" if request.world is None else "world= to be")
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     remove_unfinished(folder)
