@@ -18,6 +18,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
@@ -53,6 +54,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
         self.is_hang = is_hang
 
 
+@dataclass(eq=False)
 class WorkerPool(Generic[TaskT, ResultT]):
     """Up to so many processes, started as they are needed. To be used in a ``with`` statement.
 
@@ -69,28 +71,21 @@ class WorkerPool(Generic[TaskT, ResultT]):
         clock: monotonic [s].
     """
 
-    def __init__(
-        self,
-        work: Work[TaskT, ResultT],
-        size: int,
-        *,
-        method: str,
-        patience: float,
-        grace: float = GRACE,
-        ended: Callable[[int], None] = lambda pid: None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    work: Work[TaskT, ResultT]
+    size: int
+    _: KW_ONLY
+    method: str
+    patience: float
+    grace: float = GRACE
+    ended: Callable[[int], None] = lambda pid: None
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self.recovered: list[ProcessLostError[TaskT]] = []
         """Processes that died in tasks that were done when they were tried alone."""
         self.failure = ""
         """Why no process could be started, from which moment on no task has a result; or empty."""
-        self._work = work
-        self._size = size
-        self._context: Any = multiprocessing.get_context(method)
-        self._patience = patience
-        self._grace = grace
-        self._ended = ended
-        self._clock = clock
+        self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
@@ -147,9 +142,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def close(self, *, at_once: bool = False) -> None:
         """End all processes; those that are at work are killed, and ``at_once`` all of them."""
         idle = [] if at_once else [worker for worker in self._workers if worker.task is None]
-        deadline = self._clock() + FAREWELL
+        deadline = self.clock() + FAREWELL
         for worker in [worker for worker in idle if worker.send(None)]:
-            worker.process.join(max(0.0, deadline - self._clock()))
+            worker.process.join(max(0.0, deadline - self.clock()))
         for worker in list(self._workers):
             self._remove(worker)
         self._pending, self._wanted = deque(), set()
@@ -171,7 +166,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         return second
 
     def _send(self) -> None:
-        while self._pending and (self.failure or len(self._busy) < self._size):
+        while self._pending and (self.failure or len(self._busy) < self.size):
             self._give(self._pending.popleft())
 
     def _give(self, task: TaskT) -> None:
@@ -180,11 +175,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
             return
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
-            while idle is None or not idle.take(task, self._clock()):
+            while idle is None or not idle.take(task, self.clock()):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self._work, others, self._grace)
+                idle = _Worker(self._context, self.work, others, self.grace)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -197,7 +192,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def _receive(self) -> None:
         """Take what is there, after a while at most."""
         busy = self._busy
-        wait([worker.connection for worker in busy], timeout=min(POLL, self._patience / 4))
+        wait([worker.connection for worker in busy], timeout=min(POLL, self.patience / 4))
         for worker in busy:
             self._look_at(worker)
 
@@ -214,12 +209,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 return
             is_gone = True
         if worker.stuck.value:
-            how = f"ignored the interruption of a decision for {self._grace:.1f} s and was ended"
+            how = f"ignored the interruption of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
             self._lose(task, worker)
-        elif worker.silence(self._clock()) > self._patience:
-            self._lose(task, worker, f"did not answer for {self._patience:.1f} s and was killed", is_hang=True)
+        elif worker.silence(self.clock()) > self.patience:
+            self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
@@ -235,7 +230,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         worker.process.join()
         worker.connection.close()
         self._workers.remove(worker)
-        self._ended(worker.pid)
+        self.ended(worker.pid)
 
 
 class _Worker(Generic[TaskT]):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
@@ -44,15 +45,15 @@ def runner_for(
         WorldError: by a world that finds out only now that it cannot be used.
     """
     if isolate:
-        return Runner(job, record, processes=Isolated(job, workers=workers), clock=clock)
+        return Runner(job=job, record=record, processes=Isolated(job, workers=workers), clock=clock)
     is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
     can_lock_step = is_asked and lock_stepping(job.world) is not None
     # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
     # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
     # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
     return Runner(
-        job,
-        record,
+        job=job,
+        record=record,
         processes=Processes(job, workers=workers),
         lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
         can_resume=not times_decisions and resumable(job.world) is not None,
@@ -60,6 +61,7 @@ def runner_for(
     )
 
 
+@dataclass(eq=False, kw_only=True)
 class Runner:
     """Gives the runs of one search: those that were made ahead, and makes all others in this process.
 
@@ -73,28 +75,20 @@ class Runner:
     ``can_resume``, decisions are taken from earlier runs once the ADS shows that it is pure.
     """
 
-    def __init__(
-        self,
-        job: Job,
-        record: CrashRecord,
-        *,
-        processes: Processes,
-        lock_step: LockStep | None = None,
-        can_resume: bool = False,
-        clock: Callable[[], float],
-    ) -> None:
-        self.is_alone = True
-        """Whether the last trace was made by itself, and not in lock step with others."""
-        self._job = job
-        self._record = record
-        self._processes = processes
-        self._prefetching: Processes | LockStep = processes
-        self._lock_step = lock_step
-        self._can_resume = can_resume
-        self._clock = clock
+    job: Job
+    record: CrashRecord
+    processes: Processes
+    lock_step: LockStep | None = None
+    can_resume: bool = False
+    clock: Callable[[], float]
+    is_alone: bool = field(default=True, init=False)
+    """Whether the last trace was made by itself, and not in lock step with others."""
+
+    def __post_init__(self) -> None:
+        self._prefetching: Processes | LockStep = self.processes
         self._decisions: DecisionCache | None = None
-        is_of_interest = (lock_step is not None or can_resume) and not is_vehicle_class(job.ads)
-        self._factory = self._showing(job.ads) if is_of_interest else job.ads
+        is_of_interest = (self.lock_step is not None or self.can_resume) and not is_vehicle_class(self.job.ads)
+        self._factory = self._showing(self.job.ads) if is_of_interest else self.job.ads
 
     @property
     def notes(self) -> list[str]:
@@ -106,7 +100,7 @@ class Runner:
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._prefetching.announce(())
-        self._processes.close(at_once=kind is not None)
+        self.processes.close(at_once=kind is not None)
 
     def announce(self, scenarios: Sequence[Scenario]) -> None:
         """Say what will be asked for next, in this order; what was announced before is forgotten."""
@@ -126,14 +120,14 @@ class Runner:
         """
         __tracebackhide__ = True
         trace = self._prefetching.take(scenario, afresh=afresh)
-        self.is_alone = trace is None or self._prefetching is not self._lock_step
-        self._record.write(scenario)
+        self.is_alone = trace is None or self._prefetching is not self.lock_step
+        self.record.write(scenario)
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
-            started = self._clock()
+            started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
-            trace = self._job.world.rollout(scenario, self._factory, **given)
-            self._processes.ran_here(self._clock() - started)
+            trace = self.job.world.rollout(scenario, self._factory, **given)
+            self.processes.ran_here(self.clock() - started)
         if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
             self._decisions.remember(trace)
         return trace
@@ -145,11 +139,11 @@ class Runner:
             __tracebackhide__ = True
             ads = factory(*arguments, **named)
             self._factory = factory
-            if self._can_resume and getattr(ads, "pure", False) is True:
+            if self.can_resume and getattr(ads, "pure", False) is True:
                 self._decisions = DecisionCache()
-            if self._lock_step is not None and callable(getattr(ads, "batch", None)):
-                self._lock_step.announce(self._processes.announced)
-                self._prefetching = self._lock_step
+            if self.lock_step is not None and callable(getattr(ads, "batch", None)):
+                self.lock_step.announce(self.processes.announced)
+                self._prefetching = self.lock_step
             return ads
 
         make.__wrapped__ = factory  # type: ignore[attr-defined]  # signatures are looked up there

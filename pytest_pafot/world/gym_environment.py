@@ -67,7 +67,7 @@ say, as for the environment's own ``duration``.
 
 @dataclass(frozen=True, eq=False)
 class GymEnvironment:
-    """The environment of a world, made when it is first asked for.
+    """The environment of a world, made when it is first asked for; where it cannot be used, a ``WorldError`` says why.
 
     Attributes:
         config: as given by the user; None for that of the registration.
@@ -79,11 +79,7 @@ class GymEnvironment:
     wrappers: Sequence[Callable[[Any], Any]] | None
 
     def make(self) -> Any:
-        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it.
-
-        Raises:
-            WorldError: when the environment cannot be used.
-        """
+        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it."""
         creator, given = _creator(self.env_id), self.config or {}
         if isinstance(creator, type):
             _check_base(self.env_id, creator)

@@ -60,13 +60,10 @@ Driver = Callable[[Observation], tuple[float, float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leader:
-    """A vehicle ahead.
+    """A vehicle ahead: its speed along the road [m/s] and its deceleration [m/s^2].
 
-    Attributes:
-        gap: between the boxes along the road [m]; negative while side by side.
-        speed: along the road [m/s].
-        closing: the ego's speed minus that [m/s].
-        braking: its deceleration [m/s^2].
+    The gap is that between the boxes along the road [m], negative while side by side; ``closing`` is the ego's speed
+    minus the vehicle's [m/s].
     """
 
     gap: float

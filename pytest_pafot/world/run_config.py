@@ -48,11 +48,7 @@ class Rules:
 
     @property
     def straight(self) -> StraightRoad:
-        """The road.
-
-        Raises:
-            TypeError: where it is not straight.
-        """
+        """The road, which must be straight."""
         if not isinstance(self.road, StraightRoad):
             raise TypeError(f"road: expected a straight one, received {type(self.road).__name__}")
         return self.road
@@ -79,12 +75,7 @@ class Rules:
         return NetworkDirector(scenario, self.road, self.limits, start_cells=cells, **common)
 
     def check_fits(self, scenario: Scenario) -> None:
-        """Check a scenario against the world.
-
-        Raises:
-            ScenarioError: naming the field that does not fit.
-            WorldError: for Lane-Instructions on a road that is not straight.
-        """
+        """Refuse a scenario that does not fit, as for Lane-Instructions on a road that is not straight."""
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         if not isinstance(self.road, StraightRoad) and not scenario.positions:

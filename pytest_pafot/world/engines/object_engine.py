@@ -23,7 +23,6 @@ from pytest_pafot.world.kernel.bodies import Body, Box
 from pytest_pafot.world.kernel.contact import overlap
 from pytest_pafot.world.roads.frame import NetworkFrame, State, StraightFrame
 from pytest_pafot.world.roads.network import NetworkRoad
-from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
 
 
@@ -167,28 +166,21 @@ class Traffic:
         ego = driver.vehicle
         length = float(ego.LENGTH)
         self.driver = driver
-        self._director = rules.director(scenario, length)
-        cells = self._director.first_cells()
+        self._director = director = rules.director(scenario, length)
+        cells = director.first_cells()
         _, *starts = start_positions(rules, scenario, cells, length)
         speeds = start_speeds(rules, scenario, cells, length)
         self._npcs = [make_npc(*start, speed) for start, speed in zip(starts, speeds, strict=True)]
         self.vehicles = [ego, *self._npcs]  # in the order of the record
         self._by_floats = isinstance(ego, Car)
-        self._bodies = [Body(length, float(ego.WIDTH)), *self._director.npcs]
-        self._frame: StraightFrame | NetworkFrame
-        if isinstance(rules.road, StraightRoad):
-            self._frame = StraightFrame(rules.road)
-        else:
+        self._bodies = [Body(length, float(ego.WIDTH)), *director.npcs]
+        frame = None
+        if isinstance(rules.road, NetworkRoad):
             places = [along for along, _ in start_places(rules, scenario, cells, length)]
-            self._frame = NetworkFrame(rules.road, ego.road.network, places)
-        self.record = Record(
-            rules=rules,
-            scenario=scenario,
-            director=self._director,
-            sizes=[(body.length, body.width) for body in self._bodies],
-            rows=array("d"),
-            frame=self._frame if isinstance(self._frame, NetworkFrame) else None,
-        )
+            frame = NetworkFrame(rules.road, ego.road.network, places)
+        self._frame = frame or StraightFrame(rules.straight)
+        sizes, rows = [(body.length, body.width) for body in self._bodies], array("d")
+        self.record = Record(rules=rules, scenario=scenario, director=director, sizes=sizes, rows=rows, frame=frame)
         self._write(self._states(), [(0.0, 0.0)] * len(self.vehicles))
 
     def command(self) -> None:

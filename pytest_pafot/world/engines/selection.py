@@ -34,11 +34,7 @@ class SiWorld(Protocol):
 
 
 def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
-    """Run a scenario, which fits the world, on a straight road, with an ego of a vehicle class that drives itself.
-
-    Raises:
-        WorldError: when the world insists on the kernel, and that cannot drive this ego; and for decisions.
-    """
+    """Run a scenario, which fits the world, on a straight road, with an ego of a vehicle class that drives itself."""
     if decisions:
         raise WorldError(
             f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
