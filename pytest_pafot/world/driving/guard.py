@@ -125,20 +125,17 @@ class HangGuard:
                 return 0.0
             if self._ignored is None or self._ignored[0] != started:
                 self._ignored = started, now
-            self._interrupt()
+            if self._by_signal:
+                signal.pthread_kill(self._target, signal.SIGUSR1)
+            else:
+                self._sent = True
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(AdsHang))
             return now - self._ignored[1]
 
     def _overdue(self) -> bool:
         now = self.clock()  # before the look at what is under way, see above
         started = self.started
         return started is not None and now - started > self.limit
-
-    def _interrupt(self) -> None:
-        if self._by_signal:
-            signal.pthread_kill(self._target, signal.SIGUSR1)
-        else:
-            self._sent = True
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._target), ctypes.py_object(AdsHang))
 
     def _received(self, number: int, frame: object) -> None:
         if self._overdue():  # a signal that arrives late interrupts nothing

@@ -34,14 +34,13 @@ class StraightRoad:
     def __post_init__(self) -> None:
         first, count = self.lanes[0], len(self.lanes)
         cells = tuple(frozenset(cell for cell in Cell if 0 <= lane + cell.column < count) for lane in range(count))
-        for name, value in (
-            ("lane_width", first.width),
-            ("speed_limit", max(lane.speed_limit for lane in self.lanes)),
-            ("_origin", (first.x, first.y)),
-            ("grid", Lanes(count, first.width, first.length)),
-            ("_cells", cells),
-        ):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(  # frozen, so that assignments are refused
+            lane_width=first.width,
+            speed_limit=max(lane.speed_limit for lane in self.lanes),
+            grid=Lanes(count, first.width, first.length),
+            _origin=(first.x, first.y),
+            _cells=cells,
+        )
 
     @classmethod
     def uniform(cls, lanes: int, length: float, lane_width: float, speed_limit: float) -> StraightRoad:

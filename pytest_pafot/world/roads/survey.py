@@ -63,8 +63,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     network, ego = env.road.network, env.vehicle
     index, at = _start(network, ego, name)
     pieces, first = way(network, index, at, getattr(ego, "route", None), ahead=ahead, behind=ROOM_BEHIND)
-    line = line_of(pieces)
-    speed = float(ego.speed)
+    line, speed = line_of(pieces), float(ego.speed)
     strips = _strips(network, pieces, line, speed)
     curvature = _curvature(line.heading, np.arange(len(line.x), dtype=np.float64) * STEP)
     worst = int(np.abs(curvature).argmax())
@@ -79,7 +78,6 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
     columns, lanes = _columns(line, strips, limits)
     sections = frozenset(piece.index[:2] for piece in pieces)
     others = {index: lane for index, lane in network.lanes_dict().items() if index[:2] not in sections}
-    ego_lane = sorted(strips).index(0)
     road = NetworkRoad(
         lanes=(*lanes, *(_other_lane(lane, speed) for lane in others.values())),
         columns=columns,
@@ -89,7 +87,7 @@ def survey(env: Any, name: str, limits: NpcLimits, ahead: float) -> NetworkRoad:
         lane_width=float(strips[0].width[round(start / STEP)]),
         speed_limit=max(speed, *(float(strip.limit.max()) for strip in strips.values())),
         start=start,
-        ego_lane=ego_lane,
+        ego_lane=sorted(strips).index(0),
         ego_speed=speed,
     )
     if road.end - road.start < 2 * NPC_LENGTH:
@@ -133,12 +131,10 @@ def _place(line: Line, piece: int, point: FloatArray) -> float:
 
 def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float) -> dict[int, _Strip]:
     """The lanes of the way by their number relative to the ego's way, negative to the left."""
-    points = len(line.x)
     strips: dict[int, _Strip] = {}
-    for point in range(points):
-        piece = pieces[line.piece[point]]
-        for number, (across, lane, longitudinal) in _beside(network, piece, line, point).items():
-            strip = strips.setdefault(number, _Strip(points))
+    for point, owner in enumerate(line.piece):
+        for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
+            strip = strips.setdefault(number, _Strip(len(line.x)))
             strip.exists[point] = True
             strip.across[point] = across
             strip.limit[point] = max(lane.speed_limit or 0.0, ego_speed)
@@ -152,8 +148,7 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
 
 def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tuple[float, Any, float]]:
     """The lanes of a section at a point of the line: by number, how far across, the lane and the place in it."""
-    place = np.array([line.x[point], line.y[point]])
-    heading = float(line.heading[point])
+    place, heading = np.array([line.x[point], line.y[point]]), float(line.heading[point])
     origin, end, own = piece.index
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
