@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
 """The factory of an ADS that asks a trained model."""
 
-STARRED = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
-
 AdsFactory = Callable[..., Any]
 """Gives a fresh ADS, called once per scenario."""
 
@@ -134,7 +132,8 @@ def _takes_nothing(factory: AdsFactory) -> bool:
     if type(factory) is not FunctionType or factory.__dict__:
         return False
     code = factory.__code__
-    return not (code.co_argcount or code.co_kwonlyargcount or code.co_flags & STARRED)
+    takes_any_number = code.co_flags & (inspect.CO_VARARGS | inspect.CO_VARKEYWORDS)
+    return not (code.co_argcount or code.co_kwonlyargcount or takes_any_number)
 
 
 def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
