@@ -73,7 +73,7 @@ def module_of_file(file: Path, corpus: str, rootpath: Path) -> Path | None:
     if folder.is_absolute():
         directory = rootpath / root.relative_to(folder) if root.is_relative_to(folder) else None
     else:
-        directory = root.parents[len(folder.parts) - 1] if root.parts[-len(folder.parts) :] == folder.parts else None
+        directory = root.parents[len(folder.parts) - 1] if is_corpus(root, folder) else None
     return None if directory is None else module_named(directory, module)
 
 

@@ -134,12 +134,11 @@ class _Builder:
 
     def _check_plain(self, kind: str, event: Any) -> None:
         """Refuse what the versions of YAML, or people, read as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~."""
-        text = event.value
-        if kind in ("int", "float") or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
-            if kind == "str" or _NUMBER.fullmatch(text) is None:
-                fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes"
-                raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
-        elif kind != "str" and _WORD.fullmatch(text) is None:
+        text, is_number = event.value, kind in ("int", "float")
+        if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
+            fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes"
+            raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
+        if kind in ("bool", "null") and not _WORD.fullmatch(text):
             raise self._error(event, "true, false or null", f"{text!r:.60}", "put text in quotes")
 
     def _mapping(self, place: Place) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def campaign_view(
     """The view of a search from everything that it told; also of one that was cut short.
 
     The speed limit, the highest target speed [m/s], says how many bins there are. Responsibilities are simulated runs
-    by who was responsible. What no event tells is that the search was ``cut_by`` an ``error`` or ``interrupted``.
+    by who was responsible. ``cut_by`` is ``error`` or ``interrupted`` where that ended it, which no event tells.
     """
     events = list(events)
     simulated = [event.evaluation for event in events if isinstance(event, Evaluated) and not event.reused]

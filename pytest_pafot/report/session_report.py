@@ -30,7 +30,7 @@ ORDER = ("ego", "both", "npc", "none")
 class Draft:
     """What is known so far of what a report will show at the option's target.
 
-    That are findings and searches by node id, the number of replays by label, and the searches' base seeds, in order.
+    Findings and searches are kept by node id, the number of replays by label, and base seeds as they came.
     """
 
     target: str

@@ -94,8 +94,8 @@ def find_section(
 ) -> str:
     """The section of a find's own report: what its failure's message does not say.
 
-    That is the explanation of the run where it does not have it, the content of a file that could not be written,
-    further details, each with a title of up to ten letters, and the advice that follows from the find's remark.
+    The explanation of the run is empty where the message has it, and the content that of a file that could not be
+    written. Each of the details has a title of up to ten letters; the advice follows from the find's remark.
     """
     lines = [*explanation.splitlines(), *details]
     lines += [f"note       {'; '.join(filter(None, (find.remark, advice)))}"] if find.remark else []
