@@ -42,8 +42,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot_world` gives.",
     "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, `pafot.Weights(...)` or a function `Trace -> float`, higher is '
-    "worse. Without one, each algorithm's own: `av-fuzzer` has one, all others take the default.",
+    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, `pafot.Weights(...)`, a function `Trace -> float`, higher is '
+    "worse, or its `module:function`. Without one, each algorithm's own: `av-fuzzer` has one, all others take the "
+    "default.",
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     "or where there is none.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",

@@ -1,4 +1,4 @@
-"""What one search runs and judges with: a world, an ADS, a test function; and where what it finds lies."""
+"""What one search runs and judges with: a world, an ADS, a test function; where what it finds lies; and its runs."""
 
 from __future__ import annotations
 
