@@ -40,11 +40,7 @@ class CrashRecordError(Exception):
 
 
 class CrashRecord:
-    """A process's record of the scenario that it runs now. Never raises into the search.
-
-    Attributes:
-        error: why nothing can be recorded, or None; to be shown once.
-    """
+    """A process's record of the scenario that it runs now. Never raises into the search."""
 
     def __init__(self, folder: Path, owner: str, *, world: Mapping[str, Any] | None = None) -> None:
         """Nothing is on disk before the first scenario, so that another process may be given the record until then.
@@ -52,6 +48,7 @@ class CrashRecord:
         The folder, where the records of all processes lie, is made when it is missing.
         """
         self.error: CrashRecordError | None = None
+        """Why nothing can be recorded, or None; to be shown once."""
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder

@@ -1,4 +1,7 @@
-"""Runs that are made before a search asks for them: in lock step, or in other processes."""
+"""Runs that are made before a search asks for them: in lock step, or in other processes.
+
+What taking a run may raise is said where it is taken, in :meth:`pytest_pafot.execution.runner.Runner.run`.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +45,7 @@ class LockStep:
         self._announced, self._made = list(scenarios), {}
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made by itself.
-
-        Raises:
-            Exception: what the world, the factory or the ADS's ``batch`` raises.
-        """
+        """The trace of an announced run, once; None where the run is to be made by itself."""
         __tracebackhide__ = True
         if afresh:
             return None
@@ -100,11 +99,7 @@ class Processes:
             self._pool.expect(scenarios)
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of an announced run, once; None where the run is to be made in this process.
-
-        Raises:
-            ProcessLostError: where the process that made it did not come back.
-        """
+        """The trace of an announced run, once; None where the run is to be made in this process."""
         __tracebackhide__ = True
         if afresh or scenario not in self.announced:
             return None
@@ -146,12 +141,7 @@ class Isolated(Processes):
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of a run; None where only this process can show what was raised beside the ADS.
-
-        Raises:
-            ProcessLostError: where the process that made it did not come back.
-            ExecutionError: where there can be no such process.
-        """
+        """The trace of a run; None where only this process can show what was raised beside the ADS."""
         __tracebackhide__ = True
         try:
             pool = self._pool or self._begin()

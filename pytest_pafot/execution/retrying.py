@@ -46,8 +46,7 @@ def retry(
     Args:
         leftover: of the process; removed once all is said, unless it is pending.
         job: what the process ran; None where its world cannot be made again.
-        judge: of a trace, where a process can be forked.
-        isolate: whether another process without the judge will do where none can be forked.
+        judge, isolate: see :func:`answers_apart`.
         keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
         run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
     """

@@ -116,7 +116,7 @@ class Runner:
         Raises:
             ProcessLostError: where another process made it, and did not come back.
             ExecutionError: where it must be made in another process, and none can be started.
-            Exception: what the world or the factory raises.
+            Exception: what the world, the factory or the ADS's ``batch`` raises.
         """
         __tracebackhide__ = True
         trace = self._prefetching.take(scenario, afresh=afresh)

@@ -32,11 +32,7 @@ class ExecutionError(Exception):
 
 
 def pool_for(job: Job, size: int) -> ScenarioPool:
-    """A pool of up to so many processes, which start when they are needed.
-
-    Raises:
-        ExecutionError: where processes cannot be given what they need.
-    """
+    """A pool of up to so many processes; an ``ExecutionError`` where they cannot be given what they need."""
     work = partial(_run_recorded, job, job.crash_record())
     if METHOD != "fork":
         try:

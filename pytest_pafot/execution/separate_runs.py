@@ -86,12 +86,11 @@ def run_apart(
 
 
 def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
-    """One run by ``env.step`` of the environment of a world that has one, in another process.
+    """One run by ``env.step`` of the environment of a world that has one, in another process, or what it raised there.
 
     Raises:
         ProcessLostError: where that process did not come back.
         ExecutionError: where there can be no other process.
-        Exception: what it raised there.
     """
     __tracebackhide__ = True
     in_gym = replace(job, world=_OtherRuns(protocol.hang_limit(job.world), job.world.rollout_in_gym))

@@ -133,11 +133,7 @@ def _loaded(entry: metadata.EntryPoint) -> Any:
 
 
 def described(world: Any) -> dict[str, Any]:
-    """A world as a file has it.
-
-    Raises:
-        WorldError: where an environment cannot be used, or a registered world gives no plain data.
-    """
+    """A world as a file has it, provided that its environment can be used, and that it gives plain data."""
     if type(world) in BUILT_IN.values():  # one that derives from these may do anything
         data: dict[str, Any] = world.to_dict()
         return data
@@ -170,21 +166,14 @@ def is_code(data: Mapping[str, Any]) -> bool:
 
 
 def named(data: Mapping[str, Any], world: Any) -> Any:
-    """The world that the test names, for a file whose world is code.
-
-    Raises:
-        WorldError: where it is another one.
-    """
+    """The world that the test names, for a file whose world is code; another one than the file's is refused."""
     now = described(world)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
-    raise WorldError(
-        expected=f"that the test names the world that the scenario was saved in, {_title(data)}, because a file holds "
-        "no code",
-        received=_title(now),
-        fix="give it by @pafot.search(world=...) or the fixture pafot_world; if only its name is new, write that into "
-        "the file",
-    )
+    expected = f"that the test names the world that the scenario was saved in, {_title(data)}"
+    way = "give it by @pafot.search(world=...) or the fixture pafot_world"
+    fix = f"{way}; if only its name is new, write that into the file"
+    raise WorldError(expected=f"{expected}, because a file holds no code", received=_title(now), fix=fix)
 
 
 def changes(data: Mapping[str, Any], world: Any) -> list[str]:

@@ -14,15 +14,12 @@ from pytest_pafot.world.kernel.observation import Observation
 
 @dataclass(frozen=True, slots=True)
 class FirstDecision:
-    """How a world asks an ADS.
-
-    Attributes:
-        is_si: whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own.
-        text: a sentence that says what it is given and must return.
-    """
+    """How a world asks an ADS."""
 
     is_si: bool
+    """Whether the ADS is given a :class:`pafot.Observation`, rather than an environment's own."""
     text: str
+    """A sentence that says what it is given and must return."""
 
 
 def first_decision(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:

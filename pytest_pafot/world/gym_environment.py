@@ -221,13 +221,10 @@ def _creator(env_id: str) -> Any:
     if env_id not in gymnasium.registry:
         known = sorted(name for name in gymnasium.registry if name.startswith("highway"))
         near = difflib.get_close_matches(env_id, gymnasium.registry, n=1)
-        raise WorldError(
-            field="env_id",
-            expected="a registered environment",
-            received=repr(env_id),
-            fix=f"highway-env's straight roads are {', '.join(known)}; an environment of your own must be registered "
-            f"by an import before it is used{f'; did you mean {near[0]!r}?' if near else ''}",
-        )
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        own = "an environment of your own must be registered by an import before it is used"
+        fix = f"highway-env's straight roads are {', '.join(known)}; {own}{meant}"
+        raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
     return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
 

@@ -78,16 +78,14 @@ class World(BuiltInWorld):
         self._check_fields()
         if self.duration is not None:
             object.__setattr__(self, "duration", checked_number("duration", self.duration, 0.1, 3600.0))
-        if self.wrappers is not None:
-            self._check_wrappers()
-            object.__setattr__(self, "wrappers", tuple(self.wrappers))
-
-    def _check_wrappers(self) -> None:
+        if self.wrappers is None:
+            return
         if not isinstance(self.wrappers, (list, tuple)):
             raise WorldError(field="wrappers", expected="a list of callables", received=f"{self.wrappers!r:.200}")
         for index, each in enumerate(self.wrappers):
             if not callable(each):
                 raise WorldError(field=f"wrappers[{index}]", expected="a callable", received=f"{each!r:.200}")
+        object.__setattr__(self, "wrappers", tuple(self.wrappers))
 
     def check(self) -> None:
         """Make the environment now, to see whether it can be used.

@@ -60,12 +60,9 @@ class GymReplaying(WorldLike, Protocol):
 
 
 class RoadStart(NamedTuple):
-    """How the ego starts where its road says so.
+    """How the ego starts where its road says so: its lane, counted from 0 at the left, and its speed [m/s].
 
-    Attributes:
-        lane: counted from 0 at the left.
-        speed: [m/s].
-        physics_hz: ticks per second, in whole numbers of which genes last.
+    There are ``physics_hz`` ticks per second, in whole numbers of which genes last.
     """
 
     lane: int
@@ -123,11 +120,7 @@ def hang_limit(world: Any) -> float:
 
 
 def check_fits(world: Any, scenario: Scenario) -> None:
-    """Check a scenario against a world, where it can do so without a run.
-
-    Raises:
-        ScenarioError: naming the field that does not fit.
-    """
+    """Check a scenario against a world, where it can do so without a run; its error names the field."""
     if hasattr(world, "check_fits"):
         world.check_fits(scenario)
 

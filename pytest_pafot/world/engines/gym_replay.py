@@ -92,11 +92,7 @@ class StockPolicy:
         self._view = view
 
     def begin(self, seed: int) -> None:
-        """See what a reset returns, which leaves everybody in the places of the scenario.
-
-        Raises:
-            WorldError: where a reset of the environment's own adds vehicles.
-        """
+        """See what a reset returns, which leaves everybody in the places of the scenario, and adds nobody."""
         plain = self._outer.unwrapped
         vehicles = list(plain.road.vehicles)
         if type(plain).reset is AbstractEnv.reset:

@@ -33,11 +33,7 @@ class SteppedRun(Protocol):
 
 
 def batching_ads(factory: AdsFactory) -> Any:
-    """A fresh ADS that decides for many runs at once; None where the factory gives another.
-
-    Raises:
-        AdsFactoryError: when the factory gives nothing that drives.
-    """
+    """A fresh ADS that decides for many runs at once; None where the factory gives another."""
     if is_vehicle_class(factory) or wants_env(factory):
         return None
     ads = make_ads(factory)
@@ -55,11 +51,8 @@ def rollouts(
 
     Where ``batch`` raises or hangs, all runs are repeated one by one, so that the error is that of its own run.
 
-    Args:
-        scenarios: checked against the world.
-        factory: of the ADS.
-        start, rollout: begins a run in lock step, and simulates one by itself.
-        hang_limit: longest decision for one run [s]; one for many may take as many times as long.
+    ``start`` begins a run in lock step, ``rollout`` simulates one by itself. Where a decision for one run may take up
+    to ``hang_limit`` [s], one for many may take as many times as long.
 
     Raises:
         AdsFactoryError: when the factory gives nothing that drives, or ``batch`` not one action for each run.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from pytest_pafot.world.kernel.bodies import Box
 from pytest_pafot.world.kernel.contact import depth, overlap, side_hit
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.roads.frame import NetworkFrame
 from pytest_pafot.world.run_config import Rules
-
-if TYPE_CHECKING:
-    from pytest_pafot.world.roads.frame import NetworkFrame
 
 
 @dataclass(slots=True, kw_only=True)
