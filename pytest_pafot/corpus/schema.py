@@ -27,17 +27,11 @@ class Keys:
 
 FILE = Keys(("pafot", "test", "world", "scenario", "expect", "found"), ("original", "shrunk", "flaky", "xfail"))
 
+_BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
 WORLDS: Mapping[str, Keys] = MappingProxyType(
     {
-        "highway": Keys(
-            (
-                *("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration"),
-                *("clearance", "headway", "limits", "hang_limit"),
-            )
-        ),
-        "gym": Keys(
-            ("kind", "env_id", "config", "duration", "clearance", "headway", "limits", "hang_limit"), ("wrappers",)
-        ),
+        "highway": Keys(("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN)),
+        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers",)),
         "own": Keys(("kind",), ("class", "data")),
     }
 )

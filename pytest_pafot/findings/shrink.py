@@ -330,7 +330,7 @@ def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
 def blocks(chain: Chromosome) -> list[tuple[int, int]]:
     """[start, end) of each run of equal instructions."""
     starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
-    return list(zip(starts, [*starts[1:], len(chain)], strict=True))
+    return list(pairwise([*starts, len(chain)]))
 
 
 def _with_speed(scenario: Scenario, npc: int, start: int, end: int, tenths: int) -> Scenario | None:
