@@ -217,7 +217,7 @@ class Run:
         tick = self.trace.off_road_tick if self.ads_error is None else self.ads_error.tick
         if tick is not None:
             return tick / self.trace.physics_hz
-        return self.worst_ttc.time if self.worst_ttc is not None else self.closest_time
+        return self.closest_time if self.worst_ttc is None else self.worst_ttc.time
 
     @property
     def event_npc(self) -> int | None:

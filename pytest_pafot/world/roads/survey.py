@@ -153,15 +153,12 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
     found = []
     for number, lane in enumerate(network.graph[origin][end]):
         longitudinal = float(lane.local_coordinates(place)[0])
+        reaches = -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS
         if number == own:
             found.append((0.0, True, lane, min(max(longitudinal, 0.0), float(lane.length))))
-            continue
-        if not -BEYOND_ENDS <= longitudinal <= lane.length + BEYOND_ENDS:
-            continue
-        if abs(wrapped(float(lane.heading_at(longitudinal)) - heading)) > SAME_DIRECTION:
-            continue
-        step = np.asarray(lane.position(longitudinal, 0)) - place
-        found.append((float(step[1] * math.cos(heading) - step[0] * math.sin(heading)), False, lane, longitudinal))
+        elif reaches and abs(wrapped(float(lane.heading_at(longitudinal)) - heading)) <= SAME_DIRECTION:
+            step = np.asarray(lane.position(longitudinal, 0)) - place
+            found.append((float(step[1] * math.cos(heading) - step[0] * math.sin(heading)), False, lane, longitudinal))
     found.sort(key=lambda each: each[0])
     own_rank = next(rank for rank, each in enumerate(found) if each[1])
     return {rank - own_rank: (across, lane, at) for rank, (across, _, lane, at) in _neighbours(found, own_rank)}
@@ -170,15 +167,13 @@ def _beside(network: Any, piece: Piece, line: Line, point: int) -> dict[int, tup
 def _neighbours(found: list[Any], own: int) -> Iterator[tuple[int, Any]]:
     """The own lane and those to either side, as far as each touches the one before."""
     yield own, found[own]
-    for way_out in (range(own - 1, -1, -1), range(own + 1, len(found))):
-        before = own
-        for rank in way_out:
+    for way_out in (range(own, -1, -1), range(own, len(found))):
+        for before, rank in pairwise(way_out):
             apart = abs(found[rank][0] - found[before][0])
             width = float(found[rank][2].width_at(found[rank][3]) + found[before][2].width_at(found[before][3])) / 2
             if not 0.6 * width < apart < 1.5 * width:
                 break
             yield rank, found[rank]
-            before = rank
 
 
 def _bridge(strip: _Strip) -> None:
