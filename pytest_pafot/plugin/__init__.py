@@ -40,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
-        config.stash[SHARED] = Shared.of_new_session()
+        config.stash[SHARED] = Shared()
         features |= {"reporting": Reporter(config), "pages": Pages(config)}
     if config.getoption("dist", "no") != "no":
         from pytest_pafot.plugin.xdist import Controller  # noqa: PLC0415

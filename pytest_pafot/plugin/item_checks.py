@@ -63,8 +63,7 @@ class Checks:
 
 def _refuse_raw_mark(item: pytest.Item) -> None:
     """The mark by which pytest selects searched tests makes none: that is the decorator's work."""
-    names = getattr(item, "fixturenames", ())
-    if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in names:
+    if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
         pytest.fail(
             f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
             f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and @pafot.search(...)",

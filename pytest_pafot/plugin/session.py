@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Self
 
 import pytest
 
@@ -18,28 +17,24 @@ from pytest_pafot.plugin.options import resolve
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 
 
+def terminal_width() -> int:
+    """Columns of the terminal, as pytest counts them."""
+    columns = shutil.get_terminal_size((80, 24)).columns
+    return columns if columns >= 40 else 80
+
+
 @dataclass(slots=True, kw_only=True)
 class Shared:
-    """Values that the controller decides and every worker uses."""
+    """Values that the controller decides and every worker uses, at first those of a session that begins now."""
 
-    fresh_seed: int  # base seed where no option gives one
-    progress_seconds: float  # between two reports of progress
-    width: int  # of the terminal, in columns, which a worker cannot ask
-    began: float  # when the session did, by ``time.monotonic`` of this process [s]
+    fresh_seed: int = field(default_factory=lambda: int.from_bytes(os.urandom(4), "big"))  # base seed if none is given
+    progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # between two reports of progress
+    width: int = field(default_factory=terminal_width)  # in columns, which a worker cannot ask
+    began: float = field(default_factory=time.monotonic)  # when the session did, by the clock of this process [s]
     # node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed one collects
     # these and no files that were written since. None before
     frozen: frozenset[str] | None = None
     begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
-
-    @classmethod
-    def of_new_session(cls) -> Self:
-        """The values of a session that begins now."""
-        return cls(
-            fresh_seed=int.from_bytes(os.urandom(4), "big"),
-            progress_seconds=LOG_SECONDS,
-            width=terminal_width(),
-            began=time.monotonic(),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +58,6 @@ class SummaryLines:
 
 SHARED = pytest.StashKey[Shared]()
 SUMMARY_LINES = pytest.StashKey[SummaryLines]()
-
-
-def terminal_width() -> int:
-    """Columns of the terminal, as pytest counts them."""
-    columns = shutil.get_terminal_size((80, 24)).columns
-    return columns if columns >= 40 else 80
 
 
 def base_line(config: pytest.Config) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
-from pytest_pafot.plugin.messages import received
+from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.orphans import UNRUN
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, base_line, terminal_width
 
@@ -95,14 +95,6 @@ class Reporter:
         self._removed: list[Path] = []
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
-        self._handlers: Mapping[str, Callable[[pytest.TestReport, dict[str, Any]], None]] = {
-            "start": self._take_start,
-            "progress": self._take_progress,
-            "find": self._take_find,
-            "search": self._take_search,
-            "replay": self._take_replay,
-            "note": self._take_note,
-        }
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
@@ -118,8 +110,8 @@ class Reporter:
         if message is None:
             self._live.erase_progress()
         result = yield
-        if message is not None and message.kind in self._handlers:  # others have a plugin of their own
-            self._handlers[message.kind](report, message.data)
+        if message is not None:
+            self._take(report, message)
         elif report.when == "teardown":
             self._expand(report.nodeid)
         return result
@@ -183,19 +175,34 @@ class Reporter:
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
 
-    def _take_start(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
+    def _take(self, report: pytest.TestReport, message: Message) -> None:
+        """Messages of a page have a plugin of their own."""
+        from pytest_pafot.campaign.summary import Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
+        data = message.data
+        match message.kind:
+            case "start":
+                self._take_start(report)
+            case "progress":
+                self._live.show_progress(lambda width: terminal.progress_line(Progress(**data), width))
+            case "find":
+                self._take_find(report, data)
+            case "search":
+                self._running.pop(report.nodeid, None)
+                self._searches.append(SearchSummary.from_plain(data))
+            case "replay":
+                self._replays.append(terminal.ReplaySummary(node_id=report.nodeid, **data))
+            case "note":
+                self._notes[data["text"]] = None
+
+    def _take_start(self, report: pytest.TestReport) -> None:
         # Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early.
         is_first = not self._running and not self._searches
         if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
             base = base_line(self._config)
             self._live.write([f"pafot: {base}"] if base else [])
         self._running[report.nodeid] = None
-
-    def _take_progress(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
-        from pytest_pafot.campaign.summary import Progress  # noqa: PLC0415
-        from pytest_pafot.report.terminal import progress_line  # noqa: PLC0415
-
-        self._live.show_progress(lambda width: progress_line(Progress(**data), width))
 
     def _take_find(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
         if data["node_id"] not in self._expanded:
@@ -204,20 +211,6 @@ class Reporter:
         self._live.erase_progress()
         if self._config.get_verbosity() >= 0:
             self._live.write(data["lines"])
-
-    def _take_search(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
-        from pytest_pafot.campaign.summary import SearchSummary  # noqa: PLC0415
-
-        self._running.pop(report.nodeid, None)
-        self._searches.append(SearchSummary.from_plain(data))
-
-    def _take_replay(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
-        from pytest_pafot.report.terminal import ReplaySummary  # noqa: PLC0415
-
-        self._replays.append(ReplaySummary(node_id=report.nodeid, **data))
-
-    def _take_note(self, report: pytest.TestReport, data: dict[str, Any]) -> None:
-        self._notes[data["text"]] = None
 
     def _expand(self, search_id: str) -> None:
         """Report the finds of a search as the items that they will be in the next session."""

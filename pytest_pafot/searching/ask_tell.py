@@ -70,19 +70,12 @@ class Algorithm(Protocol[StateT]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationState:
-    """Where a search without local searches is, between two calls.
+    """Where a search without local searches is, between two calls."""
 
-    Attributes:
-        generation: from 0.
-        local_generation: always 0; there is no local search.
-        best: so far; None before the first eligible run.
-        asked: scenarios that are out for evaluation; None when it is time to ask.
-    """
-
-    generation: int = 0
-    local_generation: int = 0
-    best: Evaluation | None = None
-    asked: tuple[Scenario, ...] | None = None
+    generation: int = 0  # from 0
+    local_generation: int = 0  # always; there is no local search
+    best: Evaluation | None = None  # so far; None before the first eligible run
+    asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
 
 
 GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
@@ -133,12 +126,12 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
             generation=state.generation, local_generation=0, population=(*kept, *evaluations), elites=len(kept)
         )
         candidate = best_of(evaluations)
-        is_new = candidate is not None and improves(candidate, state.best)
+        new = candidate if improves(candidate, state.best) else None
         learnt = self.learn(state, evaluations, rng)
-        learnt = replace(learnt, generation=state.generation + 1, asked=None, best=candidate if is_new else state.best)
-        if candidate is None or not is_new:
+        learnt = replace(learnt, generation=state.generation + 1, asked=None, best=new or state.best)
+        if new is None:
             return learnt, (finished,)
-        return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=candidate))
+        return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
 
     def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
         """What passes on untouched into the generation that was asked for."""

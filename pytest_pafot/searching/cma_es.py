@@ -80,8 +80,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         shape = (space.npcs, space.genes)
         choices = np.argmax(solution.c, axis=1)[: space.npcs * space.genes].reshape(shape)
         speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
-        steps = np.hstack([choices[:, :1], choices[:, 1:] - 1])
-        cells = np.cumsum(steps, axis=1) % 8 + 1
+        cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
         return repaired(chains_of(cells.tolist(), speeds.tolist()), seed, space)
 
 

@@ -77,9 +77,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Groups that have the same chance each: the elites, and whoever came near to a fault."""
-        elites = [evaluation for _, evaluation in state.elites]
-        groups = [elites, *([evaluation for _, evaluation in fault] for fault in state.near)]
-        return [group for group in groups if group]
+        groups = ([evaluation for _, evaluation in group] for group in (state.elites, *state.near))
+        return list(filter(None, groups))
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
         """One to three mutations of a parent, or of two that have swapped NPCs."""

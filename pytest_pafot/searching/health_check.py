@@ -70,16 +70,15 @@ class Health:
         if reused:
             return replace(self, evaluated=self.evaluated + 1)
         invalid = evaluation.outcome is Outcome.INVALID
-        discarded = evaluation.discarded and not invalid
-        valid = not invalid and not discarded
+        valid = not (invalid or evaluation.discarded)
         broken = evaluation.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
         driven = valid and not broken
-        collided = evaluation.outcome is Outcome.COLLISION
+        is_immediate = evaluation.outcome is Outcome.COLLISION and evaluation.duration < IMMEDIATE
         return Health(
             evaluated=self.evaluated + 1,
             simulated=self.simulated + 1,
             invalid=self.invalid + invalid,
-            discarded=self.discarded + discarded,
+            discarded=self.discarded + (evaluation.discarded and not invalid),
             genes_started=self.genes_started + (0 if broken else evaluation.genes_started),
             genes_reached=self.genes_reached + (0 if broken else evaluation.genes_reached),
             valid=self.valid + valid,
@@ -87,7 +86,7 @@ class Health:
             no_interaction=self.no_interaction + (driven and not evaluation.interaction),
             outran=self.outran + (driven and evaluation.outran),
             barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
-            immediate=self.immediate + (valid and collided and evaluation.duration < IMMEDIATE),
+            immediate=self.immediate + (valid and is_immediate),
             coverage=self.coverage.counted(evaluation),
         )
 

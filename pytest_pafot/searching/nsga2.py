@@ -102,7 +102,7 @@ def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
     np.fill_diagonal(differ, 1.0)
     severity = [0.0 if each.collision is None else each.collision.closing_speed for each in evaluations]
     rows = [
-        (-each.fitness, -severity[index], -float(differ[index].min())) if each.eligible else (WORST, WORST, WORST)
-        for index, each in enumerate(evaluations)
+        (-each.fitness, -speed, -float(others.min())) if each.eligible else (WORST, WORST, WORST)
+        for each, speed, others in zip(evaluations, severity, differ, strict=True)
     ]
     return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)

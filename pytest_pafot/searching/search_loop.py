@@ -79,7 +79,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
     evaluator = _Evaluator(evaluate, foresee)
-    return _campaign(algorithm, evaluator, exceeded, now, generations=generations, seed=seed, batch=batch)
+    return _campaign(algorithm, evaluator, exceeded, now, generations, seed, batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -92,7 +92,6 @@ def _campaign(
     evaluator: _Evaluator,
     exceeded: Callable[[float], EndReason | None],
     now: Callable[[], float],
-    *,
     generations: int,
     seed: int,
     batch: int,
