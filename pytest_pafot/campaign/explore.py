@@ -82,8 +82,7 @@ def explore(
         RequestError: on a wrong argument, in words for the user.
         Exception: where every run of the first generation ends in the same error, that error, with a note.
     """
-    given = {"ads": ads, "world": world, "generations": generations, "seed": seed, **settings}
-    request = _request(given)
+    request = _request({"ads": ads, "world": world, "generations": generations, "seed": seed, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
 

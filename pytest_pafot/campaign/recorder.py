@@ -159,8 +159,8 @@ class Recorder:
         if again is not None:
             expect, line = expectation(again), _headline(again)
         finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
-        origin = "the record of a session that died"
-        kept = self._saved(finding, line, origin, is_timed=again is not None and again.is_hang)
+        is_timed = again is not None and again.is_hang
+        kept = self._saved(finding, line, "the record of a session that died", is_timed)
         self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
@@ -168,7 +168,7 @@ class Recorder:
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
         text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
-        finding = self._death(lost.task, expectation(lost), self._found(generation))
+        finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         kept = self._saved(finding, _headline(lost), self._origin(generation, number), lost.is_hang)
         self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
         return kept.find.id
@@ -181,9 +181,7 @@ class Recorder:
         algorithm = self.harness.request.algorithm.name
         return f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
 
-    def _death(
-        self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None = None
-    ) -> Finding:
+    def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
         return Finding(
             id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
             test=self.harness.node_id,

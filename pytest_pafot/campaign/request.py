@@ -91,25 +91,40 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     Raises:
         RequestError: on the first wrong argument.
     """
-    arg, blame = arguments.get("arg", "run"), arguments.get("blame", "any")
-    world, limit = arguments.get("world"), arguments.get("decision_limit")
-    road = {name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None}
     try:
         algorithm = resolve_algorithm(settings.algorithm)
     except ValueError as error:
         raise RequestError(str(error)) from error
-    fitness = algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"]
-    part = next(iter(road), "")
-    problems = {
+    own = {name: arguments[name] for name in ("ads", "arg", "blame", "decision_limit", "world") if name in arguments}
+    request = Request(
+        settings=settings,
+        algorithm=algorithm,
+        fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
+        road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
+        space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+        place=place,
+        **own,
+    )
+    for argument, problem in _problems(request).items():
+        if problem:
+            raise request.error(argument, problem)
+    return request
+
+
+def _problems(request: Request) -> Mapping[str, object]:
+    """What is wrong with each argument, in the order in which it is told; whatever is false where nothing is."""
+    world, limit, fitness = request.world, request.decision_limit, request.fitness
+    part = next(iter(request.road), "")
+    return {
         f"world=..., {part}=...": world is not None
-        and road
+        and part
         and f"expected either a whole world or its parts, received both; give {part} to the world",
         "world=...": world is not None
         and (isinstance(world, type) or not callable(getattr(world, "rollout", None)))
         and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
-        "ads=...": _problem_of_ads(arguments["ads"]),
-        "arg=...": not _is_name(arg) and f"expected a name, received {arg!r}",
-        "blame=...": blame not in BLAMES and f"expected {' or '.join(BLAMES)}, received {blame!r}",
+        "ads=...": _problem_of_ads(request.ads),
+        "arg=...": not _is_name(request.arg) and f"expected a name, received {request.arg!r}",
+        "blame=...": request.blame not in BLAMES and f"expected {' or '.join(BLAMES)}, received {request.blame!r}",
         "decision_limit=...": limit is not None
         and not _is_positive(limit)
         and f"expected seconds, more than 0, received {limit!r}",
@@ -117,22 +132,6 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         and "expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a Trace that returns a float, "
         f"received {fitness!r}",
     }
-    for argument, problem in problems.items():
-        if problem:
-            raise RequestError(f"{place}({argument}): {problem}")
-    return Request(
-        settings=settings,
-        algorithm=algorithm,
-        ads=arguments["ads"],
-        arg=arg,
-        blame=blame,
-        decision_limit=None if limit is None else float(limit),
-        fitness=fitness,
-        world=world,
-        road=road,
-        space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
-        place=place,
-    )
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:

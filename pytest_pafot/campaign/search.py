@@ -255,12 +255,12 @@ class Search:
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
-        simplification = Simplification(
+        work = Simplification(
             loop=self._loop, is_over=lambda: self.clock() > self.limit.until, tell=self._tell_progress
         )
-        simplification.run_all()
-        self._shrink_runs = simplification.runs
-        if simplification.is_cut:
+        work.run_all()
+        self._shrink_runs = work.runs
+        if work.is_cut:
             self.notes += [f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"]
 
     def _tell_progress(self, phase: str = "") -> None:
