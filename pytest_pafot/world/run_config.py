@@ -46,6 +46,10 @@ class Rules:
             return self.road.start
         return ego_start(self.headway, self.clearance)
 
+    def ego_position(self, scenario: Scenario) -> tuple[float, float, float]:
+        """World x [m], y [m] and heading [rad] of the ego at tick 0."""
+        return self.road.position(self.ego_start, scenario.ego_lane)
+
     @property
     def straight(self) -> StraightRoad:
         """The road, which must be straight."""

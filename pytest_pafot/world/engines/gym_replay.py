@@ -24,7 +24,7 @@ from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
-from pytest_pafot.world.engines.policy_engine import put_ego
+from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
 from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
@@ -156,7 +156,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     }
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
-    put_ego(env, _ego(StockVehicle, rules, scenario, env), None)
+    put_new_ego(env, StockVehicle, rules.ego_position(scenario), scenario.ego_speed, None)
     return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, make_ads(ads_factory), None)).run()
 
 
@@ -165,8 +165,8 @@ def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scen
     outer, route = environment.make(), environment.route
     env = _reset(outer, scenario)
     is_policy, view = not is_vehicle_class(ads_factory), None
-    ego = _ego(env.action_type.vehicle_class if is_policy else StockVehicle, rules, scenario, env)
-    put_ego(env, ego, route)
+    vehicle_class = env.action_type.vehicle_class if is_policy else StockVehicle
+    put_new_ego(env, vehicle_class, rules.ego_position(scenario), scenario.ego_speed, route)
     if is_policy and wants_env(ads_factory):
         if environment.wrappers is not None:
             raise WorldError(
@@ -194,12 +194,6 @@ def _reset(outer: Any, scenario: Scenario) -> Any:
     return env
 
 
-def _ego(vehicle_class: Any, rules: Rules, scenario: Scenario, env: Any) -> Any:
-    """A vehicle at the ego's start."""
-    x, y, heading = rules.road.position(rules.ego_start, scenario.ego_lane)
-    return vehicle_class(env.road, [x, y], heading, scenario.ego_speed)
-
-
 def _si_driver(
     rules: Rules, scenario: Scenario, env: Any, ads: Any, route: tuple[Any, ...] | None
 ) -> Planner | SelfDriving:
@@ -210,8 +204,7 @@ def _si_driver(
     driver: Planner | SelfDriving
     if is_vehicle_class(ads):
         env.config["policy_frequency"] = env.config["simulation_frequency"]  # Such a vehicle decides in every tick.
-        start = rules.road.position(rules.ego_start, scenario.ego_lane)
-        driver = SelfDriving(ads, env.road, start, scenario.ego_speed, route)
+        driver = SelfDriving(ads, env.road, rules.ego_position(scenario), scenario.ego_speed, route)
         put_ego(env, driver.vehicle, None)
     else:
         every = rules.physics_hz // rules.ads_hz

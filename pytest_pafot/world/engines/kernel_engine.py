@@ -25,8 +25,8 @@ def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], dec
 
     The ADS is not asked for ``decisions``, the first ones of the run.
     """
-    ego, road = Body(NPC_LENGTH, NPC_WIDTH), rules.straight
-    ego.place(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+    ego = Body(NPC_LENGTH, NPC_WIDTH)
+    ego.place(*rules.ego_position(scenario), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
     observer = _observer(rules, record)
     every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
@@ -42,7 +42,7 @@ class KernelRun:
 
     def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard) -> None:
         ego = Body(NPC_LENGTH, NPC_WIDTH)
-        ego.place(*rules.road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed)
+        ego.place(*rules.ego_position(scenario), scenario.ego_speed)
         self.trace: Trace | None = None
         self._record, self._loop = _prepared(rules, scenario, ego)
         self._observer = _observer(rules, self._record)
@@ -73,7 +73,7 @@ def run_model(rules: Rules, scenario: Scenario, model: IdmModel) -> Trace:
     """Simulate a scenario that fits the rules with highway-env's IDM+MOBIL as the ego."""
     road = rules.straight
     ego = IdmEgo(model.constants, road.grid, road.speed_limit)
-    ego.start(*road.position(rules.ego_start, scenario.ego_lane), scenario.ego_speed, model.changes_lanes)
+    ego.start(*rules.ego_position(scenario), scenario.ego_speed, model.changes_lanes)
     record, loop = _prepared(rules, scenario, ego)
     loop.run(SelfPilot(ego, list(record.director.npcs)), rules.ticks(scenario))
     return _finished(record, loop, None)

@@ -89,7 +89,7 @@ class ObjectRun:
         guard: HangGuard,
     ) -> None:
         self.trace: Trace | None = None
-        driver = make_ego(rules.road.position(rules.ego_start, scenario.ego_lane))
+        driver = make_ego(rules.ego_position(scenario))
         self.traffic = Traffic(rules, scenario, driver, lambda *start: Car(road, start[:2], *start[2:]))
         road.vehicles = self.traffic.vehicles
         self._guard = guard

@@ -34,7 +34,7 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_f
     def make_ego(start: tuple[float, float, float]) -> EgoDriver:
         ads = ads_factory
         if not is_vehicle_class(ads):
-            _put_own_ego(env, start, scenario.ego_speed, route)
+            put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, route)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
                 return Policy(make_ads(ads_factory, env=view.env), env, every, view)
@@ -51,7 +51,7 @@ def begin(environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: 
     env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
-        _put_own_ego(env, start, scenario.ego_speed, environment.route)
+        put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, environment.route)
         return Policy(None, env, rules.physics_hz // rules.ads_hz)
 
     return ObjectRun(rules, scenario, env.road, make_ego, guard)
@@ -66,9 +66,12 @@ def put_ego(env: Any, ego: Any, route: Sequence[Any] | None) -> None:
     env.define_spaces()
 
 
-def _put_own_ego(env: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None) -> None:
+def put_new_ego(
+    env: Any, vehicle_class: Any, start: tuple[float, float, float], speed: float, route: Sequence[Any] | None
+) -> None:
+    """Make a vehicle of a class, with a speed [m/s] at x [m], y [m], heading [rad], and put it as :func:`put_ego`."""
     x, y, heading = start
-    put_ego(env, env.action_type.vehicle_class(env.road, [x, y], heading, speed), route)
+    put_ego(env, vehicle_class(env.road, [x, y], heading, speed), route)
 
 
 def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
