@@ -211,6 +211,16 @@ class Trace:
         """The NPCs' states, shape [ticks + 1, NPCs, 7]."""
         return self.states[:, 1:]
 
+    def track_of(self, vehicle: int) -> FloatArray:
+        """The track of a vehicle, shape [ticks + 1, 5].
+
+        Raises:
+            ValueError: on a straight road, where none is recorded.
+        """
+        if self.track is None:
+            raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
+        return self.track[:, vehicle]
+
     @property
     def chains(self) -> tuple[Chromosome, ...]:
         """What each NPC drove: as in ``executed``, and where cells were skipped with those that it drove to."""

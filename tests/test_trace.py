@@ -99,3 +99,11 @@ def test_outcomes_are_the_texts_that_corpus_files_have():
     assert [str(outcome) for outcome in Outcome] == [
         "safe", "off_road", "left_route", "end_of_road", "collision", "invalid", "ads_error", "hang"
     ]  # fmt: skip
+
+
+def test_the_track_of_a_vehicle_is_recorded_where_a_road_is_not_straight():
+    states, sizes = np.zeros((2, 2, 7)), np.full((2, 2), 5.0)
+    bent = made(states, sizes, track=np.arange(2 * 2 * 5.0).reshape(2, 2, 5))
+    assert bent.track_of(1).tolist() == [[5.0, 6.0, 7.0, 8.0, 9.0], [15.0, 16.0, 17.0, 18.0, 19.0]]
+    with pytest.raises(ValueError, match="received one on a straight road"):
+        made(states, sizes).track_of(0)

@@ -211,6 +211,10 @@ class World(BuiltInWorld):
 
         return GymEnvironment(self.env_id, self.config, self.wrappers)
 
+    def make(self) -> Any:
+        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it."""
+        return self.environment.make()
+
     @property
     def network(self) -> Any:
         """The road as highway-env has it."""

@@ -104,7 +104,7 @@ def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_
     world = World("highway-v0", config=config)
     assert world.config["observation"]["observation_shape"] == [32, 16]
     assert world.config["observation"]["weights"] == [0.25, 0.5, 0.25]
-    env = from_dict(json.loads(json.dumps(world.to_dict()))).environment.make().unwrapped
+    env = from_dict(json.loads(json.dumps(world.to_dict()))).make().unwrapped
     assert env.observation_space.shape == (2, 32, 16)
 
 

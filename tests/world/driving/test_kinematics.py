@@ -22,7 +22,7 @@ RANGES = {"x": [-100, 100], "y": [-12, 12], "vx": [-20.0, 40.0], "heading": [-1.
 
 @pytest.fixture(scope="module")
 def env():
-    return World("highway-v0").environment.make().unwrapped
+    return World("highway-v0").make().unwrapped
 
 
 configs = st.fixed_dictionaries(
