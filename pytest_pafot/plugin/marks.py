@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
 ANY_MARK = "pafot"
-
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
-
 POSITIONAL = "<positional>"  # key of positional arguments, which a search does not take, so that the item can say so
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)

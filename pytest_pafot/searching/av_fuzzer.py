@@ -23,9 +23,7 @@ from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 from pytest_pafot.trace import FloatArray
 
 LANE_CHANGE = 34.0  # what a change of lane counts in the distance of two scenarios, where speeds count in m/s
-
 RESTART_CANDIDATES = 1000
-
 LEAST_WEIGHT = 0.001  # in place of a fitness of 0, which no turn of the roulette would select
 
 

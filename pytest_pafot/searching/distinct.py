@@ -120,8 +120,7 @@ def _near(
 ) -> tuple[tuple[Near, ...], ...]:
     """The nearest of each fault that is not known, in the order of the faults; the first of equals.
 
-    A child that differs from its parent in what comes later, or in which NPC is which, has the same near-miss; it takes
-    no second place.
+    A child that differs from its parent only in what comes later, or in which NPC is which, has the same near-miss.
     """
     known = (near for group in before for near in group)
     judged = (each for each in evaluations if each.eligible and not each.failing)

@@ -162,8 +162,7 @@ def interaction_of(trace: Trace, *, sweeps: bool = _SWEEPS) -> tuple[bool, bool]
     if not sweeps or trace.track is not None:
         return interacted(trace), outran(trace)
     near = InteractionSweep(trace.states, trace.sizes, INTERACTION_HEADWAY, INTERACTION_GAP, FAR_BEHIND)
-    collided = trace.outcome is Outcome.COLLISION
-    return collided or near.interacted, near.alone / len(trace.states) >= 0.5
+    return trace.outcome is Outcome.COLLISION or near.interacted, near.alone / len(trace.states) >= 0.5
 
 
 def interacted(trace: Trace) -> bool:

@@ -10,7 +10,6 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 
 Chains = tuple[tuple[float, ...], ...]  # one number for each gene
-
 _Key = tuple[object, ...]
 
 

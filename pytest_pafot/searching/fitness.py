@@ -30,7 +30,6 @@ from pytest_pafot.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 
 Fitness = Callable[[Trace], float]  # trace to a number, higher = worse for the ego
 Responsible = Callable[[Trace], bool]  # whether the ego is responsible for the collision in which a run ended
-
 WORST_RANK = -math.inf  # the fitness of what must never be preferred: invalid runs and NaN
 
 
@@ -78,8 +77,7 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     measures are those of the paper in forms that a search can climb: the time to contact of the boxes instead of
     METTC, which ignores when the NPC gets to the crossing point and is infinite at nearly every tick of a
     straight road; the gap between the boxes instead of MD between the centres, which is smallest when driving
-    harmlessly alongside; the shortfall of the safety distance instead of SD, whose minimum is a leader that
-    pulls away.
+    harmlessly alongside; the shortfall of the safety distance instead of SD, least where a leader pulls away.
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK

@@ -12,6 +12,7 @@ from pytest_pafot.trace import Outcome
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.3
+IMMEDIATE = 1.0  # a collision before this time was hardly caused by driving [s]
 MAX_USELESS_SHARE = 0.5  # of the valid runs, for each kind of run that tests nothing
 
 USELESS = (
@@ -33,8 +34,6 @@ USELESS = (
     ),
 )
 """What runs that test nothing did, and what to do: without interaction, outran, barely moved, immediate collision."""
-
-IMMEDIATE = 1.0  # a collision before this time was hardly caused by driving [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 NO_IMPACT = 0  # the cell of a run without a collision; all of these share one niche, in which the nearest miss stays
 TOP_CLOSING_SPEED = 30.0  # closing speeds beyond it share the last niche [m/s]
-
 CLOSING_SPEED_NICHES = 6
 
 

@@ -78,8 +78,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             return "stopped"
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
-    evaluator = _Evaluator(evaluate, foresee)
-    return _campaign(algorithm, evaluator, exceeded, now, generations, seed, batch)
+    return _campaign(algorithm, _Evaluator(evaluate, foresee), exceeded, now, generations, seed, batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
