@@ -116,7 +116,7 @@ def sections() -> dict[str, str]:
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
         "compare": _command_table(),
-        "results": _fields_table(Row),
+        "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
     }
 
 
@@ -174,6 +174,12 @@ def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str,
             entries[-1] = (entries[-1][0], f"{entries[-1][1]} {line.strip()}")
     for names, text in entries:
         yield names, _plain(text)
+
+
+def _field_comments(cls: type[Any]) -> Iterator[tuple[str, str]]:
+    """Names and texts of a dataclass whose fields are explained beside them."""
+    for name, text in re.findall(r"^    (\w+): [^#\n]+  # (.*)$", inspect.getsource(cls), re.MULTILINE):
+        yield name, f"{_plain(text)}."
 
 
 def _plain(text: str) -> str:

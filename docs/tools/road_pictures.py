@@ -22,7 +22,7 @@ from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
-from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH, draw_picture  # noqa: E402
+from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH, Sheet  # noqa: E402
 from pytest_pafot.report.finding_view import finding_view  # noqa: E402
 from pytest_pafot.report.picture import picture_at  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
@@ -72,7 +72,7 @@ def picture(env_id: str) -> Image.Image:
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
     view = finding_view(trace, finding, node_id="")
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
-    return draw_picture(view, picture_at(view, trace.duration - BEFORE_IMPACT))
+    return Sheet(view, picture_at(view, trace.duration - BEFORE_IMPACT)).draw()
 
 
 def row(names: Sequence[str]) -> Image.Image:

@@ -34,15 +34,20 @@ _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 class Expect:
     """What running the scenario is expected to show while the failure is not fixed.
 
-    What a :class:`~pytest_pafot.findings.signature.Signature` has as well is told there; a fault hides nothing here.
-
     Attributes:
+        failure: name of the exception class.
+        assertion: normalised, as in :class:`~pytest_pafot.findings.signature.Signature`.
         message: first line of the exception's message, without addresses, process ids and temporary folders; empty
             where the assertion says it.
+        outcome: how the run ended.
         time: of the event [s], see :attr:`~pytest_pafot.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
+        side: of the ego that was hit; None without a collision.
+        responsibility: who caused the collision.
+        fault: what the ego answers for; None where it does not.
+        npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         preventable_by: reference drivers that survive the scenario in the ego's place.
-        traceback: of an ADS that raised, as portable as the message; empty otherwise.
+        traceback: of an ADS that raised, likewise; empty otherwise.
     """
 
     failure: str
@@ -101,7 +106,14 @@ class Expect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """How a finding came about: in which generation of a search, from 0, and with which versions of packages."""
+    """How a finding came about.
+
+    Attributes:
+        seed: of the search.
+        generation: in which it was found, counted from 0.
+        algorithm: name of the search.
+        versions: of the packages that the run depends on.
+    """
 
     seed: int
     generation: int
@@ -117,8 +129,12 @@ class Finding:
         id: name of the file without its suffix, given once: the signature's slug and six digits of the scenario
             as first found. Letters, digits, ``.``, ``_`` and ``-``.
         test: node id of the test, parameters included.
-        world: the world that the scenario fails in, as plain data.
+        scenario: that fails.
+        world: the world that it fails in, as plain data.
+        expect: what running it shows.
+        found: how it came about.
         original: the scenario as first found, where shrinking has put a simpler one in its place.
+        shrunk: how it was shrunk; None where it was not.
         flaky: what differed when the scenario was run again, or None; it is then never called fixed.
         xfail: the user's reason to accept the failure, or None.
 

@@ -44,7 +44,7 @@ def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations:
     # One palette for all frames, so that colours do not flicker and the file stays small.
     palette = Images.new("P", (1, 1))
     palette.putpalette(_palette(len(finding.vehicles) - 1))
-    frames = (_Sheet(finding, picture).draw() for picture in pictures)
+    frames = (Sheet(finding, picture).draw() for picture in pictures)
     first, *others = (frame.quantize(palette=palette, dither=Images.Dither.NONE) for frame in frames)
     content = io.BytesIO()
     first.save(content, "PNG", save_all=True, append_images=others, duration=list(durations), loop=0, optimize=True)
@@ -66,7 +66,7 @@ def _palette(npcs: int) -> list[int]:
     return [part for colour in dict.fromkeys([*grounds, *inks, *tints, *edges]) for part in colour]
 
 
-class _Sheet:
+class Sheet:
     """One frame in the making; lengths in metres become pixels of the finished frame here."""
 
     def __init__(self, finding: FindingView, picture: Picture) -> None:
