@@ -15,7 +15,6 @@ from tests.test_layers import MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
-    "errors": "the form of an error, and the errors of corpus files and of worlds, which have it",
     "events": "what a campaign of generations yields, and what a whole search tells",
     "loop": "of a search over its scenarios, and of a run over its ticks",
     "options": "which options there are, and where pytest finds their values",

@@ -12,9 +12,8 @@ from typing import Any
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import Runner
-from pytest_pafot.execution.scenario_pool import ExecutionError
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError

@@ -91,17 +91,18 @@ class SearchLoop:
         """
         for event in campaign:
             self.listener(event)
-            if isinstance(event, events.Evaluated):
-                self.health = self.health.counted(event.evaluation, reused=event.reused)
-            elif isinstance(event, events.GenerationFinished) and event.local_generation == 0:
-                self.generation = event.generation + 1
-                self.first.end()
-            elif isinstance(event, events.LocalSearchStarted):
-                self.generation = event.generation
-            elif isinstance(event, events.LocalSearchFinished):
-                self.generation = event.generation + 1
-            elif isinstance(event, events.CampaignFinished):
-                self.finished = event
+            match event:
+                case events.Evaluated():
+                    self.health = self.health.counted(event.evaluation, reused=event.reused)
+                case events.GenerationFinished(local_generation=0):
+                    self.generation = event.generation + 1
+                    self.first.end()
+                case events.LocalSearchStarted():
+                    self.generation = event.generation
+                case events.LocalSearchFinished():
+                    self.generation = event.generation + 1
+                case events.CampaignFinished():
+                    self.finished = event
             tick()
 
     def lose(self, lost: LostRun) -> None:

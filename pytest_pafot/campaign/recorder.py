@@ -196,16 +196,21 @@ class Recorder:
         while finding.id in self.kept:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.harness.folder / f"{finding.id}{SUFFIX}"
-        node_id = self.harness.saved_node_id(finding.id)
-        find = Find(id=finding.id, node_id=node_id, headline=line, is_timed=is_timed)
-        kept = Kept(finding=finding, find=find, origin=origin)
-        if self.harness.request.settings.save == "none":
-            return replace(kept, find=replace(find, problem="--pafot-save=none"))
+        problem = content = ""
         try:
-            write(path, finding)
+            if self.harness.request.settings.save == "none":
+                problem = "--pafot-save=none"
+            # Another session may take the name for another finding between the look and the attempt.
+            while not problem and not write(path, finding):
+                other, renamed = free_path(self.harness.folder, finding, self.replayed)
+                if other == path:
+                    break
+                path, finding = other, renamed
         except CorpusWriteError as error:
-            return replace(kept, find=replace(find, problem=str(error)), content=text_of(finding))
-        return replace(kept, find=replace(find, path=relative(path, self.harness.root)), file=path)
+            problem, content = str(error), text_of(finding)
+        node_id, told = self.harness.saved_node_id(finding.id), "" if problem else relative(path, self.harness.root)
+        find = Find(id=finding.id, node_id=node_id, headline=line, path=told, problem=problem, is_timed=is_timed)
+        return Kept(finding=finding, find=find, origin=origin, file=None if problem else path, content=content)
 
 
 def _headline(lost: LostRun) -> str:

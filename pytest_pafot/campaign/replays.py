@@ -13,9 +13,8 @@ from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import expectation
+from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label

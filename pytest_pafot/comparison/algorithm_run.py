@@ -15,8 +15,8 @@ from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, world_of
 from pytest_pafot.comparison.rows import Row
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import Runner, runner_for
+from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run

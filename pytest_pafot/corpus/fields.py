@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.corpus.errors import RESTORE, CorpusError
 from pytest_pafot.corpus.schema import VERSION, Keys
 from pytest_pafot.corpus.yaml_document import Lines, Place
+from pytest_pafot.errors import RESTORE, CorpusError
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,14 +16,13 @@ from typing import Any, get_args
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import schema
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.fields import Field
 from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.schema import VERSION, VERSIONS
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
-from pytest_pafot.errors import FieldError
+from pytest_pafot.errors import CorpusError, FieldError
 from pytest_pafot.findings.finding import Expect, Finding, Found, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell

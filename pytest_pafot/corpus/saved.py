@@ -44,8 +44,8 @@ class Saved(NamedTuple):
 
 def read_saved_file(path: Path) -> Saved:
     """A file as it is; one that cannot be read says why when its item runs."""
-    from pytest_pafot.corpus.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
     from pytest_pafot.corpus.reader import load  # noqa: PLC0415
+    from pytest_pafot.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
 
     try:
         return Saved(path=path, finding=load(path))

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from pytest_pafot.corpus.errors import CorpusError
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import MAX_DEPTH
 
 MAX_BYTES = 256 * 1024

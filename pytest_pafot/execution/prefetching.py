@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.scenario_pool import ExecutionError, ScenarioPool, pool_for, recovery_note, trace_from
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 

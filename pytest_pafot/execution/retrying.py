@@ -11,9 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Answer, LostRun
+from pytest_pafot.execution.scenario_pool import Answer, Job, LostRun
 from pytest_pafot.execution.separate_runs import answers_apart
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace

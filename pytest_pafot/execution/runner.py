@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
+from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.trace import Trace

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import pickle
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
@@ -25,6 +27,26 @@ LostRun: TypeAlias = ProcessLostError[Scenario]
 Answer: TypeAlias = tuple[Trace, CapturedOutput] | Exception
 """A run and what was said in it. For any exception but a lost process, this process can show what happens."""
 ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, CapturedOutput]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """Everything that a run of any scenario needs, in this process or in another one.
+
+    The folder ``records``, the ``owner``, a node id, and ``world_data``, the world as plain data, are for the crash
+    records.
+    """
+
+    world: Any
+    ads: Callable[..., Any]
+    """The factory, called once for each run."""
+    records: Path
+    owner: str
+    world_data: Mapping[str, Any] | None = None
+
+    def crash_record(self) -> CrashRecord:
+        """The record of what the calling process runs; nothing is on disk before its first scenario."""
+        return CrashRecord(self.records, self.owner, world=self.world_data)
 
 
 class ExecutionError(Exception):

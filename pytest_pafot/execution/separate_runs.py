@@ -9,9 +9,8 @@ from typing import Any
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.captured_output import capture_output
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, pool_for, trace_from
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, pool_for, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import protocol

@@ -29,7 +29,7 @@ class Execution:
         from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
         from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
 
-        saved, problem = saved_of(pyfuncitem), ""
+        saved = saved_of(pyfuncitem)
         try:
             with session_ends_if_stuck(pyfuncitem):
                 if saved is None:
@@ -37,7 +37,5 @@ class Execution:
                 else:
                     run_replay(pyfuncitem, request, saved)
         except RequestError as error:
-            problem = str(error)
-        if problem:  # Outside of the handler, so that the same is not shown twice.
-            pytest.fail(problem, pytrace=False)
+            raise pytest.fail.Exception(str(error), pytrace=False) from None
         return True

@@ -15,8 +15,8 @@ import pytest
 
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.crash_records import left_by
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.pool import ProcessLostError, ending
+from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.plugin.stuck_ads import STATUS
 from pytest_pafot.scenario import Scenario
 

@@ -42,17 +42,20 @@ class PageMessages:
 
     def __call__(self, event: SearchEvent) -> None:
         """Take an event of a search."""
-        if isinstance(event, Judged):
-            self.responsibilities[event.run.responsibility or "none"] += 1
-        elif isinstance(event, FindTold):
-            self._find(event)
-        elif isinstance(event, SearchSummary):
-            if self.events:  # else it only replayed
-                self._searched(event)
-        elif isinstance(event, SearchStarted):
-            self.speed_limit = event.speed_limit
-        elif not isinstance(event, Progress):
-            self.events.append(event)
+        match event:
+            case SearchStarted():
+                self.speed_limit = event.speed_limit
+            case Judged():
+                self.responsibilities[event.run.responsibility or "none"] += 1
+            case FindTold():
+                self._find(event)
+            case SearchSummary():
+                if self.events:  # else it only replayed
+                    self._searched(event)
+            case Progress():
+                pass
+            case _:
+                self.events.append(event)
 
     def _find(self, told: FindTold) -> None:
         """Show a find. Telling it again, when more is known of it, replaces what was told."""

@@ -26,12 +26,11 @@ from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.crash_folder import records_folder
 from pytest_pafot.plugin.failure_reports import SUMMARY, is_compact, summarise
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
-from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.versions import installed_versions

@@ -134,7 +134,7 @@ class Reporter:
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
-                from pytest_pafot.plugin.crash_folder import unclaimed  # noqa: PLC0415
+                from pytest_pafot.plugin.session import unclaimed  # noqa: PLC0415
 
                 self._lines.problems.extend(unclaimed(self._config))
         if self._config.getoption(BY_NAME["prune"].key):

@@ -1,7 +1,7 @@
 """Worlds: roads on which a scenario is run against an ADS. The only room that knows highway-env."""
 
+from pytest_pafot.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.codec import from_dict
-from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.observation import Observation, VehicleState

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.first_decision import FirstDecision, first_decision
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.reference_drivers import REFERENCES

@@ -15,8 +15,8 @@ from importlib import metadata
 from types import MappingProxyType
 from typing import Any
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.findings.finding import check_plain
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits

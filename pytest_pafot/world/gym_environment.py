@@ -25,8 +25,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, checked_whole, plain_data
 

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad

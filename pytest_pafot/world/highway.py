@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
+from pytest_pafot.errors import AdsFactoryError, WorldError
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
@@ -14,7 +15,6 @@ from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ad
 from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.engines import selection
 from pytest_pafot.world.engines.lock_step import SteppedRun
-from pytest_pafot.world.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, ego_start

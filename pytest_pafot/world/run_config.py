@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.world.driving.network_director import NetworkDirector
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits

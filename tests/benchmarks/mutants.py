@@ -28,10 +28,10 @@ from typing import Any
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Finding
 from tests.support.mutations import MUTATIONS, misread
 

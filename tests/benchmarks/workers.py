@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, Observation, Scenario
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.searching import SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event

@@ -11,6 +11,7 @@ from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.summary import SearchSummary
+from pytest_pafot.corpus.writer import write
 
 SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
 
@@ -120,3 +121,21 @@ def test_a_wrong_argument_is_one_clear_error(arguments, message):
 def test_the_name_of_a_fixture_is_no_factory():
     with pytest.raises(RequestError, match=r"pafot\.explore\(ads\): expected a factory"):
         pafot.explore("ads", holds=never_collides)
+
+
+def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_next(tmp_path, monkeypatch):
+    other = pafot.explore(constant_speed.make, holds=never_collides, seed=6, corpus=tmp_path / "others", **SHORT)
+
+    def late(path, finding):
+        if not path.exists() and not path.stem.endswith("-2.pafot"):
+            write(path, other.findings[0])
+        return write(path, finding)
+
+    monkeypatch.setattr("pytest_pafot.campaign.recorder.write", late)
+    corpus = tmp_path / "saved"
+    found = pafot.explore(
+        constant_speed.make, holds=never_collides, seed=5, corpus=corpus, stop_after=1, **SHORT
+    ).findings
+    saved = {path.name.removesuffix(".pafot.yaml"): pafot.load(path) for path in corpus.rglob("*.pafot.yaml")}
+    assert [finding.id for finding in found] == [name for name in saved if name.endswith("-2")]
+    assert [saved[finding.id].scenario for finding in found] == [finding.scenario for finding in found]

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
 from pytest_pafot.run import Run

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from tests.support.mutations import MUTATIONS, UnclearError, misread, says
 
 GOLDEN = sorted(Path(__file__).with_name("format_1").glob("*.pafot.yaml"))

@@ -7,9 +7,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.world import WorldError

@@ -9,12 +9,12 @@ import pytest
 import yaml
 from hypothesis import given
 
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
 from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, from_dict
 from tests.findings.builders import findings

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.corpus.errors import CorpusError
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.errors import CorpusError
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import plain_finding
 

@@ -8,9 +8,8 @@ import pytest
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.job import Job
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 
 SCENARIOS = [
     Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), gene_seconds=2.0, seed=number) for number in range(8)

@@ -11,8 +11,7 @@ import pytest
 
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.job import Job
-from pytest_pafot.execution.scenario_pool import ExecutionError, expectation, pool_for, trace_from
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, expectation, pool_for, trace_from
 from pytest_pafot.trace import Outcome
 from tests.support.toy_world import Toy, idle, scenario
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pytest_pafot.world.errors import AdsFactoryError
+from pytest_pafot.errors import AdsFactoryError
 from pytest_pafot.world.kernel.action import (
     checked_si_action,
     possible_acceleration,

@@ -11,8 +11,8 @@ from gymnasium import spaces
 from highway_env.road.road import Road
 from highway_env.utils import class_from_path
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.world.driving.kinematics import observer
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
 
 

@@ -17,6 +17,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
@@ -25,7 +26,6 @@ from pytest_pafot.world.driving.guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from pytest_pafot.errors import AdsFactoryError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.guard import HangGuard
-from pytest_pafot.world.errors import AdsFactoryError
 from pytest_pafot.world.kernel.action import shown
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pytest_pafot.errors import WorldError
 from pytest_pafot.trace import FloatArray, Lane
-from pytest_pafot.world.errors import WorldError
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkRoad
