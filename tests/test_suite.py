@@ -17,7 +17,6 @@ ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
     "events": "what a campaign of generations yields, and what a whole search tells",
     "loop": "of a search over its scenarios, and of a run over its ticks",
-    "options": "which options there are, and where pytest finds their values",
 }
 """Why modules of different rooms are called alike."""
 BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)

@@ -2,7 +2,7 @@
 
 Command line, ini and toml keys, ``PAFOT_*`` variables, arguments of the mark and of ``pafot.explore``, and the
 reference documentation are all made from :data:`OPTIONS`. Where the values of a test come from is said in
-:mod:`pytest_pafot.plugin.options`.
+:mod:`pytest_pafot.plugin.option_sources`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from pytest_pafot.comparison import statistics
-from pytest_pafot.comparison.paper import PAPER, PEAKS
+from pytest_pafot.comparison.paper_results import PAPER, PEAKS
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
     SECONDS_PER_HOUR,

@@ -22,7 +22,7 @@ from dataclasses import KW_ONLY, dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-from pytest_pafot.world.driving.guard import LastResort, last_resort
+from pytest_pafot.world.driving.hang_guard import LastResort, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")

@@ -13,7 +13,7 @@ import pytest
 from pytest_pafot.plugin import fixtures, messages
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.options import add_options
+from pytest_pafot.plugin.option_sources import add_options
 from pytest_pafot.plugin.report_pages import Pages
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, Shared, SummaryLines
 from pytest_pafot.plugin.terminal_reporter import Reporter

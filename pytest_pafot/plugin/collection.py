@@ -14,7 +14,7 @@ from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
-from pytest_pafot.plugin.options import corpus_name
+from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, base_line
 

@@ -11,7 +11,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import CORPUS, SUFFIX, folder_of_module
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.options import corpus_name
+from pytest_pafot.plugin.option_sources import corpus_name
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding

@@ -14,7 +14,7 @@ from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
-from pytest_pafot.plugin.options import request_of_mark
+from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.report.wrapping import wrapped_to
 

@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.campaign.options import OptionError, Settings
 from pytest_pafot.corpus.layout import corpus_root
-from pytest_pafot.plugin.options import resolve
+from pytest_pafot.plugin.option_sources import resolve
 
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 

@@ -18,7 +18,7 @@ import pytest
 from pytest_pafot.execution.pool import GRACE
 from pytest_pafot.plugin.terminal_reporter import uncaptured
 from pytest_pafot.plugin.xdist import is_worker
-from pytest_pafot.world.driving.guard import LastResort, last_resort
+from pytest_pafot.world.driving.hang_guard import LastResort, last_resort
 
 STATUS = pytest.ExitCode.INTERRUPTED
 """Of the process; where no thread of Python's comes to run, it is 1, which faulthandler ends it with."""

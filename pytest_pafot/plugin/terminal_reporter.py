@@ -15,7 +15,7 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, base_line, terminal_width
+from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, base_line, terminal_width, unclaimed
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import SearchSummary
@@ -134,8 +134,6 @@ class Reporter:
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
-                from pytest_pafot.plugin.session import unclaimed  # noqa: PLC0415
-
                 self._lines.problems.extend(unclaimed(self._config))
         if self._config.getoption(BY_NAME["prune"].key):
             with self._lines.faults("--pafot-prune"):

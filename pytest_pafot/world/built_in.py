@@ -11,7 +11,7 @@ from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
 from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
 from pytest_pafot.world.first_decision import FirstDecision, first_decision

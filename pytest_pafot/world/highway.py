@@ -12,7 +12,7 @@ from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines import selection
 from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits

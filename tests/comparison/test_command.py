@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.comparison import command
-from pytest_pafot.comparison.paper import PAPER
+from pytest_pafot.comparison.paper_results import PAPER
 
 SMALL = ["--ads", "constant_speed", "--runs", "3", "--generations", "4", "--duration", "20", "--workers", "1"]
 

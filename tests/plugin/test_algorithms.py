@@ -45,7 +45,7 @@ def test_a_find_without_cells_is_on_the_page(project):
 
 def test_av_fuzzer_climbs_its_own_fitness_unless_another_is_asked_for(project):
     project.write(
-        "from pytest_pafot.plugin.options import request_of_mark\n"
+        "from pytest_pafot.plugin.option_sources import request_of_mark\n"
         "def test_it(pytestconfig):\n"
         "    def fitness(**arguments):\n"
         "        return request_of_mark(pytestconfig, arguments, 1).fitness\n"

@@ -4,7 +4,7 @@ import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
-from pytest_pafot.plugin.options import resolve
+from pytest_pafot.plugin.option_sources import resolve
 
 
 def settings(project, *args, ini="", marker=None, environ=None):

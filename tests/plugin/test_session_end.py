@@ -41,7 +41,7 @@ def is_whole(result):
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
-        ("plugin.session.unclaimed", "problem: records of processes that died: ValueError: a fault"),
+        ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
         ("plugin.orphans.prune", "problem: --pafot-prune: ValueError: a fault"),
         ("report.session_report.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),

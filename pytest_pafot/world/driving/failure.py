@@ -8,8 +8,8 @@ import traceback
 from types import TracebackType
 
 from pytest_pafot.trace import AdsError
-from pytest_pafot.world.driving import guard as guard_module
-from pytest_pafot.world.driving.guard import AdsHang, HangGuard
+from pytest_pafot.world.driving import hang_guard
+from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
 from pytest_pafot.world.kernel.action import BadAction, one_line
 
 UNFIT = BaseException
@@ -59,7 +59,7 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
 def _where(hang: AdsHang) -> str:
     """The stack at which a decision was interrupted, without the frames of the interruption."""
     frames = traceback.extract_tb(_users_part(hang))
-    kept = [frame for frame in frames if frame.filename != guard_module.__file__]
+    kept = [frame for frame in frames if frame.filename != hang_guard.__file__]
     return "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
 
 

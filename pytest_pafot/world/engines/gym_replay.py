@@ -22,7 +22,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego

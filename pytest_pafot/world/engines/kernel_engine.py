@@ -9,7 +9,7 @@ from typing import Any
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.failure import UNFIT, error_of
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.idm_model import IdmModel
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body

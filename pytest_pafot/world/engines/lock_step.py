@@ -16,7 +16,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.failure import UNFIT, let_through
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import shown
 
 

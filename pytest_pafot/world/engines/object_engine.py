@@ -15,7 +15,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver, Planner, SelfDriving, is_vehicle_class
 from pytest_pafot.world.driving.failure import UNFIT, error_of
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.engines.record import Record

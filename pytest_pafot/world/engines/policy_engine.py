@@ -20,7 +20,7 @@ from pytest_pafot.world.driving.ads import (
     make_ads,
     wants_env,
 )
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.policy import Policy, View, copies_on
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
 from pytest_pafot.world.gym_environment import GymEnvironment

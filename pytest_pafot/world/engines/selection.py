@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.engines.kernel_engine import KernelRun, run_model, run_planner
 from pytest_pafot.world.engines.lock_step import SteppedRun

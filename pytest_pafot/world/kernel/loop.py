@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_pafot.trace import AdsError
 from pytest_pafot.world.driving.failure import UNFIT, error_of
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
     checked_si_action,
     possible_acceleration,

@@ -19,8 +19,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
-from pytest_pafot.world.driving import guard
-from pytest_pafot.world.driving.guard import HangGuard
+from pytest_pafot.world.driving import hang_guard
+from pytest_pafot.world.driving.hang_guard import HangGuard
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 HIGHWAY, GYM = Highway(), World("highway-v0")
@@ -122,7 +122,7 @@ def test_the_end_of_a_session_or_a_debugger_inside_an_ads_is_the_users_and_no_fi
     with pytest.raises(type(interruption)) as caught:
         world.rollout(SCENARIO, failing_after(1, fail, idle))
     assert caught.value is interruption
-    assert guard._WATCHDOG._guards == []
+    assert hang_guard._WATCHDOG._guards == []
 
 
 def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick():
@@ -256,7 +256,7 @@ def test_time_between_decisions_is_not_counted_as_a_hang():
 @pytest.mark.parametrize("inside_thread", [False, True])
 def test_a_decision_that_ends_just_as_it_is_interrupted_never_breaks_what_comes_after(inside_thread):
     """Decisions of about the limit, over and over: each is interrupted inside, or not at all."""
-    from pytest_pafot.world.driving.guard import AdsHang
+    from pytest_pafot.world.driving.hang_guard import AdsHang
 
     escaped = []
 
@@ -325,7 +325,7 @@ def test_a_thread_can_be_traced_after_a_hang_in_another_one():
     # CPython 3.11 hangs in a traced function after an exception for a thread was taken back by its C interface.
     code = """
 import sys, threading
-from pytest_pafot.world.driving.guard import AdsHang, HangGuard
+from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
 
 def decide():
     with HangGuard(0.05) as guard:

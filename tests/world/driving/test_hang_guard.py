@@ -10,15 +10,15 @@ import time
 
 import pytest
 
-from pytest_pafot.world.driving import guard
-from pytest_pafot.world.driving.guard import AdsHang, HangGuard
+from pytest_pafot.world.driving import hang_guard
+from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
 
 
 @pytest.fixture
 def watchdog(monkeypatch):
     """A fresh one, which looks every ten milliseconds."""
-    monkeypatch.setattr(guard, "LONGEST_PAUSE", 0.01)
-    monkeypatch.setattr(guard, "_WATCHDOG", fresh := guard._Watchdog())
+    monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 0.01)
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", fresh := hang_guard._Watchdog())
     return fresh
 
 
@@ -57,8 +57,8 @@ def test_runs_one_after_the_other_share_a_thread(watchdog):
 
 
 def test_a_short_limit_is_kept_while_a_long_one_is_watched(monkeypatch):
-    monkeypatch.setattr(guard, "LONGEST_PAUSE", 60.0)
-    monkeypatch.setattr(guard, "_WATCHDOG", guard._Watchdog())
+    monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 60.0)
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", hang_guard._Watchdog())
     with HangGuard(86400.0):
         time.sleep(0.05)  # the thread has begun its long pause
         started = time.monotonic()
@@ -112,7 +112,7 @@ def swallow(seconds, limit):
 @pytest.mark.parametrize(("seconds", "grace", "is_ended"), [(0.3, 0.15, True), (0.1, 60.0, False)])
 def test_the_last_resort_is_for_decisions_that_ignore_their_interruption(watchdog, seconds, grace, is_ended):
     ends = []
-    with guard.last_resort(guard.LastResort(end=lambda: ends.append(1), grace=grace)):
+    with hang_guard.last_resort(hang_guard.LastResort(end=lambda: ends.append(1), grace=grace)):
         swallow(seconds, limit=0.02)
         assert hang(0.02)
     assert bool(ends) == is_ended
@@ -143,9 +143,9 @@ def comes_true(condition):
 
 
 def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(watchdog, monkeypatch):
-    monkeypatch.setattr(guard, "faulthandler", timer := Timer())
-    monkeypatch.setattr(guard, "_is_debugged", lambda: False)
-    with guard.last_resort(guard.LastResort(end=lambda: None, grace=5.0, file=2)):
+    monkeypatch.setattr(hang_guard, "faulthandler", timer := Timer())
+    monkeypatch.setattr(hang_guard, "_is_debugged", lambda: False)
+    with hang_guard.last_resort(hang_guard.LastResort(end=lambda: None, grace=5.0, file=2)):
         with HangGuard(10.0):
             assert timer.seconds == [15.01]
             with HangGuard(30.0):
@@ -162,7 +162,7 @@ def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(w
 def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
     code = """
 import faulthandler, os, sys
-from pytest_pafot.world.driving.guard import HangGuard, LastResort, last_resort
+from pytest_pafot.world.driving.hang_guard import HangGuard, LastResort, last_resort
 with last_resort(LastResort(end=lambda: None, grace=5.0, file=2)), HangGuard(30.0):
     child = os.fork()
     if not child:
