@@ -1,0 +1,135 @@
+"""A driver who does nothing wrong and changes lanes: what no rule of attribution may find at fault.
+
+It keeps its distance as the careful and competent driver does, and overtakes where the gaps are more than generous.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.reference_drivers import CarefulHuman
+
+RESPONSE, BRAKING, LEADERS_BRAKING = 1.0, 6.0, 8.0
+"""What the safe distance counts with: the follower's delay [s] and braking, the leader's braking [m/s^2]."""
+GENEROUS, SUFFICIENT = 1.5, 1.2
+"""How much of what giving way asks for there must be to begin a lane change, and to go on with it."""
+
+
+@dataclass(slots=True)
+class SoundLaneChanger(CarefulHuman):
+    """The careful driver, who drives as fast as it may, overtakes for that, and keeps to the right where it can.
+
+    It wants another lane where that promises 2 m/s more, and the one to the right where it loses nothing. It looks at
+    whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
+    it, whoever is ahead must be farther than the safe distance, and whoever is behind farther than that and than one
+    and a half times what giving way asks for. All that must have held for half a second. As long as its box can still
+    be kept in the own lane it goes back where the gaps no longer suffice.
+
+    Attributes:
+        path: the line that it steers to, moving sideways with 1 m/s at most [m].
+        origin: lane to go back to; None while no lane change can be given up.
+        changed: when it last began one or gave one up [s].
+        changes: how many lane changes it went through with.
+    """
+
+    SIDEWAYS = 1.0
+    """[m/s]."""
+    GAIN = 2.0
+    """Of speed, that is worth a lane change [m/s]."""
+    SIGHT = 100.0
+    """[m]."""
+    SLOWEST = 8.0
+    """At which it changes lanes [m/s]; below, it would take long."""
+    PATIENCE, LOOK = 4.0, 0.5
+    """Between two lane changes, and before one [s]."""
+
+    path: float = math.nan
+    origin: int | None = None
+    changed: float = 0.0
+    changes: int = 0
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        acceleration, _ = CarefulHuman.__call__(self, observation)
+        self.wanted = observation.speed_limit
+        ego, width = observation.ego, observation.lane_width
+        if self.origin is None:
+            self._consider(observation)
+        elif self._is_committed(ego, width):
+            self.origin, self.changes = None, self.changes + 1
+        elif not self._has_room(observation, self.lane, SUFFICIENT):
+            self.lane, self.origin, self.changed = self.origin, None, self.now
+        self._move_path(self.lane * width)
+        heading = math.asin(max(min(0.6 * (self.path - ego.y) / max(ego.speed, 3.0), 0.2), -0.2))
+        return acceleration, 6.0 / max(ego.speed, 6.0) * (heading - ego.heading)
+
+    def _consider(self, observation: Observation) -> None:
+        """Begin a lane change that is wanted and has had room for long enough."""
+        ego = observation.ego
+        is_ready = (
+            self.now >= self.changed + self.PATIENCE and ego.speed >= self.SLOWEST and self.brakes_from > self.now
+        )
+        sides = [lane for lane in (self.lane - 1, self.lane + 1) if 0 <= lane < observation.lanes]
+        for lane in sorted(sides, key=lambda lane: -self._progress(observation, lane)):
+            gain = self._progress(observation, lane) - self._progress(observation, self.lane)
+            is_better = gain >= self.GAIN or (lane > self.lane and gain >= 0)
+            is_wanted = is_ready and is_better and self._has_room(observation, lane, GENEROUS)
+            if self.held(f"room {lane}", is_wanted) >= self.LOOK:
+                self.origin, self.lane, self.changed = self.lane, lane, self.now
+                return
+
+    def _progress(self, observation: Observation, lane: int) -> float:
+        """The speed that a lane promises [m/s]."""
+        ego = observation.ego
+        ahead = (other for other in observation.others if other.lane == lane and 0 < other.x - ego.x < self.SIGHT)
+        return min([self.wanted or 0.0, *(other.speed for other in ahead)])
+
+    def _has_room(self, observation: Observation, lane: int, share: float) -> bool:
+        """Whether nobody is, or could soon be, too close in a lane."""
+        ego, centre = observation.ego, lane * observation.lane_width
+        leaving = self.lane if self.origin is None else self.origin
+        return not any(
+            _moves_sideways(other, centre) or not (_is_far(ego, other, share) or _leads(ego, other, leaving))
+            for other in observation.others
+            if abs(other.lane - lane) <= 1
+        )
+
+    def _is_committed(self, ego: VehicleState, width: float) -> bool:
+        """Whether its box will cross the line even if it turns back now."""
+        assert self.origin is not None
+        side = 1.0 if self.lane > self.origin else -1.0
+        sideways = max(side * ego.speed * math.sin(ego.heading), 0.0)
+        return side * (ego.y - self.origin * width) + 0.6 * sideways > (width - ego.width) / 2 - 0.1
+
+    def _move_path(self, centre: float) -> None:
+        if math.isnan(self.path):
+            self.path = centre
+        step = self.SIDEWAYS * self.step
+        self.path += max(min(centre - self.path, step), -step)
+
+
+def _moves_sideways(other: VehicleState, centre: float) -> bool:
+    """Whether a vehicle enters the lane with this centre, or leaves it."""
+    return abs(other.speed * math.sin(other.heading)) > 0.2 and abs(other.y - centre) > 0.5
+
+
+def _leads(ego: VehicleState, other: VehicleState, lane: int) -> bool:
+    """Whether a vehicle is ahead in a lane; one's distance to it is kept anyway."""
+    return other.lane == lane and other.x > ego.x
+
+
+def _is_far(ego: VehicleState, other: VehicleState, share: float) -> bool:
+    """Whether a vehicle in the lane to enter is far enough ahead or behind."""
+    gap = abs(other.x - ego.x) - (ego.length + other.length) / 2
+    if other.x > ego.x:
+        return gap > _safe(ego.speed, other.speed)
+    closing = max(other.speed - ego.speed, 0.0)
+    giving_way = closing * 0.4 + closing**2 / (2 * 3.0) + ego.speed * 1.0
+    return gap > max(share * giving_way, _safe(other.speed, ego.speed))
+
+
+def _safe(follower: float, leader: float) -> float:
+    """Between a follower and a leader of these speeds [m]."""
+    return follower * RESPONSE + follower**2 / (2 * BRAKING) - leader**2 / (2 * LEADERS_BRAKING)
