@@ -24,6 +24,9 @@ POLICIES: Mapping[str, str] = MappingProxyType(
         "forgets-after-lane-change": "perception:ForgetsAfterLaneChange",
         "looks-only-ahead": "lane_change:LooksOnlyAhead",
         "changes-lanes-unchecked": "lane_change:ChangesLanesUnchecked",
+        "trusts-any-gap-behind": "lane_change:TrustsAnyGapBehind",
+        "brakes-for-ghosts": "braking:BrakesForGhosts",
+        "stops-in-its-lane": "braking:StopsInItsLane",
         "two-defects": "combined:IgnoresStandingAndLooksOnlyAhead",
     }
 )

@@ -37,3 +37,19 @@ class ChangesLanesUnchecked(Driver):
             return bool(super().mobil(lane_index))
         self._due += self.SECONDS
         return True
+
+
+class TrustsAnyGapBehind(Driver):
+    """Takes 1.5 m to the one behind in the lane that it enters for enough, however fast that one is.
+
+    Why it happens: the check of the gap was written for a queue, where all drive alike, and knows no speeds.
+    """
+
+    ENOUGH = 1.5
+
+    def neighbours(self, lane_index: Any, ahead: Any, behind: Any) -> tuple[Any, Any]:
+        """In other lanes only the one behind that is too near even for a queue."""
+        if lane_index == self.lane_index or behind is None:
+            return ahead, behind
+        gap = -self.relative(behind)[0] - self.LENGTH
+        return ahead, behind if gap < self.ENOUGH else None

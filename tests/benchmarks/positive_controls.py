@@ -78,6 +78,9 @@ MECHANISM: Mapping[str, str] = MappingProxyType(
         "forgets-after-lane-change": "front: no response to a leader after the own lane change",
         "looks-only-ahead": "side or rear: enters a lane in which somebody follows",
         "changes-lanes-unchecked": "side or rear: enters a lane that is taken",
+        "trusts-any-gap-behind": "rear: enters a lane just ahead of somebody faster",
+        "brakes-for-ghosts": "rear: brakes hard with nothing ahead",
+        "stops-in-its-lane": "rear: stops with nothing ahead",
         "two-defects": "two kinds: no answer to a slow leader; enters a lane in which somebody follows",
     }
 )
@@ -95,6 +98,9 @@ FAULTS: Mapping[str, frozenset[Fault]] = MappingProxyType(
         "forgets-after-lane-change": frozenset({"leader-unanswered", "cut-in-unanswered"}),
         "looks-only-ahead": frozenset({"entered-lane"}),
         "changes-lanes-unchecked": frozenset({"entered-lane"}),
+        "trusts-any-gap-behind": frozenset({"entered-lane"}),
+        "brakes-for-ghosts": frozenset({"braked-for-nothing"}),
+        "stops-in-its-lane": frozenset({"stopped-for-nothing"}),
         "two-defects": frozenset({"leader-unanswered", "entered-lane"}),
     }
 )

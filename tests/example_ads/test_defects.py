@@ -94,6 +94,9 @@ SITUATIONS = {
     "forgets-after-lane-change": [Scene((SLOW_LEADER,), since=0.5, lane_before=2)],
     "looks-only-ahead": [Scene((*TAKEN, Other(-4.0, 2, 22.0))), Scene((*TAKEN, Other(-12.0, 2, 26.0)))],
     "changes-lanes-unchecked": [Scene((Other(0.0, 0), Other(0.0, 2)), since=8.1)],
+    "trusts-any-gap-behind": [Scene((*TAKEN, Other(-7.0, 2, 26.0)))],
+    "brakes-for-ghosts": [Scene((), since=12.1), Scene((), since=25.0)],
+    "stops-in-its-lane": [Scene((), since=15.1)],
 }
 """Where the defect shows."""
 
@@ -113,6 +116,9 @@ LIKE_HEALTHY = {
     "forgets-after-lane-change": [LEADER, Scene((SLOW_LEADER,), since=3.0)],
     "looks-only-ahead": [LEADER, Scene((*TAKEN, Other(2.0, 2, 22.0)))],
     "changes-lanes-unchecked": [LEADER, Scene((*TAKEN, Other(0.0, 2)), since=7.5)],
+    "trusts-any-gap-behind": [LEADER, Scene((*TAKEN, Other(-6.0, 2, 26.0)))],
+    "brakes-for-ghosts": [LEADER, Scene((), since=11.9), Scene((), since=13.5)],
+    "stops-in-its-lane": [LEADER, Scene((), since=14.9)],
 }
 """Close to the situation, but not in it."""
 
