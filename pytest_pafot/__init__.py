@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import strategies as strategies
+    from pytest_pafot.attribution.last_chance import LastChance as LastChance
     from pytest_pafot.campaign.explore import Exploration as Exploration
     from pytest_pafot.campaign.explore import explore as explore
     from pytest_pafot.corpus.reader import load as load
@@ -43,6 +44,7 @@ _HOMES = {
     "Exploration": "campaign.explore",
     "Highway": "world",
     "LaneInstruction": "scenario",
+    "LastChance": "attribution.last_chance",
     "NpcLimits": "world",
     "Observation": "world",
     "Outcome": "trace",

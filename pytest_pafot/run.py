@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_pafot import criticality
+from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
@@ -62,11 +63,13 @@ class Run:
         trace: the record, tick by tick.
         decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
         prevent: tries the reference drivers in the world of this run; see :attr:`preventable_by`.
+        take_over: has one of them take over in the midst of this run; see :attr:`last_chance`.
     """
 
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
     prevent: Prevent | None = field(default=None, kw_only=True)
+    take_over: TakeOver | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -182,11 +185,22 @@ class Run:
             NoReferenceDriversError: for a run that was made without its world.
         """
         if self.prevent is None:
-            raise NoReferenceDriversError(
-                "run.preventable_by: expected a run that knows its world, such as a search or pafot_simulate gives, "
-                "received one that was made of a trace alone; use Run(trace, prevent=world.preventable_by)"
-            )
+            raise _no_world("preventable_by", "prevent=world.preventable_by")
         return self.prevent(self.scenario)
+
+    @cached_property
+    def last_chance(self) -> LastChance | None:
+        """When a careful driver in the ego's place would last have stayed free of fault; simulated when asked for.
+
+        None without a collision that the ego answers for, where it entered somebody's lane, and where the last 10 s
+        had no such chance.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.take_over is None:
+            raise _no_world("last_chance", "take_over=world.take_over")
+        return last_chance(self.trace, self.attribution.fault, self.take_over)
 
     # The moment that it is about.
 
@@ -286,6 +300,13 @@ class Run:
             lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
         lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
         return lines
+
+
+def _no_world(name: str, argument: str) -> NoReferenceDriversError:
+    return NoReferenceDriversError(
+        f"run.{name}: expected a run that knows its world, such as a search or pafot_simulate gives, "
+        f"received one that was made of a trace alone; use Run(trace, {argument})"
+    )
 
 
 def _gene_table(trace: Trace) -> list[str]:

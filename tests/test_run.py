@@ -66,6 +66,24 @@ def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
         _ = Run(closing()).preventable_by
 
 
+def test_the_last_chance_is_looked_for_when_asked_for_and_once():
+    asked = []
+
+    def take_over(trace, tick, name):
+        asked.append((tick, name))
+        return replace(trace, outcome=Outcome.SAFE, collision=None)
+
+    run = Run(crash().trace, take_over=take_over)
+    assert asked == []
+    assert run.last_chance == run.last_chance
+    assert len(asked) == 1
+
+
+def test_a_run_made_of_a_trace_alone_says_how_to_look_for_the_last_chance():
+    with pytest.raises(NoReferenceDriversError, match=r"run\.last_chance: .*take_over=world\.take_over"):
+        _ = crash().last_chance
+
+
 def test_its_measures_are_those_of_the_criticality_functions():
     rng = np.random.default_rng(7)
     states = random_states(rng, 40, 3)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, strategies
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.comparison.command import add_arguments
@@ -73,6 +74,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.preventable_by": "A list of names, for reference drivers that survive the scenario in the ego's place; "
     "not there where it is empty.",
+    "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
+    "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
+    "there is no such moment.",
     "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
     "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "Whether no further simplification was found, rather than the budget or the time being spent.",
@@ -95,6 +99,7 @@ def sections() -> dict[str, str]:
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
+        "last-chance": _properties_table(LastChance),
         "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
         "ads-error": _fields_table(AdsError),

@@ -51,8 +51,9 @@ class Harness:
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """The run that a trace is the record of, in the world of new scenarios unless another is given."""
-        prevent = protocol.prevention(self.world if world is None else world)
-        return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent)
+        world = self.world if world is None else world
+        prevent, take_over = protocol.prevention(world), protocol.taking_over(world)
+        return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent, take_over=take_over)
 
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""

@@ -115,10 +115,13 @@ class Simplification:
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         preventable_by = () if run.prevent is None else run.preventable_by
+        last_chance = None if run.take_over is None else run.last_chance
         finding = replace(
             before,
             scenario=scenario,
-            expect=Expect.of(run, verdict.failure, preventable_by=preventable_by, root=str(harness.root)),
+            expect=Expect.of(
+                run, verdict.failure, preventable_by=preventable_by, last_chance=last_chance, root=str(harness.root)
+            ),
             original=before.scenario if scenario != before.scenario else None,
             shrunk=shrunk if shrunk.rollouts else None,
         )

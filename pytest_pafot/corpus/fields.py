@@ -94,11 +94,11 @@ class Field:
             raise self.error("true or false", "correct it")
         return self.value
 
-    def number(self) -> float:
-        """A finite number, at least 0."""
+    def number(self, low: float = 0.0) -> float:
+        """A finite number, at least so large."""
         is_number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
-        if not is_number or not 0 <= self.value <= 1e9:
-            raise self.error("a finite number, at least 0", "correct it")
+        if not is_number or not low <= self.value <= 1e9:
+            raise self.error(f"a finite number, at least {low:g}", "correct it")
         return float(self.value)
 
 

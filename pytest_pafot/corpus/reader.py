@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import schema
@@ -199,8 +200,26 @@ def _expect(field: Field, npcs: int) -> Expect:
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         preventable_by=_given(fields, "preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),
+        last_chance=_given(fields, "last_chance", _last_chance),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
+
+
+def _last_chance(field: Field) -> LastChance:
+    fields = field.mapping(schema.LAST_CHANCE)
+    return LastChance(
+        time=fields["time"].number(),
+        driver=fields["driver"].text(),
+        action=_action(fields["action"]),
+        ego_action=_action(fields["ego_action"]),
+    )
+
+
+def _action(field: Field) -> tuple[float, float]:
+    values = field.items()
+    if len(values) != 2:
+        raise field.error("acceleration [m/s^2] and steering [rad]")
+    return values[0].number(-1e9), values[1].number(-1e9)
 
 
 def _found(field: Field) -> Found:

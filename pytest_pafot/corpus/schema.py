@@ -51,10 +51,12 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("preventable_by", "traceback"),
+        *("preventable_by", "last_chance", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
+LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
+"""Of ``expect.last_chance``."""
 
 FOUND = Keys(("seed", "generation", "algorithm", "versions"))
 SHRUNK = Keys(("rollouts", "is_minimal", "speeds"))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from types import TracebackType
 from typing import Any
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.portable import portable
@@ -47,6 +48,7 @@ class Expect:
         fault: what the ego answers for; None where it does not.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         preventable_by: reference drivers that survive the scenario in the ego's place.
+        last_chance: when one of them would still have stayed free of fault; None where there is no such moment.
         traceback: of an ADS that raised, likewise; empty otherwise.
     """
 
@@ -63,6 +65,7 @@ class Expect:
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     preventable_by: tuple[str, ...] = ()
+    last_chance: LastChance | None = None
     traceback: str = ""
 
     @property
@@ -76,7 +79,15 @@ class Expect:
         return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
 
     @classmethod
-    def of(cls, run: Run, failure: Failure, *, preventable_by: tuple[str, ...] = (), root: str = "") -> Expect:
+    def of(
+        cls,
+        run: Run,
+        failure: Failure,
+        *,
+        preventable_by: tuple[str, ...] = (),
+        last_chance: LastChance | None = None,
+        root: str = "",
+    ) -> Expect:
         """What a failing run showed, as it shows again in any process: times rounded to milliseconds, texts portable.
 
         Paths in texts are relative to the root, the folder of the project.
@@ -100,6 +111,7 @@ class Expect:
             npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             preventable_by=preventable_by,
+            last_chance=last_chance,
             traceback=text,
         )
 

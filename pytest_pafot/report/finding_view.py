@@ -14,6 +14,7 @@ from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.report.page_data import (
+    ChanceView,
     EventView,
     FindingView,
     InstructionView,
@@ -50,13 +51,14 @@ def finding_view(
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     first, _, rest = ("" if trace is None else Run(trace).explain()).partition("\n")
+    chance, rest = expect.last_chance, rest or expect.message
     raised = f"{expect.failure}: {expect.message}" if expect.message else expect.failure
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
-        explanation=rest or expect.message,
+        explanation=rest if chance is None else f"{rest}\n  {chance.sentence}",
         assertion=f"assert {expect.assertion.removeprefix('assert ')}" if expect.assertion else raised,
         responsibility=expect.responsibility,
         generation=finding.found.generation,
@@ -67,6 +69,7 @@ def finding_view(
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
+        last_chance=None if chance is None else ChanceView(time=chance.time, sentence=chance.sentence),
         preventable_by=expect.preventable_by,
         preventable_tried=tuple(dict.fromkeys((*expect.preventable_by, *preventable_tried))),
     )

@@ -114,6 +114,14 @@ class EventView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ChanceView:
+    """When a reference driver in the ego's place would last have stayed free of fault, with the sentence on it."""
+
+    time: float
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShrinkView:
     """What shrinking came to: the chains before and after, a line per NPC, their numbers, and how many runs it took.
 
@@ -148,6 +156,7 @@ class FindingView:
         yaml, path: the text of its file and where that is.
         preventable_by, preventable_tried: reference drivers that survive the scenario in the ego's place, and all that
             were tried.
+        last_chance: None where there is no such moment.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
 
@@ -171,6 +180,7 @@ class FindingView:
     assertion: str = ""
     preventable_by: tuple[str, ...] = ()
     preventable_tried: tuple[str, ...] = ()
+    last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
 

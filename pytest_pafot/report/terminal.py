@@ -107,7 +107,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
-    """The size of a find before and after, and which of the reference drivers that were tried would prevent it."""
+    """The size of a find before and after, who of the reference drivers that were tried would prevent it, and when."""
     lines: list[str] = []
     if finding.shrunk is not None:
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
@@ -115,7 +115,7 @@ def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
         lines.append(f"shrunk     from {size_of(finding.original or finding.scenario)} {after}{more}")
     if tried:
         lines.append(f"preventable by {', '.join(finding.expect.preventable_by) or 'none of the reference drivers'}")
-    return lines
+    return lines if finding.expect.last_chance is None else [*lines, finding.expect.last_chance.sentence]
 
 
 def effort_lines(finding: Finding) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +14,11 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
+from pytest_pafot.world.engines.taking_over import RecordedBody, Relief
 from pytest_pafot.world.first_decision import FirstDecision, first_decision
+from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.reference_drivers import REFERENCES
+from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
@@ -112,11 +114,37 @@ class BuiltInWorld(ABC):
             WorldError: for another name.
             ScenarioError: when the scenario does not fit this world.
         """
-        if name not in REFERENCES:
-            raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
+        return self._driven_by(_reference_driver(name), scenario)
+
+    def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
+        """Simulate a run again in which a reference driver takes the ego over at a tick.
+
+        Up to there the ego is in the states that the trace has, so that all others do what they did. The driver has
+        watched for the last 6 s, and drives as in :meth:`rollout_reference`.
+
+        Args:
+            trace: of a run in this world.
+            tick: of it, at which the driver decides for the first time.
+            name: of :attr:`reference_drivers`.
+
+        Raises:
+            WorldError: for another name, a tick that the run does not have, or one with other ticks than this world's.
+            ScenarioError: when its scenario does not fit this world.
+        """
+        if not 0 <= tick <= trace.ticks:
+            raise WorldError(field="tick", expected=f"one of the run, 0 to {trace.ticks}", received=repr(tick))
+        if trace.physics_hz != self.rules.physics_hz:
+            expected = f"a run in this world, with {self.rules.physics_hz} ticks a second"
+            raise WorldError(field="trace", expected=expected, received=f"one with {trace.physics_hz}")
+        relief = Relief(_reference_driver(name), tick / trace.physics_hz)
+        return self._driven_by(relief, trace.executed, RecordedBody(trace, tick))
+
+    def _driven_by(
+        self, driver: Callable[[Observation], Any], scenario: Scenario, body: RecordedBody | None = None
+    ) -> Trace:
         self.rules.check_fits(scenario)
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz)
-        return rollout_planner(self, every_tick, scenario, REFERENCES[name]())
+        return rollout_planner(self, every_tick, scenario, driver, body=body)
 
     def preventable_by(self, scenario: Scenario) -> tuple[str, ...]:
         """Names of the reference drivers that survive a scenario, whoever is to blame for a collision."""
@@ -145,3 +173,9 @@ class BuiltInWorld(ABC):
             limits=self.limits,
             hang_limit=self.hang_limit,
         )
+
+
+def _reference_driver(name: str) -> ReferenceDriver:
+    if name not in REFERENCES:
+        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
+    return REFERENCES[name]()

@@ -109,6 +109,12 @@ def prevention(world: Any) -> Callable[[Scenario], tuple[str, ...]] | None:
     return found
 
 
+def taking_over(world: Any) -> Callable[[Trace, int, str], Trace] | None:
+    """What has a reference driver take over in the midst of a run in a world, where it can."""
+    found: Callable[[Trace, int, str], Trace] | None = getattr(world, "take_over", None)
+    return found
+
+
 def reference_drivers(world: Any) -> tuple[str, ...]:
     """Names of the reference drivers that a world tries, where it tells them."""
     return tuple(getattr(world, "reference_drivers", ()))

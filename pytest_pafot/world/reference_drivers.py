@@ -55,8 +55,6 @@ EPSILON = 1e-6
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
 """Steering per offset to the lane's centre [rad/m] and per heading [1]."""
 
-Driver = Callable[[Observation], tuple[float, float]]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leader:
@@ -113,10 +111,10 @@ class ReferenceDriver(ABC):
 
     def __call__(self, observation: Observation) -> tuple[float, float]:
         """Acceleration [m/s^2] and steering [rad]."""
-        self.step, self.now = observation.time - self.now, observation.time
         ego, speeds = observation.ego, tuple(_along(other) for other in observation.others)
         if self.wanted is None:
-            self.lane, self.wanted = ego.lane, min(ego.speed, observation.speed_limit)
+            self.lane, self.wanted, self.now = ego.lane, min(ego.speed, observation.speed_limit), observation.time
+        self.step, self.now = observation.time - self.now, observation.time
         self.brakings = (0.0,) * len(speeds)
         if self.step > 0 and len(self.speeds) == len(speeds):
             self.brakings = tuple((before - now) / self.step for before, now in zip(self.speeds, speeds, strict=True))
@@ -125,6 +123,12 @@ class ReferenceDriver(ABC):
         self.acceleration = max(self.wish(observation), min(lowest, 0.0), -self.HARDEST)  # brakes are released at once
         steering = -LANE_GAIN * (ego.y - self.lane * observation.lane_width) - HEADING_GAIN * ego.heading
         return self.acceleration, steering
+
+    def watch(self, observation: Observation) -> None:
+        """See and think as at the wheel while another drives, whose lane and whose highest speed it takes over."""
+        self(observation)
+        self.lane = observation.ego.lane
+        self.wanted = max(self.wanted or 0.0, min(observation.ego.speed, observation.speed_limit))
 
     @abstractmethod
     def wish(self, observation: Observation) -> float:
@@ -316,7 +320,7 @@ class IdmAeb(ReferenceDriver):
         return GENTLE_ACCELERATION * (free - pressing)
 
 
-REFERENCES: Mapping[str, Callable[[], Driver]] = MappingProxyType(
+REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
 )
 """Factories of the reference drivers; each can be given to a search as its ADS."""

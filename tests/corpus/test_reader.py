@@ -163,6 +163,22 @@ def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, lin
 
 
 @pytest.mark.parametrize(
+    ("chance", "field"),
+    [
+        ("none", ""),
+        ("{time: 11.6, driver: idm-aeb, action: [-4.0, 0.0]}", ""),
+        ("{time: -1.0, driver: idm-aeb, action: [-4.0, 0.0], ego_action: [0.8, 0.0]}", ".time"),
+        ("{time: 11.6, driver: idm-aeb, action: -4.0, ego_action: [0.8, 0.0]}", ".action"),
+        ("{time: 11.6, driver: idm-aeb, action: [-4.0], ego_action: [0.8, 0.0]}", ".action"),
+        ("{time: 11.6, driver: idm-aeb, action: [-4.0, 0.0], ego_action: [0.8, .nan]}", ".ego_action[1]"),
+    ],
+)
+def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
+    error = fault(path, swapped("[careful-human, idm-aeb]", f"[careful-human, idm-aeb], last_chance: {chance}"))
+    assert (error.line, error.field) == (14, f"expect.last_chance{field}")
+
+
+@pytest.mark.parametrize(
     "number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"]
 )
 def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):

@@ -5,6 +5,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.corpus.yaml_text import text_of
@@ -90,6 +91,16 @@ def test_the_traceback_of_an_ads_is_a_literal_block():
     text = text_of(plain_finding(expect=expect))
     block = "".join(f"    {line}\n" if line else "\n" for line in TRACEBACK.splitlines())
     assert f"  responsibility: none\n  traceback: |\n{block}found:" in text
+
+
+CHANCE = LastChance(time=11.6, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, -0.001))
+
+
+def test_the_last_chance_says_what_the_driver_and_the_ego_did():
+    text = text_of(plain_finding(expect=replace(plain_finding().expect, last_chance=CHANCE)))
+    assert (
+        "         last_chance: {time: 11.6, driver: careful-human, action: [-4.0, 0.0], ego_action: [0.8, -0.001]}}\n"
+    ) in text
 
 
 def test_a_property_that_is_no_collision_names_the_worst_moment():

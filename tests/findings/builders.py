@@ -5,6 +5,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
@@ -104,6 +105,12 @@ def scenarios(draw):
     )
 
 
+def chances():
+    numbers = st.floats(-1e9, 1e9)
+    actions = st.tuples(numbers, numbers)
+    return st.builds(LastChance, time=st.floats(0, 1e6), driver=texts(), action=actions, ego_action=actions)
+
+
 @st.composite
 def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
@@ -122,6 +129,7 @@ def expectations(draw, npcs):
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         preventable_by=tuple(draw(st.lists(texts(), max_size=3))),
+        last_chance=draw(st.none() | chances()),
         traceback=draw(texts()),
     )
 

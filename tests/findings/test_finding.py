@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, raised_failure
 from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.signature import Failure, normalised
@@ -37,7 +38,8 @@ def test_a_new_finding_is_named_by_its_signature_and_its_scenario():
 
 
 def test_it_expects_what_the_run_showed():
-    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, preventable_by=("idm-aeb",))
+    chance = LastChance(time=1.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.0, 0.0))
+    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, preventable_by=("idm-aeb",), last_chance=chance)
     assert expect == Expect(
         failure="AssertionError",
         assertion="not run.collision",
@@ -51,6 +53,7 @@ def test_it_expects_what_the_run_showed():
         npc_manoeuvre="lane-keeping",
         ego_manoeuvre="lane-keeping",
         preventable_by=("idm-aeb",),
+        last_chance=chance,
     )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import yaml
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.scenario import Scenario
@@ -204,7 +206,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "scenario": _scenario(finding.scenario),
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
-        | {"preventable_by": [*expect.preventable_by]},
+        | {"preventable_by": [*expect.preventable_by], "last_chance": _chance(expect.last_chance)},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "shrunk": None
         if shrunk is None
@@ -216,6 +218,12 @@ def holds(finding: Finding) -> dict[str, Any]:
         "flaky": finding.flaky,
         "xfail": finding.xfail,
     }
+
+
+def _chance(chance: LastChance | None) -> dict[str, Any] | None:
+    if chance is None:
+        return None
+    return asdict(chance) | {"action": [*chance.action], "ego_action": [*chance.ego_action]}
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:

@@ -143,10 +143,16 @@ class Charts {
     for (const start of new Set(this.finding.instructions.filter((row) => row.started && row.gene).map((row) => row.start))) {
       if (start < this.duration) this.parts.unshift(svg("line", { x1: px(this.x(start)), x2: px(this.x(start)), y1: 32, y2: px(y), class: "gene" }));
     }
-    const at = this.x(this.finding.event.time);
-    this.parts.push(svg("line", { x1: px(at), x2: px(at), y1: 10, y2: px(y), class: "event" }));
-    this.parts.push(svg("path", { d: `M${px(at - 5)} 2h10l-5 8Z`, class: "event-mark" }, svg("title", {}, `the event, ${fixed(this.finding.event.time, 2)} s`)));
+    const { event, last_chance: chance } = this.finding;
+    if (chance) this.mark("chance", chance.time, y, chance.sentence);
+    this.mark("event", event.time, y, `the event, ${fixed(event.time, 2)} s`);
     this.y = y;
+  }
+
+  mark(name, time, y, what) {
+    const at = this.x(time);
+    this.parts.push(svg("line", { x1: px(at), x2: px(at), y1: 10, y2: px(y), class: name }));
+    this.parts.push(svg("path", { d: `M${px(at - 5)} 2h10l-5 8Z`, class: `${name}-mark` }, svg("title", {}, what)));
   }
 
   draw(time) {

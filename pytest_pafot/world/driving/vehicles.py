@@ -106,11 +106,16 @@ class Car(Vehicle):  # type: ignore[misc]
     y: float
     heading: float
     speed: float
+    LENGTH: float
+    WIDTH: float
 
-    def __init__(self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0) -> None:
+    def __init__(
+        self, road: Road, position: Any, heading: float = 0.0, speed: float = 0.0, body: Body | None = None
+    ) -> None:
         self._position: Any = None
         self._lane_index: tuple[str, str, int] | None = None
-        self._body = Body(self.LENGTH, self.WIDTH)
+        self._body = body or Body(self.LENGTH, self.WIDTH)
+        self.LENGTH, self.WIDTH = self._body.length, self._body.width
         super().__init__(road, position, heading, speed)
         self.check_collisions = False
 
@@ -177,7 +182,7 @@ class Car(Vehicle):  # type: ignore[misc]
         body.acceleration, body.steering = self.acceleration, self.steering
         body.step(dt)
         self.x, self.y, self.heading, self.speed = body.x, body.y, body.heading, body.speed
-        self.acceleration = body.acceleration
+        self.acceleration, self.steering = body.acceleration, body.steering
         self._position = self._lane_index = None
 
 

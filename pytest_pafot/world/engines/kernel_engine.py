@@ -20,12 +20,18 @@ from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Observer
 from pytest_pafot.world.run_config import Rules, start_positions
 
 
-def run_planner(rules: Rules, scenario: Scenario, ads: Callable[[Any], Any], decisions: Sequence[Any] = ()) -> Trace:
+def run_planner(
+    rules: Rules,
+    scenario: Scenario,
+    ads: Callable[[Any], Any],
+    decisions: Sequence[Any] = (),
+    body: Body | None = None,
+) -> Trace:
     """Simulate a scenario that fits the rules with a callable from an observation to its action.
 
-    The ADS is not asked for ``decisions``, the first ones of the run.
+    The ADS is not asked for ``decisions``, the first ones of the run; it may be given a body of its own.
     """
-    ego = Body(NPC_LENGTH, NPC_WIDTH)
+    ego = body or Body(NPC_LENGTH, NPC_WIDTH)
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
     observer = _observer(rules, record)

@@ -50,22 +50,31 @@ def run(
     return under_way.trace
 
 
-def run_on(network: RoadNetwork, rules: Rules, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
-    """Simulate a scenario on a road with an ADS in SI units or a vehicle class."""
+def run_on(
+    network: RoadNetwork,
+    rules: Rules,
+    scenario: Scenario,
+    ads: Any,
+    decisions: Sequence[Any] = (),
+    body: Body | None = None,
+) -> Trace:
+    """Simulate a scenario on a road with a vehicle class or an ADS in SI units, whose car may be given a body."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
     if is_vehicle_class(ads):
         return run(rules, scenario, road, lambda start: SelfDriving(ads, road, start, scenario.ego_speed), decisions)
-    return run(rules, scenario, road, partial(_planner, rules, scenario, road, ads), decisions)
+    return run(rules, scenario, road, partial(_planner, rules, scenario, road, ads, body), decisions)
 
 
 def begin_planner(network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard) -> ObjectRun:
     """A run on a road that is given its decisions in SI units."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
-    return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None), guard)
+    return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None, None), guard)
 
 
-def _planner(rules: Rules, scenario: Scenario, road: Road, ads: Any, start: tuple[float, float, float]) -> Planner:
-    ego = Car(road, start[:2], start[2], scenario.ego_speed)
+def _planner(
+    rules: Rules, scenario: Scenario, road: Road, ads: Any, body: Body | None, start: tuple[float, float, float]
+) -> Planner:
+    ego = Car(road, start[:2], start[2], scenario.ego_speed, body)
     if isinstance(rules.road, NetworkRoad):
         far = rules.start_distance(scenario)
         starts = [rules.ego_start + row * far for row in (-1, 0, 1)]

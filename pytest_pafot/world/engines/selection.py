@@ -12,6 +12,7 @@ from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.engines.kernel_engine import KernelRun, run_model, run_planner
 from pytest_pafot.world.engines.lock_step import SteppedRun
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.run_config import Rules
@@ -58,15 +59,16 @@ def rollout_planner(
     scenario: Scenario,
     ads: Callable[[Observation], Any],
     decisions: Sequence[Any] = (),
+    body: Body | None = None,
 ) -> Trace:
     """Run a scenario on the road of a world, by its rules or others, with a callable from an observation to an action.
 
-    On a road that is not straight, the callable decides at every tick.
+    On a road that is not straight, the callable decides at every tick. Its car may have a body of its own.
     """
     road = rules.road
     if world.engine == "highway-env" or isinstance(road, NetworkRoad) or not road.starts_at_origin:
-        return _by_objects(world, rules, scenario, ads, decisions)
-    return run_planner(rules, scenario, ads, decisions)
+        return _by_objects(world, rules, scenario, ads, decisions, body)
+    return run_planner(rules, scenario, ads, decisions, body)
 
 
 def begin(world: SiWorld, scenario: Scenario, guard: HangGuard) -> SteppedRun:
@@ -78,7 +80,14 @@ def begin(world: SiWorld, scenario: Scenario, guard: HangGuard) -> SteppedRun:
     return begin_planner(world.network, world.rules, scenario, guard)
 
 
-def _by_objects(world: SiWorld, rules: Rules, scenario: Scenario, ads: Any, decisions: Sequence[Any] = ()) -> Trace:
+def _by_objects(
+    world: SiWorld,
+    rules: Rules,
+    scenario: Scenario,
+    ads: Any,
+    decisions: Sequence[Any] = (),
+    body: Body | None = None,
+) -> Trace:
     from pytest_pafot.world.engines.object_engine import run_on  # noqa: PLC0415  (a second of imports)
 
-    return run_on(world.network, rules, scenario, ads, decisions)
+    return run_on(world.network, rules, scenario, ads, decisions, body)

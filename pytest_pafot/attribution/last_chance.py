@@ -1,0 +1,89 @@
+"""The last chance: when a reference driver in the ego's place would still have stayed free of fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
+from pytest_pafot.trace import ACCELERATION, STEERING, Trace
+
+DRIVER = "careful-human"
+"""The reference driver that takes over."""
+
+SCANNED = 10.0
+"""How long before the impact a chance is looked for [s]."""
+
+ROUNDING = 1e-6
+"""By how much a run that repeats may differ: environments that step themselves move NPCs with sines of their own."""
+
+TakeOver = Callable[[Trace, int, str], Trace]
+"""The run of a trace with a reference driver, by its name, in the ego's place from a tick on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastChance:
+    """The last decision of the ego at which a reference driver would still have stayed free of fault in its place.
+
+    Attributes:
+        time: of that decision [s], to milliseconds.
+        driver: name of the reference driver.
+        action: acceleration [m/s^2] and steering [rad] with which it begins, to three digits.
+        ego_action: what the ego did in its place, likewise.
+    """
+
+    time: float
+    driver: str
+    action: tuple[float, float]
+    ego_action: tuple[float, float]
+
+    @property
+    def sentence(self) -> str:
+        """When, and what the driver and the ego did then."""
+        return (
+            f"last chance {self.time:.1f} s: {self.driver} {_doing(*self.action)}, "
+            f"this policy {_doing(*self.ego_action)}"
+        )
+
+
+def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
+    """The last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
+
+    It is not at fault where it does not collide, and where it does not answer for the collision by
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`. From some earlier decisions it may fail nevertheless, so
+    that all of the last 10 s before the impact are tried, the latest first.
+
+    Args:
+        trace: of the run.
+        fault: of the ego in it.
+        take_over: simulates; as :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
+
+    Returns:
+        None without a collision that the ego answers for; where it entered a lane, which nobody undoes who keeps
+        lanes; where no decision is such a chance; and where the run does not repeat.
+    """
+    if trace.collision is None or fault is None or fault == "entered-lane":
+        return None
+    every, first = trace.physics_hz // trace.ads_hz, max(trace.ticks - round(SCANNED * trace.physics_hz), 0)
+    for tick in range((trace.ticks - 1) // every * every, first - 1, -every):
+        taken = take_over(trace, tick, DRIVER)
+        if not np.allclose(taken.states[: tick + 1], trace.states[: tick + 1], rtol=0.0, atol=ROUNDING):
+            return None
+        if not is_ego_responsible(taken):
+            time = round(tick / trace.physics_hz, 3)
+            return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
+    return None
+
+
+def _action(trace: Trace, tick: int) -> tuple[float, float]:
+    """What the ego does from a tick to the next."""
+    acceleration, steering = trace.ego[tick + 1, [ACCELERATION, STEERING]].round(3).tolist()
+    return acceleration + 0.0, steering + 0.0  # never -0.0
+
+
+def _doing(acceleration: float, _steering: float) -> str:
+    if abs(acceleration) < 0.05:
+        return "keeps its speed"
+    return f"{'brakes' if acceleration < 0 else 'accelerates'} with {abs(acceleration):.1f} m/s^2"

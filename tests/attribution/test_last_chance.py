@@ -1,0 +1,123 @@
+"""The last chance: which of the ego's decisions it is, and what it tells; by hand, and by closed form in the world."""
+
+from dataclasses import replace
+
+import pytest
+
+from pytest_pafot.attribution.last_chance import LastChance, last_chance
+from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import ACCELERATION, SPEED, STEERING, Outcome, X
+from pytest_pafot.world import Highway
+from pytest_pafot.world.reference_drivers import HARD_BRAKING
+from tests.support.traces import LENGTH, collision_at, trace_of, vehicle
+
+
+def crash(ticks=30, outcome=Outcome.COLLISION):
+    """The ego at 20 m/s behind an NPC at 10 m/s, which it hits at the last tick; a decision every three ticks."""
+    gap = ticks / 15 * 10.0
+    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=ticks), vehicle(gap + LENGTH, 4.0, speed=10.0, ticks=ticks)
+    return trace_of(ego, npc, outcome=outcome)
+
+
+def scanned(trace, chances=(), fault="leader-unanswered", survived=None):
+    """The last chance where these ticks are chances, and the ticks that were tried."""
+    tried = []
+    survived = survived or replace(trace, outcome=Outcome.SAFE, collision=None)
+
+    def take_over(given, tick, name):
+        assert given is trace
+        assert name == "careful-human"
+        tried.append(tick)
+        return survived if tick in chances else trace
+
+    return last_chance(trace, fault, take_over), tried
+
+
+def test_it_is_the_latest_decision_that_is_a_chance_whatever_earlier_ones_are():
+    chance, tried = scanned(crash(), chances={3, 12})
+    assert chance.time == 0.8
+    assert tried == [27, 24, 21, 18, 15, 12]
+
+
+def test_between_two_decisions_nobody_takes_over():
+    chance, tried = scanned(crash(), chances={13, 14})
+    assert chance is None
+    assert tried == [27, 24, 21, 18, 15, 12, 9, 6, 3, 0]
+
+
+def test_more_than_ten_seconds_before_the_impact_it_is_not_looked_for():
+    chance, tried = scanned(crash(ticks=300), chances={147})
+    assert chance is None
+    assert (tried[0], tried[-1]) == (297, 150)
+
+
+def test_a_collision_that_the_driver_does_not_answer_for_is_no_fault():
+    between = trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=30),
+        vehicle(20.0 + LENGTH, 4.0, speed=10.0, ticks=30),
+        vehicle(-20.0 - LENGTH, 4.0, speed=30.0, ticks=30),
+        outcome=Outcome.COLLISION,
+    )
+    rammed = replace(between, collision=collision_at(30, npc=1, cell=Cell.REAR, side="rear", npc_speed=30.0))
+    assert [rss_rule(each).responsibility for each in (between, rammed)] == ["ego", "npc"]
+    chance, _ = scanned(between, chances={27}, survived=rammed)
+    assert chance.time == 1.8
+
+
+@pytest.mark.parametrize(
+    ("trace", "fault"),
+    [(crash(), None), (crash(), "entered-lane"), (crash(outcome=Outcome.SAFE), None)],
+    ids=["the other's fault", "entered a lane", "no collision"],
+)
+def test_where_it_would_say_nothing_nothing_is_simulated(trace, fault):
+    assert scanned(trace, chances={27}, fault=fault) == (None, [])
+
+
+def test_a_run_that_does_not_repeat_has_none():
+    elsewhere = trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=30), vehicle(90.0, 4.0, speed=10.0, ticks=30))
+    chance, tried = scanned(crash(), chances={27}, survived=elsewhere)
+    assert chance is None
+    assert tried == [27]
+
+
+def test_it_tells_what_the_driver_and_the_ego_do_from_there_to_the_next_tick():
+    trace = crash()
+    states, taken = trace.states.copy(), trace.states.copy()
+    states[13, 0, [ACCELERATION, STEERING]] = 0.8, -0.00012
+    taken[13, 0, [ACCELERATION, STEERING]] = -4.00049, 0.0126
+    trace, survived = replace(trace, states=states), replace(trace, states=taken, outcome=Outcome.SAFE, collision=None)
+    chance, _ = scanned(trace, chances={12}, survived=survived)
+    assert chance == LastChance(time=0.8, driver="careful-human", action=(-4.0, 0.013), ego_action=(0.8, 0.0))
+    assert chance.sentence == (
+        "last chance 0.8 s: careful-human brakes with 4.0 m/s^2, this policy accelerates with 0.8 m/s^2"
+    )
+
+
+def test_who_neither_brakes_nor_accelerates_keeps_its_speed():
+    chance = LastChance(time=3.0, driver="careful-human", action=(1.5, 0.0), ego_action=(-0.04, 0.0))
+    assert chance.sentence == (
+        "last chance 3.0 s: careful-human accelerates with 1.5 m/s^2, this policy keeps its speed"
+    )
+
+
+@pytest.mark.parametrize("engine", ["kernel", "highway-env"])
+@pytest.mark.parametrize("closing", [3.0, 5.0])
+def test_behind_a_slower_leader_it_is_where_full_braking_still_takes_off_the_closing_speed(engine, closing):
+    """The leader has arrived ahead and keeps its speed, so that the distance needed is that of the schoolbook.
+
+    Full braking is built up in the driver's mind by then: the time to collision has been below 2 s for 1.43 s.
+    """
+    world = Highway(engine=engine, clearance=30.0)  # at that gap the leader has arrived
+    scenario = Scenario(npcs=[[PositionInstruction(2, 22.0 - closing)]], ego_speed=22.0, gene_seconds=20.0)
+    trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
+    gap = trace.npcs[:, 0, X] - trace.ego[:, X] - LENGTH
+    decisions = range(0, trace.ticks, 3)
+    needed = closing**2 / (2 * HARD_BRAKING) + closing * trace.dt / 2  # the speed of a tick is that of its beginning
+    assert trace.npcs[-45:, 0, SPEED] == pytest.approx(22.0 - closing, abs=0.01)
+    expected = max(tick for tick in decisions if gap[tick] > needed)
+    chance = last_chance(trace, rss_rule(trace).fault, world.take_over)
+    assert chance.time == round(expected / 15, 3)
+    assert chance.action[0] == pytest.approx(-HARD_BRAKING, abs=0.001)
+    assert chance.ego_action == (0.0, 0.0)

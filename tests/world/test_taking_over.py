@@ -1,0 +1,101 @@
+"""A reference driver that takes over in the midst of a recorded run: all is as recorded before, and its own after."""
+
+import numpy as np
+import pytest
+from gymnasium.wrappers import FlattenObservation
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import ACCELERATION, SPEED
+from pytest_pafot.world import Highway, World, WorldError
+from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.support.world_cases import changing_lanes, weaving
+
+BRAKES = Scenario(
+    npcs=[[PositionInstruction(2, 22.0), PositionInstruction(2, 4.0)], [PositionInstruction(8, 25.0)] * 2],
+    ego_lane=1,
+    ego_speed=22.0,
+)
+HIGHWAY = Highway(duration=14.0)
+
+
+class Lorry(IDMVehicle):
+    """Longer and wider than what is told of by a planner."""
+
+    LENGTH, WIDTH = 8.0, 2.5
+
+
+def on(env_id, drive, **config):
+    """A run in an environment: its world and its trace."""
+    world = World(env_id, duration=6.0, **config)
+    lane, speed = world.start or (1, 22.0)
+    chain = [PositionInstruction(2, 8.0)]
+    return world, world.rollout(Scenario(npcs=[chain], ego_lane=lane, ego_speed=speed), drive)
+
+
+CASES = {
+    "kernel": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, changing_lanes)),
+    "objects": lambda: ((world := Highway(duration=14.0, engine="highway-env")), world.rollout(BRAKES, weaving)),
+    "vehicle class": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, IDMVehicle)),
+    "larger vehicle": lambda: (HIGHWAY, HIGHWAY.rollout(BRAKES, Lorry)),
+    "policy": lambda: on("highway-v0", lambda: lambda seen: 3),
+    "policy in wrappers": lambda: on("highway-v0", lambda: lambda seen: 3, wrappers=[FlattenObservation]),
+    "merge": lambda: on("merge-v0", lambda: lambda seen: 3),
+    "bend": lambda: on("roundabout-v0", IDMVehicle),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_up_to_there_the_run_is_the_recorded_one_to_the_bit(name):
+    world, trace = CASES[name]()
+    for tick in (0, trace.ticks // 2, trace.ticks - 1):
+        taken = world.take_over(trace, tick, "careful-human")
+        assert taken.states[: tick + 1].tobytes() == trace.states[: tick + 1].tobytes()
+        assert taken.ticks > tick
+        assert (taken.sizes == trace.sizes).all()
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_a_driver_that_relieves_its_like_goes_on_as_that_did(name):
+    trace = HIGHWAY.rollout_reference(BRAKES, name)
+    for tick in (0, 1, 40, 90):
+        assert HIGHWAY.take_over(trace, tick, name).states.tobytes() == trace.states.tobytes()
+
+
+def test_it_brakes_at_once_for_what_it_has_watched_and_never_goes_back_to_a_lane_that_the_ego_has_left():
+    leader = Scenario(npcs=[[PositionInstruction(2, 16.0)]], ego_lane=1, ego_speed=22.0)
+    trace = HIGHWAY.rollout(leader, lambda: lambda observation: (0.0, 0.0))
+    taken = HIGHWAY.take_over(trace, trace.ticks - 9, "careful-human")
+    assert taken.ego[trace.ticks - 8, ACCELERATION] < -4.0
+    left = HIGHWAY.rollout(BRAKES, changing_lanes)
+    tick = next(tick for tick in range(left.ticks) if left.ego[tick, 6] != 1)
+    assert (HIGHWAY.take_over(left, tick + 15, "idm-aeb").ego[tick + 15 :, 6] == left.ego[tick + 15, 6]).all()
+
+
+def test_it_wants_the_speed_that_the_ego_had_before_it_braked_for_nothing():
+    far = Scenario(npcs=[[PositionInstruction(8, 22.0)]], ego_lane=1, ego_speed=22.0)
+    trace = HIGHWAY.rollout(far, lambda: lambda observation: (-5.0 if observation.time > 2 else 0.0, 0.0))
+    taken = HIGHWAY.take_over(trace, 60, "careful-human")
+    assert trace.ego[60, SPEED] < 14.0
+    assert np.diff(taken.ego[60:, SPEED]).min() > 0 or taken.ego[-1, SPEED] > 21.0
+
+
+def test_it_takes_over_in_the_same_way_each_time():
+    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
+    once, again = (HIGHWAY.take_over(trace, 60, "careful-human") for _ in range(2))
+    assert once.states.tobytes() == again.states.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("tick", "name", "world", "message"),
+    [
+        (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"),
+        (-1, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received -1"),
+        (10**6, "idm-aeb", HIGHWAY, "tick: expected one of the run, 0 to .*, received 1000000"),
+        (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* one with 15"),
+    ],
+)
+def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
+    trace = HIGHWAY.rollout(BRAKES, weaving)
+    with pytest.raises(WorldError, match=message):
+        world.take_over(trace, tick, name)
