@@ -25,7 +25,8 @@ class SoundLaneChanger(CarefulHuman):
     whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
     it, whoever is ahead must be farther than the safe distance, and whoever is behind farther than that and than one
     and a half times what giving way asks for. All that must have held for half a second. As long as its box can still
-    be kept in the own lane it goes back where the gaps no longer suffice.
+    be kept in the own lane it goes back where the gaps no longer suffice. It does not speed up while somebody comes
+    over.
 
     Attributes:
         path: the line that it steers to, moving sideways with 1 m/s at most [m].
@@ -55,6 +56,8 @@ class SoundLaneChanger(CarefulHuman):
         acceleration, _ = CarefulHuman.__call__(self, observation)
         self.wanted = observation.speed_limit
         ego, width = observation.ego, observation.lane_width
+        if any(_comes_over(ego, other) for other in observation.others):
+            acceleration = self.acceleration = min(acceleration, 0.0)
         if self.origin is None:
             self._consider(observation)
         elif self._is_committed(ego, width):
@@ -108,6 +111,13 @@ class SoundLaneChanger(CarefulHuman):
             self.path = centre
         step = self.SIDEWAYS * self.step
         self.path += max(min(centre - self.path, step), -step)
+
+
+def _comes_over(ego: VehicleState, other: VehicleState) -> bool:
+    """Whether a vehicle beside or ahead moves sideways towards the ego's track, in which it would be close."""
+    sideways = other.speed * math.sin(other.heading) * (1 if other.y < ego.y else -1)
+    gap = other.x - ego.x - (ego.length + other.length) / 2
+    return sideways > 0.3 and -(ego.length + other.length) < gap < 2 * ego.speed
 
 
 def _moves_sideways(other: VehicleState, centre: float) -> bool:
