@@ -1,0 +1,38 @@
+"""The negative control that changes lanes: it overtakes where there is room, and only there."""
+
+import math
+
+import pytest
+
+from pytest_pafot.world import Observation, VehicleState
+from tests.support.sound_driver import SoundLaneChanger
+
+HZ, WIDTH = 15, 4.0
+SLOW_LEADER = (90.0, 3, 12.0)
+QUEUE = tuple((-30.0 * place, 2, 26.0) for place in range(1, 9))
+
+
+def lanes(*others, speed=22.0, seconds=25.0):
+    """The lane at each tick, the rightmost first, among others who keep lane and speed: ahead [m], lane, speed."""
+    driver, x, y, heading, seen = SoundLaneChanger(), 0.0, 3 * WIDTH, 0.0, []
+    for tick in range(round(seconds * HZ)):
+        time = tick / HZ
+        states = [VehicleState(ahead + v * time, lane * WIDTH, 0.0, v, lane, 5.0, 2.0) for ahead, lane, v in others]
+        ego = VehicleState(x, y, heading, speed, round(y / WIDTH), 5.0, 2.0)
+        acceleration, steering = driver(Observation(time, ego, tuple(states), 4, WIDTH, 26.8))
+        slip = math.atan(math.tan(steering) / 2)
+        x, y = x + speed * math.cos(heading + slip) / HZ, y + speed * math.sin(heading + slip) / HZ
+        heading, speed = heading + speed * math.sin(slip) / 2.5 / HZ, speed + acceleration / HZ
+        seen.append(ego.lane)
+    return seen
+
+
+@pytest.mark.parametrize("beside", [(-250.0, 2, 22.0), (0.0, 0, 26.0)], ids=["far behind", "two lanes away"])
+def test_it_overtakes_a_slow_leader_on_the_left_and_comes_back(beside):
+    in_lane = lanes(SLOW_LEADER, beside)
+    assert set(in_lane) == {2, 3}
+    assert in_lane[-1] == 3
+
+
+def test_it_lets_pass_who_comes_from_behind():
+    assert set(lanes(SLOW_LEADER, *QUEUE, seconds=15.0)) == {3}
