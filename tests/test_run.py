@@ -9,8 +9,18 @@ from pytest_pafot import criticality
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import NoReferenceDriversError, Run
 from pytest_pafot.trace import AdsError, Outcome
-from tests.support.reference_runs import Drivers, closing, rammed
 from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
+
+
+def closing(ticks=30, **fields):
+    """The ego at 20 m/s behind an NPC at 10 m/s in its lane, and an NPC far behind on the left."""
+    return trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=ticks),
+        vehicle(26.0, 4.0, speed=10.0, ticks=ticks),
+        vehicle(-80.0, 0.0, speed=20.0, ticks=ticks),
+        scenario=scenario_of(2),
+        **fields,
+    )
 
 
 def crash(**fields):
@@ -44,23 +54,15 @@ def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
 
 
 def test_the_reference_drivers_are_tried_when_asked_for_and_once():
-    world = Drivers(calm=closing())
-    run = Run(closing(), world=world)
-    assert world.asked == []
-    assert run.preventable_by == run.preventable_by == ("calm",)
-    assert world.asked == ["calm"]
-
-
-def test_a_reference_driver_avoids_the_collision_or_is_hit_or_is_at_fault_itself():
-    drivers = Drivers(calm=closing(), unlucky=rammed(), blind=crash().trace, cut=closing(outcome=Outcome.INVALID))
-    at_fault, victim = Run(crash().trace, world=drivers), Run(rammed(), world=drivers)
-    assert at_fault.reference_drivers == {"calm": "avoids", "unlucky": "hit", "blind": "at-fault"}
-    assert (at_fault.responsibility, at_fault.preventable_by) == ("ego", ("calm", "unlucky"))
-    assert (victim.responsibility, victim.preventable_by) == ("npc", ("calm",))
+    asked = []
+    run = Run(closing(), prevent=lambda scenario: asked.append(scenario) or ("idm-aeb",))
+    assert asked == []
+    assert run.preventable_by == run.preventable_by == ("idm-aeb",)
+    assert asked == [run.scenario]
 
 
 def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
-    with pytest.raises(NoReferenceDriversError, match=r"use Run\(trace, world=world\)"):
+    with pytest.raises(NoReferenceDriversError, match=r"prevent=world\.preventable_by"):
         _ = Run(closing()).preventable_by
 
 
@@ -144,8 +146,9 @@ def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_t
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
         "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",
         "  hardest brake of the ego: 0.0 m/s^2",
-        "  responsible: ego, because from 0.0 s it was closer than the 47.1 m that RSS demands behind NPC 0",
-        "    and braked with 0.0 of 6.0 m/s^2",
+        "  responsible: ego, because from 0.0 s on the ego was 21.0 m behind NPC 0, closer than the 47.1 m",
+        "    that RSS demands; braking with 6 m/s^2 from 1.0 s on would have avoided it; the ego did not",
+        "    brake",
         "  from [s]  NPC 0                                NPC 1",
         "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",
@@ -186,6 +189,6 @@ def test_an_explanation_of_many_genes_shows_the_last_ones():
         scenario=scenario_of(1, genes=20, gene_seconds=1.0),
     )
     lines = Run(trace).explain().splitlines()
-    assert "(3 earlier)" in lines[2]
-    assert lines[3].split()[0] == "3.0"
+    assert "(4 earlier)" in lines[2]
+    assert lines[3].split()[0] == "4.0"
     assert lines[-2].split()[0] == "9.0"

@@ -1,25 +1,28 @@
-"""Would the vehicle behind have avoided a collision by braking? Against the other's motion as it was recorded.
+"""Would a driver have avoided a collision by braking? Against the other's motion as it was recorded.
 
-One dimension, along the road: braking is the proper response to whoever is ahead (Shalev-Shwartz et al. 2017), and
-braking harder or longer never brings a follower closer to its leader. So it is enough to brake to a standstill, and
-everything is a handful of array operations.
+Braking is the proper response to whoever is ahead (Shalev-Shwartz et al. 2017). The responder keeps its line, and is
+integrated as the world integrates: each step goes at the speed at its beginning.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.trace import FloatArray
 
-_Scalar = TypeVar("_Scalar", bound=np.generic)
+Direction = tuple[FloatArray, FloatArray]
+"""Cosine and sine of an angle, tick by tick."""
 
 HORIZON = 12.0
-"""How far the motions are followed beyond the impact [s]; longer than the calmest braking to a standstill takes."""
+"""How far the two are followed beyond the impact [s]; longer than the calmest braking to a standstill takes."""
+
+ALIKE = 0.1
+"""Whoever drove at most so much faster than the reference answered as it does [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +30,9 @@ class Braking:
     """How a driver responds.
 
     Attributes:
-        delay: from the moment at which there is something to respond to, until the brakes act [s].
-        deceleration: from then on [m/s^2].
+        delay: from the moment at which there is something to respond to, until the brakes have acted for a tick, so that
+            what the safe distance of RSS leaves room for is avoided in steps of time as well [s].
+        deceleration: from then on, while faster than the other [m/s^2].
         perception: first part of the delay, in which it may go on speeding up as it did [s].
     """
 
@@ -54,92 +58,120 @@ class Emergency:
     braking: Braking
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chase:
-    """A follower and a leader along the road, from the start of a run to their contact, or almost, at the last tick.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pursuit:
+    """A responder and another ahead of it, from the start of a run to their contact, or almost, at the last tick.
+
+    All arrays have the shape [ticks + 1].
 
     Attributes:
-        gap: between the boxes, leader's rear minus follower's front [m]; negative beside each other. Shape [ticks + 1].
-        abreast: whether the boxes overlap across the road, so that a gap of 0 is contact.
-        follower, leader: speeds [m/s].
-        leader_acceleration: [m/s^2].
+        ahead, right: of the other's centre from the responder's, along and across the road [m].
+        directions: of the responder and of the other, cosine and sine of the angle to the road.
+        speeds: likewise, along the road [m/s].
+        sizes: likewise, length and width [m].
         hz: ticks per second.
     """
 
-    gap: FloatArray
-    abreast: npt.NDArray[np.bool_]
-    follower: FloatArray
-    leader: FloatArray
-    leader_acceleration: FloatArray
+    ahead: FloatArray
+    right: FloatArray
+    directions: tuple[Direction, Direction]
+    speeds: tuple[FloatArray, FloatArray]
+    sizes: tuple[tuple[float, float], tuple[float, float]]
     hz: int
 
     def is_avoided(self, since: int, response: Braking, emergency: Emergency | None = None) -> bool:
-        """Whether the follower keeps off the leader by braking.
+        """Whether the responder keeps off the other by a response to what there is since a tick.
 
-        Since a tick there is something to respond to. During the delay of the response it drives as it did, except that
-        it does not speed up once it perceives the danger; then it brakes at least so hard, to a standstill, and harder
-        in an emergency. Beyond the last tick the leader goes on braking as it did then, or keeps its speed.
+        Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
+        one lane and keeps its speed. The responder is followed until it is no faster, at most 12 s. One that drove no
+        faster than the reference from when its answer was due has answered, whatever came of it.
         """
-        ticks = len(self.gap) + math.ceil(HORIZON * self.hz) - since
-        leader = self._extended(self.leader, since, ticks)
-        beyond = np.arange(ticks) - (len(self.gap) - 1 - since)
-        braking = min(float(self.leader_acceleration[-1]), 0.0)
-        leader = np.where(beyond > 0, np.maximum(leader + braking * beyond / self.hz, 0.0), leader)
-        recorded = self._extended(self.follower, since, ticks)
-        perceives = round(response.perception * self.hz)
-        recorded[perceives:] = np.minimum(recorded[perceives:], recorded[perceives])
-        speed = self._braked(recorded, 0, response)
-        if emergency is not None:
-            speed = self._with_emergencies(speed, leader, since, response, emergency)
-        touching = (self._gap(since, speed, leader) <= 0) & self._extended(self.abreast, since, ticks)
-        return not touching.any()
+        due, end = since + round(response.delay * self.hz), len(self.ahead) - 1
+        if due >= end:
+            return False
+        speeds, lost = self._driven(since, response, emergency)
+        recorded = end - since + 1
+        if (self.speeds[0][due:] <= speeds[due - since : recorded] + ALIKE).all():
+            return False
+        if self._touches(slice(since, end + 1), lost[:recorded]):
+            return False
+        length = (self.sizes[0][0] + self.sizes[1][0]) / 2
+        later = self.ahead[-1] - length + lost[recorded:]  # here lost also counts what the other gained
+        return bool((later > 0).all())
 
-    def _with_emergencies(
-        self, speed: FloatArray, leader: FloatArray, since: int, response: Braking, emergency: Emergency
-    ) -> FloatArray:
-        """Braking harder in each emergency, and calmly again after it."""
-        calm = Braking(delay=0.0, deceleration=response.deceleration)
-        brakes_hard = self._extended(self.leader_acceleration, since, len(speed)) < -emergency.leader_braking
-        over = 0
-        while True:
-            closing = speed - leader
-            near = (closing > 0) & (self._gap(since, speed, leader) < emergency.time_to_contact * closing)
-            begin = _first_lasting((near | brakes_hard)[over:], math.ceil(emergency.perception * self.hz))
-            if begin is None:
-                return speed
-            acts = over + begin + round(emergency.braking.delay * self.hz)
-            speed = self._braked(speed, over + begin, emergency.braking)
-            ends = np.flatnonzero(speed[acts:] <= leader[acts:])
-            if not ends.size:
-                return speed
-            over = acts + int(ends[0])
-            held = np.where(np.arange(len(speed)) < over, speed, speed[over])
-            speed = self._braked(held, over, calm)
+    def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
+        """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.
 
-    def _braked(self, speed: FloatArray, begin: int, braking: Braking) -> FloatArray:
-        """Speeds as given until the delay is over, then braking at least so hard."""
-        acts = begin + round(braking.delay * self.hz)
-        if acts >= len(speed):
-            return speed
-        later = np.arange(len(speed) - acts) * (braking.deceleration / self.hz)
-        braked = speed.copy()
-        braked[acts:] = np.maximum(np.minimum(speed[acts:], speed[acts] - later), 0.0)
-        return braked
+        Until its answer is due it drives as recorded, but never speeds up once it has perceived the danger.
+        """
+        hz, recorded, other = self.hz, self._lists[0][since:], self._lists[1][since:]
+        end, perceives, due = len(recorded) - 1, round(response.perception * hz), round(response.delay * hz)
+        alarm = None if emergency is None else Alarm(self, since, emergency)
+        speed, back, speeds, lost = recorded[0], 0.0, [recorded[0]], [0.0]
+        for tick in range(end + math.ceil(HORIZON * hz)):
+            leader, is_recorded = other[min(tick, end)], tick < end
+            if tick >= end and speed <= leader:
+                break
+            deceleration = response.deceleration if tick + 1 >= due else 0.0
+            if alarm is not None and alarm.acts(tick, speed, leader, back):
+                deceleration = alarm.deceleration
+            back += ((recorded[tick] if is_recorded else leader) - speed) / hz
+            wanted = max(speed - deceleration / hz, 0.0) if speed > leader else speed
+            if is_recorded and tick + 1 < due:
+                wanted = recorded[tick + 1] if tick < perceives else min(wanted, recorded[tick + 1])
+            speed = wanted
+            speeds.append(speed)
+            lost.append(back)
+        return np.array(speeds), np.array(lost)
 
-    def _gap(self, since: int, speed: FloatArray, leader: FloatArray) -> FloatArray:
-        """With the follower at other speeds from a tick on; each step goes at the speed at its beginning."""
-        gained = np.cumsum(leader - speed) / self.hz
-        gap: FloatArray = self.gap[since] + np.concatenate(([0.0], gained[:-1]))
-        return gap
+    @cached_property
+    def _lists(self) -> tuple[list[float], list[float]]:
+        """Speeds as lists, which are faster one by one."""
+        return self.speeds[0].tolist(), self.speeds[1].tolist()
 
-    def _extended(self, values: npt.NDArray[_Scalar], since: int, ticks: int) -> npt.NDArray[_Scalar]:
-        """From a tick on, with the last value held."""
-        recorded = values[since:]
-        return np.concatenate((recorded, np.repeat(recorded[-1:], ticks - len(recorded))))
+    def _touches(self, ticks: slice, lost: FloatArray) -> bool:
+        """Whether the boxes touch at any tick, with the responder further back."""
+        responder, other = self.sizes
+        ahead, right = self.ahead[ticks] + lost, self.right[ticks]
+        reach = (math.hypot(*responder) + math.hypot(*other)) / 2
+        near = (np.abs(ahead) <= reach) & (np.abs(right) <= reach)
+        if not near.any():
+            return False
+        still = np.zeros(int(near.sum()))
+        places = (still, still), (ahead[near], right[near])
+        boxes = (
+            Boxes(
+                x=x, y=y, cos=cos[ticks][near], sin=sin[ticks][near], vx=still, vy=still,
+                half_length=still + length / 2, half_width=still + width / 2,
+            )
+            for (x, y), (cos, sin), (length, width) in zip(places, self.directions, self.sizes, strict=True)
+        )  # fmt: skip
+        return bool(overlaps(relate(*boxes)).any())
 
 
-def _first_lasting(holds: npt.NDArray[np.bool_], ticks: int) -> int | None:
-    """Where a condition first begins to hold for so many ticks; None if it never does."""
-    count = np.concatenate(([0], np.cumsum(holds)))
-    lasting = np.flatnonzero(count[ticks:] - count[:-ticks] == ticks)
-    return int(lasting[0]) if lasting.size else None
+class Alarm:
+    """Tells a responder, tick by tick, whether it brakes for an emergency."""
+
+    def __init__(self, pursuit: Pursuit, since: int, emergency: Emergency) -> None:
+        hz = pursuit.hz
+        self.deceleration = emergency.braking.deceleration
+        self._emergency = emergency
+        self._lasting, self._delay = math.ceil(emergency.perception * hz), round(emergency.braking.delay * hz)
+        length = (pursuit.sizes[0][0] + pursuit.sizes[1][0]) / 2
+        self._gaps = (pursuit.ahead[since:] - length).tolist()
+        other = pursuit.speeds[1]
+        self._brakings = (-np.diff(other, prepend=other[:1])[since:] * hz).tolist()
+        self._held, self._from = 0, math.inf
+
+    def acts(self, tick: int, speed: float, leader: float, back: float) -> bool:
+        """Whether the emergency's braking acts in the step from a tick, for a responder that is so many metres further back."""
+        last, emergency = len(self._gaps) - 1, self._emergency
+        gap, closing = self._gaps[min(tick, last)] + back, speed - leader
+        is_near = closing > 0 and gap < emergency.time_to_contact * closing
+        is_critical = is_near or (tick <= last and self._brakings[tick] > emergency.leader_braking)
+        self._held = self._held + 1 if is_critical else 0
+        if self._held >= self._lasting:
+            self._from = min(self._from, tick - self._held + 1 + self._delay)
+        if tick >= self._from and closing <= 0:
+            self._from, self._held = math.inf, 0
+        return tick + 1 >= self._from

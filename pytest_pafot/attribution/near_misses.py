@@ -41,8 +41,8 @@ class NearMiss:
 def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
     """The worst near-miss of each fault, in the order of the faults' names.
 
-    A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by the rules 3 and 4
-    of :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego's front had touched the NPC when the
+    A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego's front had touched the NPC when the
     danger was most severe. The danger that ended in the impact of the run is none of these.
     """
     by_severity = sorted(_all(trace), key=lambda each: (each.fault, -each.severity))  # stable: of equals the first

@@ -1,30 +1,37 @@
 """Who caused a collision, by written rules over the trace.
 
-:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation.md tells both with their
-sources.
+:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/verdicts.md tells the rules clause by
+clause, with their sources; the numbers in comments are its sections.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from pytest_pafot.attribution.avoidance import Braking, Chase, Emergency
+from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
+from pytest_pafot.attribution.lane_changes import DRIFTING, KEEPING, KEPT_SECONDS, LaneChange, LanePlaces
+from pytest_pafot.attribution.needless_braking import (
+    REACTION,
+    STANDING_SPEED,
+    Stop,
+    braking,
+    hard_braking,
+    long_stop,
+    reasons,
+)
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import ACCELERATION, LANE, OFFSET, Trace, X, Y
+from pytest_pafot.trace import Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
 
-Fault = Literal["entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-hard"]
-"""What the ego answers for: it moved sideways into somebody's way; it did not respond properly to a cut-in, or to a
-vehicle ahead in its lane; it braked harder than anybody may with nothing ahead."""
-
-STANDING_SPEED = 0.1
-"""Up to this speed [m/s] the ego counts as standing."""
+Fault = Literal["entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-for-nothing", "stopped-for-nothing"]
+"""What the ego answers for: it changed lanes into somebody's way; it did not respond properly to a cut-in, or to a
+vehicle ahead in its lane; it braked hard, or stopped, with nothing in its way."""
 
 DISTANCES = RssRules(ego_response=1.0, npc_response=1.0, acceleration=0.0, least_braking=6.0, hardest_braking=8.0)
 """The safe distances of attribution. The usual two seconds behind a leader of equal speed must never be a fault: with
@@ -49,16 +56,14 @@ EMERGENCY = Emergency(
 
 GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
 """What a lane change may ask of the one behind in the other lane (UN R79, 5.6.4.7)."""
-
-LEAVING = 0.375
-"""A cut-in can be told from wandering in the lane from this offset to the lane's centre on (UN R157) [m]."""
-
-DRIFTING = 0.3
-"""Lateral speed towards the other, below which a vehicle keeps its place in the lane [m/s]."""
+HEADWAY = 1.0
+"""What is to be left between the two when the one behind has slowed down, in seconds of the mover's driving [s]."""
+TOGETHER = 1.0
+"""Two that crossed into one lane within that time both did [s]."""
+BRAKES = 0.5
+"""What the sentences call braking, at least [m/s^2]."""
 SPED_UP = 0.3
-"""Gain of speed after a cut-in that the explanation names [m/s]."""
-SHARE = 0.25
-"""Share of the lateral closing speed, below which it is the other's doing."""
+"""What they call speeding up, at least [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +72,8 @@ class Attribution:
 
     Attributes:
         responsibility: for the collision.
-        tick, time: from which on the situation was dangerous [s]; None without a collision.
+        tick, time: of what the reason begins with [s]: a lane change, a braking, or when the danger began; None without
+            a collision.
         reason: the end of a sentence that begins with "because".
         fault: of the ego; None where it does not answer for the collision.
     """
@@ -80,37 +86,26 @@ class Attribution:
 
 
 def rss_rule(trace: Trace) -> Attribution:
-    """Who is responsible by Responsibility-Sensitive Safety: who made it dangerous and did not respond properly.
+    """Who is responsible: who made it dangerous, and did not respond properly.
 
-    1. Nobody without a collision; the NPC where the ego stood (at most 0.1 m/s).
-    2. The danger began at the first tick of the last stretch of time, up to the impact, in which the longitudinal and
-       the lateral distance both were shorter than :data:`DISTANCES` asks for.
-    3. If they were side by side then, or the lateral distance was the last to break, who moved sideways towards the
-       other owes an answer: at least 0.3 m/s and a quarter of the closing speed. Both moved: both are responsible.
-
-       - The ego moved: it is responsible, except where an NPC behind would not have touched it with 3 m/s^2 after
-         0.4 s. Such a lane change is allowed, also while the NPC moves into that lane.
-       - The NPC moved: it is responsible, except where it was ahead, the ego's front hit it, and calm braking with
-         3 m/s^2, in an emergency with 6 m/s^2, would have avoided that, once the cut-in could be seen.
-    4. Otherwise the follower owes an answer. The ego as follower is responsible if the proper response, 6 m/s^2 after
-       1 s, would have avoided the collision. As the leader it is not, except where it braked harder than 8 m/s^2
-       with nothing ahead and the follower had no chance.
-
-    Whether braking would have avoided the collision is computed from the other's motion as recorded. So what was
-    unsafe at the start is never the ego's by that alone: it must have had the time to respond.
+    The danger began at the first tick of the last stretch of time, up to the impact, in which the longitudinal and the
+    lateral distance both were shorter than :data:`DISTANCES` asks for (Responsibility-Sensitive Safety). If it had
+    begun when the two came into one track, whoever changed lanes into it answers for that, unless it gave way to the
+    one behind, or was the leader long enough for that one to respond; and an ego that a careful driver's braking would
+    have saved from a cut-in answers for that. Otherwise the follower does, where 6 m/s^2 after 1 s would have avoided
+    it. A leading ego answers for braking hard, or stopping, with nothing in its way; otherwise not, and not while it
+    stands. Each clause, its source and its numbers are in docs/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
-    arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulation No. 157 (numbers of a careful driver).
+    arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
+    (numbers of a careful driver); Vienna Convention on Road Traffic, Art. 17 (braking for nothing).
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
     dangers, collision = Dangers(trace), trace.collision
     safe = np.flatnonzero(~dangers.is_dangerous[:-1, collision.npc])
     start = int(safe[-1]) + 1 if safe.size else 0
-    conflict = Conflict(dangers, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front")
-    if collision.ego_speed <= STANDING_SPEED:
-        return conflict.attributed("npc", f"the ego was standing ({collision.ego_speed:.1f} m/s) at the impact")
-    return conflict.attribution
+    return Conflict(dangers, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front").attribution
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -156,138 +151,246 @@ class Conflict:
 
     def __init__(self, dangers: Dangers, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
         """``by_ego_front`` is whether it was, or would have been, the ego's front that hit."""
-        frame, trace, past = dangers.frame, dangers.trace, slice(end + 1)
         self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
-        self._by_ego_front = by_ego_front
-        self._name, self._hz = f"NPC {npc}", trace.physics_hz
-        self._when = f"{start / self._hz:.1f} s"
+        self._frame, self._trace, self._hz = dangers.frame, dangers.trace, dangers.trace.physics_hz
+        self._by_ego_front, self._name = by_ego_front, f"NPC {npc}"
         self._before = max(start - 1, 0)  # the last safe tick, from which on a response counts
-        self._ahead = frame.ahead[npc, past]
-        self._ego_is_behind = bool(self._ahead[start] >= 0)
-        self._speeds = frame.speed[0, past], frame.speed[npc + 1, past]
-        self._accelerations = trace.ego[past, ACCELERATION], trace.npcs[past, npc, ACCELERATION]
-        self._half_lengths = (frame.half_along[0] + frame.half_along[npc + 1])[past]
-        self._gap, self._safe = dangers.along[start, npc], dangers.safe_along[start, npc]
-        self._abreast = dangers.across[past, npc] <= 0
-        self._abreast[-1] = True  # they touched there, or are judged as if they had
-        side = 1.0 if frame.right[npc, start] >= 0 else -1.0
-        ego, other = side * frame.drift[0, start], -side * frame.drift[npc + 1, start]
-        self._towards = max(float(ego), 0.0), max(float(other), 0.0)  # lateral speeds when the danger began [m/s]
+        apart = np.flatnonzero(dangers.across[:end, npc] > 0)
+        self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
+        self._side = 1.0 if self._frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
+        self._lanes = LanePlaces(self._trace, self._frame)
 
-    def attributed(self, responsibility: Responsibility, reason: str, fault: Fault | None = None) -> Attribution:
-        """An attribution since the first tick of this danger."""
-        time = self._start / self._hz
-        return Attribution(responsibility=responsibility, tick=self._start, time=time, reason=reason, fault=fault)
+    @cached_property
+    def attribution(self) -> Attribution:
+        """By the rules of docs/verdicts.md."""
+        if self._onset == 0 or self._start > self._onset:
+            return self._in_one_lane()  # the danger came later, or was there when the run began
+        ego, npc = self._change(0), self._change(self._npc + 1)
+        if ego is not None and npc is not None:
+            if abs(ego.tick - npc.tick) <= TOGETHER * self._hz:
+                return self._both_changed(ego, npc)
+            ego, npc = (ego, None) if ego.tick > npc.tick else (None, npc)
+        if ego is not None:
+            return self._ego_changed(ego)
+        if npc is not None:
+            return self._npc_changed(npc)
+        return self._strayed() if self._gap(self._onset) <= 0 else self._in_one_lane()
+
+    # Lane changes.
+
+    def _change(self, vehicle: int) -> LaneChange | None:
+        npc = self._npc + 1
+        other, side = (npc, self._side) if vehicle == 0 else (0, -self._side)
+        return self._lanes.change(vehicle, other, side, self._onset)
+
+    def _both_changed(self, ego: LaneChange, npc: LaneChange) -> Attribution:
+        if self._leads(ego.tick) and self._gives_way(ego):
+            return self._gave_way(ego)
+        when = f"at {self._at(ego.tick)} the ego and at {self._at(npc.tick)} {self._name} crossed a lane line"
+        reason = f"{when} towards each other ({ego.drift:.1f} and {npc.drift:.1f} m/s sideways)"
+        return self._attributed("both", ego.tick, reason, "entered-lane")
+
+    def _ego_changed(self, change: LaneChange) -> Attribution:
+        crossed, tick = self._crossed(change), change.tick
+        if not self._leads(tick):
+            return self._attributed("ego", tick, crossed, "entered-lane")
+        if self._gives_way(change):
+            return self._gave_way(change)
+        crossed = f"{crossed}, where giving way takes {self._room(change):.1f} m"
+        kept = self._lanes.kept_since(0, tick, self._end)
+        if kept is None:
+            return self._attributed("ego", tick, crossed, "entered-lane")
+        since = max(kept, self._before)
+        if not self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
+            late = f"and {self._name} could not avoid it any more when the ego kept the lane"
+            return self._attributed("ego", tick, f"{crossed}, {late}", "entered-lane")
+        kept_from = kept - round(KEPT_SECONDS * self._hz)
+        kept_lane = f"the ego had kept its lane from {self._at(kept_from)} on"
+        return self._npc_followed(since, kept_from, f"{kept_lane}, and {self._name}'s {self._would(since)}")
+
+    def _gave_way(self, change: LaneChange) -> Attribution:
+        gave = f"{self._crossed(change)}, more than the {self._room(change):.1f} m that giving way takes"
+        return self._npc_followed(max(change.tick, self._before), change.tick, gave)
+
+    def _npc_changed(self, change: LaneChange) -> Attribution:
+        crossed, tick = self._crossed(change), change.tick
+        if self._gap(tick) > 0 and self._leads(tick):
+            return self._npc_followed(max(tick, self._before), tick, crossed)
+        if self._gap(tick) <= 0 or not self._by_ego_front:
+            return self._excused(tick, crossed)
+        seen, pursuit = self._seen(change), self._pursuit(by_ego=True)
+        kept = tick if self._gives_way(change) else self._lanes.kept_since(self._npc + 1, tick, self._end)
+        due = seen + round(CUT_OFF.delay * self._hz)
+        if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
+            demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
+            would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
+            return self._blamed_unless_standing(tick, f"{crossed}; {would}", "cut-in-unanswered")
+        if kept is not None and pursuit.is_avoided(max(kept, self._before), FOLLOWING):
+            since = max(kept, self._before)
+            would = f"{self._would(since)}; {self._answer(since)}"
+            return self._blamed_unless_standing(tick, f"{crossed}; {would}", "leader-unanswered")
+        return self._excused(tick, f"{crossed}, too late to avoid it")
+
+    def _strayed(self) -> Attribution:
+        """Side by side without a lane change: by slow drift, or in lanes that come together."""
+        tick, right = self._onset, self._side
+        ego, npc = (
+            self._lanes.over_line(vehicle, side, tick) for vehicle, side in ((0, right), (self._npc + 1, -right))
+        )
+        drifts = self._frame.drift[0, tick], self._frame.drift[self._npc + 1, tick]
+        if ego == npc:
+            ego = right * drifts[0] >= -right * drifts[1] + DRIFTING
+            npc = not ego
+        if npc:
+            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, side by side")
+        reason = f"at {self._at(tick)} the ego came sideways into {self._name}, side by side"
+        return self._blamed_unless_standing(tick, reason, "entered-lane")
+
+    def _gives_way(self, change: LaneChange) -> bool:
+        return self._gap(change.tick) >= self._room(change)
+
+    def _room(self, change: LaneChange) -> float:
+        """What a lane change ahead of another has to leave [m] (UN R79, 5.6.4.7)."""
+        mover, behind = (0, self._npc + 1) if change.vehicle == 0 else (self._npc + 1, 0)
+        speed = float(self._frame.speed[mover, change.tick])
+        faster = max(float(self._frame.speed[behind, change.tick]) - speed, 0.0)
+        needed = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration) + speed * HEADWAY
+        return max(needed, 0.0)
+
+    def _seen(self, change: LaneChange) -> int:
+        """When a cut-in can be told from wandering in the lane; at the latest when it crosses the lane line."""
+        left = -self._side * self._lanes.offset(change.vehicle)[change.began : change.tick]
+        seen = np.flatnonzero(left > KEEPING)
+        return change.began + int(seen[0]) if seen.size else change.tick
+
+    def _is_too_late(self, seen: int) -> bool:
+        """Whether nobody can answer a cut-in that is seen at a tick, for its time to collision."""
+        frame = self._frame
+        closing = float(frame.speed[0, seen] - frame.speed[self._npc + 1, seen])
+        hardest = EMERGENCY.braking.deceleration
+        return closing > 0 and self._gap(seen) <= closing * (CUT_OFF.delay + closing / (2 * hardest))
+
+    # One behind the other.
+
+    def _in_one_lane(self) -> Attribution:
+        if self._leads(self._start):
+            reason = self._close_behind(self._name, "the ego")
+            return self._npc_followed(self._before, self._start, reason)
+        since, close = self._before, self._close_behind("the ego", self._name)
+        if self._pursuit(by_ego=True).is_avoided(since, FOLLOWING):
+            reason = f"{close}; {self._would(since)}; {self._answer(since)}"
+            return self._blamed_unless_standing(self._start, reason, "leader-unanswered")
+        began = " as the run began" if self._start == 0 else ""
+        return self._excused(self._start, f"{close}{began}, and no response could avoid it")
+
+    def _npc_followed(self, since: int, tick: int, reason: str) -> Attribution:
+        """The ego led, and the NPC owes an answer since a tick; unless the ego braked, or stopped, for nothing."""
+        stop = hard_braking(self._trace, self._start - round(REACTION * self._hz), self._end)
+        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1)):
+            peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
+            braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
+            return self._needless(stop, since, braked, "braked-for-nothing")
+        stop = long_stop(self._trace, self._end)
+        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.end + 1)):
+            stood = (self._end - stop.end) / self._hz
+            stopped = f"from {self._at(stop.begin)} the ego braked to a standstill with nothing in its way"
+            return self._needless(stop, since, f"{stopped} and stood for {stood:.1f} s", "stopped-for-nothing")
+        return self._excused(tick, reason)
+
+    def _is_needless(self, stop: Stop, ticks: slice) -> bool:
+        """Whether the NPC was behind, the ego never regained its speed, and nothing was a reason to brake."""
+        speed = self._frame.speed[0]
+        if not self._leads(stop.begin) or speed[self._end] >= speed[stop.begin]:
+            return False
+        ticks = slice(max(ticks.start - round(REACTION * self._hz), 0), ticks.stop)
+        return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
+
+    def _needless(self, stop: Stop, since: int, reason: str, fault: Fault) -> Attribution:
+        if self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
+            return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(since)}", fault)
+        return self._attributed("ego", stop.begin, f"{reason}, and {self._name} behind could not avoid it", fault)
+
+    # What the sentences are made of.
+
+    def _attributed(
+        self, responsibility: Responsibility, tick: int, reason: str, fault: Fault | None = None
+    ) -> Attribution:
+        return Attribution(responsibility=responsibility, tick=tick, time=tick / self._hz, reason=reason, fault=fault)
+
+    def _blamed_unless_standing(self, tick: int, reason: str, fault: Fault) -> Attribution:
+        return self._excused(tick, reason) if self._stands else self._attributed("ego", tick, reason, fault)
+
+    def _excused(self, tick: int, reason: str) -> Attribution:
+        if self._stands:
+            speed = float(self._frame.speed[0, self._end])
+            return self._attributed("npc", tick, f"the ego was standing ({abs(speed):.1f} m/s) at the impact")
+        return self._attributed("npc", tick, reason)
 
     @property
-    def attribution(self) -> Attribution:
-        """By the rules 3 and 4 of :func:`rss_rule`."""
-        dangers, start, npc = self._dangers, self._start, self._npc
-        to_npc, to_ego = self._towards
-        lateral_last = start > 0 and not dangers.is_beside[start - 1, npc]
-        by_moving = lateral_last or dangers.across[start, npc] > 0
-        ego_moved, npc_moved = (by_moving and s >= max(DRIFTING, SHARE * sum(self._towards)) for s in self._towards)
-        is_ahead = not self._ego_is_behind and self._gap > 0
-        if ego_moved and is_ahead and self._chase(by_ego=False).is_avoided(self._start, GIVING_WAY):
-            return self.attributed(
-                "npc",
-                f"at {self._when} the ego moved sideways towards {self._name} ({to_npc:.1f} m/s), {self._gap:.1f} m "
-                f"ahead of it, which {self._name} could have met with {GIVING_WAY.deceleration:.0f} m/s^2 of braking",
+    def _stands(self) -> bool:
+        return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
+
+    def _crossed(self, change: LaneChange) -> str:
+        """That a vehicle changed lanes, and where the other was then."""
+        mover, other = ("the ego", self._name) if change.vehicle == 0 else (self._name, "the ego")
+        tick, gap = change.tick, self._gap(change.tick)
+        place = "side by side"
+        if gap > 0:
+            is_ahead = self._leads(tick) == (change.vehicle == 0)
+            faster = float(self._frame.speed[0, tick] - self._frame.speed[self._npc + 1, tick])
+            faster = faster if change.vehicle == 0 else -faster
+            pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}"
+            place = f"{gap:.1f} m {'ahead' if is_ahead else 'behind'}, {pace}"
+        crossed = f"at {self._at(tick)} {mover} crossed the lane line towards {other}"
+        return f"{crossed} ({change.drift:.1f} m/s sideways), {place}"
+
+    def _close_behind(self, follower: str, leader: str) -> str:
+        gap, safe = max(self._gap(self._start), 0.0), self._dangers.safe_along[self._start, self._npc]
+        when, place = self._at(self._start), f"{gap:.1f} m behind {leader}"
+        return f"from {when} on {follower} was {place}, closer than the {safe:.1f} m that RSS demands"
+
+    def _would(self, since: int) -> str:
+        due = self._at(since + round(FOLLOWING.delay * self._hz))
+        return f"braking with {FOLLOWING.deceleration:.0f} m/s^2 from {due} on would have avoided it"
+
+    def _answer(self, since: int) -> str:
+        """What the ego did since a tick, in words."""
+        slowed = braking(self._trace)[since + 1 : self._end + 1]
+        braked = np.flatnonzero(slowed >= BRAKES)
+        if braked.size:
+            return (
+                f"the ego braked from {self._at(since + int(braked[0]))} on with up to {float(slowed.max()):.1f} m/s^2"
             )
-        if ego_moved and npc_moved:
-            return self.attributed(
-                "both",
-                f"at {self._when} the ego and {self._name} moved sideways into each other "
-                f"({to_npc:.1f} and {to_ego:.1f} m/s)",
-                "entered-lane",
-            )
-        if ego_moved:
-            where = f"{self._gap:.1f} m ahead of it, where RSS demands {self._safe:.1f} m" if is_ahead else self._place
-            reason = f"at {self._when} the ego moved sideways towards {self._name} ({to_npc:.1f} m/s), {where}"
-            return self.attributed("ego", reason, "entered-lane")
-        if npc_moved:
-            return self._npc_moved()
-        return self._ego_followed() if self._ego_is_behind else self._npc_followed()
+        speed = self._frame.speed[0, since : self._end + 1]
+        if float(speed.max()) > float(speed[0]) + SPED_UP:
+            return f"the ego sped up to {float(speed.max()):.1f} m/s"
+        return "the ego did not brake"
 
-    def _npc_moved(self) -> Attribution:
-        how = f"sideways towards the ego ({self._towards[1]:.1f} m/s), {self._place}"
-        moved = f"at {self._when} {self._name} moved {how}"
-        if not self._ego_is_behind or not self._by_ego_front:
-            return self.attributed("npc", moved)
-        offset = np.abs(_lane_offset(self._dangers.trace, self._npc, slice(self._start, self._end + 1)))
-        left = np.flatnonzero(offset > LEAVING)
-        seen = self._start + (int(left[0]) if left.size else 0)  # from the start where it never left a lane's centre
-        if not self._chase(by_ego=True).is_avoided(seen, CUT_OFF, EMERGENCY):
-            return self.attributed("npc", f"{moved}, too late to avoid it")
-        demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
-        speed = self._speeds[0][min(seen + round(CUT_OFF.perception * self._hz), self._end) :]
-        highest = float(speed.max())
-        sped_up = highest > speed[0] + SPED_UP
-        driven = f"speeding up to {highest:.1f} m/s" if sped_up else f"{self._mean_braking(seen, CUT_OFF):.1f}"
-        return self.attributed(
-            "ego", f"{moved}, but {demanded} instead of {driven} would have avoided it", "cut-in-unanswered"
-        )
+    def _at(self, tick: int) -> str:
+        return f"{tick / self._hz:.1f} s"
 
-    def _ego_followed(self) -> Attribution:
-        safe = f"the {self._safe:.1f} m"
-        if self._chase(by_ego=True).is_avoided(self._before, FOLLOWING):
-            braked = f"{self._mean_braking(self._before, FOLLOWING):.1f} of {FOLLOWING.deceleration:.1f} m/s^2"
-            reason = f"from {self._when} it was closer than {safe} that RSS demands behind {self._name}"
-            return self.attributed("ego", f"{reason} and braked with {braked}", "leader-unanswered")
-        if self._start == 0:
-            return self.attributed("npc", f"the run began closer than {safe} that RSS demands, with no time to respond")
-        return self.attributed(
-            "npc", f"from {self._when} {safe} of RSS were gone, and no response could avoid {self._name}"
-        )
+    def _gap(self, tick: int) -> float:
+        """Between the boxes along the road [m], negative side by side."""
+        frame, npc = self._frame, self._npc
+        half = frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
+        return float(abs(frame.ahead[npc, tick]) - half)
 
-    def _npc_followed(self) -> Attribution:
-        dangers, during = self._dangers, slice(self._start, self._end + 1)
-        hardest = float(-self._accelerations[0][self._start :].min())
-        # Whether anybody was ahead in the ego's track and closer than RSS allows, at any tick of the danger.
-        is_close = (dangers.along < dangers.safe_along) & (dangers.frame.ahead.T > 0)
-        had_reason = bool((is_close & dangers.is_beside)[during].any())
-        too_hard = hardest > DISTANCES.hardest_braking and not had_reason
-        if too_hard and not self._chase(by_ego=False).is_avoided(self._before, FOLLOWING):
-            return self.attributed(
-                "ego",
-                f"it braked with {hardest:.1f} of at most {DISTANCES.hardest_braking:.1f} m/s^2 with nothing ahead, "
-                f"and {self._name} behind had no chance",
-                "braked-hard",
-            )
-        reason = f"{self._name} was closer than the {self._safe:.1f} m that RSS demands behind the ego"
-        return self.attributed("npc", f"from {self._when} {reason}")
+    def _leads(self, tick: int) -> bool:
+        """Whether the ego is the one ahead."""
+        return bool(self._frame.ahead[self._npc, tick] < 0)
 
-    def _chase(self, *, by_ego: bool) -> Chase:
+    def _pursuit(self, *, by_ego: bool) -> Pursuit:
         """The ego behind the NPC, or the NPC behind the ego."""
-        follower, leader = (0, 1) if by_ego else (1, 0)
-        return Chase(
-            gap=(self._ahead if by_ego else -self._ahead) - self._half_lengths,
-            abreast=self._abreast,
-            follower=self._speeds[follower],
-            leader=self._speeds[leader],
-            leader_acceleration=self._accelerations[leader],
+        frame, npc, past, way = self._frame, self._npc, slice(self._end + 1), 1.0 if by_ego else -1.0
+        vehicles = (0, npc + 1) if by_ego else (npc + 1, 0)
+        first, second = ((frame.cos[vehicle, past], frame.sin[vehicle, past]) for vehicle in vehicles)
+        responder, other = (frame.speed[vehicle, past] for vehicle in vehicles)
+        own, theirs = ((float(length), float(width)) for length, width in self._trace.sizes[list(vehicles)])
+        return Pursuit(
+            ahead=way * frame.ahead[npc, past],
+            right=way * frame.right[npc, past],
+            directions=(first, second),
+            speeds=(responder, other),
+            sizes=(own, theirs),
             hz=self._hz,
         )
-
-    @property
-    def _place(self) -> str:
-        """Where the NPC was along the road when the danger began."""
-        return "side by side" if self._gap <= 0 else f"{self._gap:.1f} m {'ahead' if self._ego_is_behind else 'behind'}"
-
-    def _mean_braking(self, since: int, response: Braking) -> float:
-        """The ego's, from when its response was due to the end [m/s^2]."""
-        due = min(since + round(response.delay * self._hz), self._end - 1)
-        speed = self._speeds[0]
-        seconds = (self._end - due) / self._hz
-        return max(float(speed[due] - speed[-1]) / seconds, 0.0)
-
-
-def _lane_offset(trace: Trace, npc: int, ticks: slice) -> npt.NDArray[np.float64]:
-    """Distance of an NPC to the centre of the lane that it is in, signed [m], in a part of a run; NaN off the road."""
-    rows, lanes = trace.npcs[ticks, npc], trace.lanes
-    if trace.track is not None:
-        return np.where(rows[:, LANE] < 0, np.nan, trace.track[ticks, npc + 1, OFFSET])
-    index = rows[:, LANE].astype(int)
-    x, y, heading = (np.array([getattr(lane, name) for lane in lanes])[index] for name in ("x", "y", "heading"))
-    offset = (rows[:, Y] - y) * np.cos(heading) - (rows[:, X] - x) * np.sin(heading)
-    return np.where(rows[:, LANE] < 0, np.nan, offset)

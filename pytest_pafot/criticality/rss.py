@@ -94,7 +94,10 @@ class RoadFrame:
 
     Attributes:
         ahead, right: of the NPC's centre from the ego's [m].
-        speed, drift: of each vehicle, along the road and to its right [m/s].
+        cos, sin: of each vehicle's angle to the road, where it is itself.
+        speed: of each vehicle, along the road [m/s].
+        drift: of each vehicle, to the right of the road, as it has moved since the tick before, slip included; at the
+            first tick by where it points [m/s].
         half_along, half_across: half extents of each box [m].
 
     Gaps and safe distances have the shape [ticks + 1, NPCs].
@@ -105,14 +108,24 @@ class RoadFrame:
         boxes = encounters.boxes
         self.ahead, self.right = encounters.ahead, encounters.right
         if trace.track is None:
-            cos, sin = encounters.road
-            self.speed, self.drift = boxes.vx * cos + boxes.vy * sin, boxes.vy * cos - boxes.vx * sin
-            cos, sin = boxes.cos * cos + boxes.sin * sin, boxes.sin * cos - boxes.cos * sin
-        else:  # each vehicle by the road's direction where it is itself
+            road_cos, road_sin = encounters.road
+            self.cos, self.sin = (
+                boxes.cos * road_cos + boxes.sin * road_sin,
+                boxes.sin * road_cos - boxes.cos * road_sin,
+            )
+        else:
             angle = trace.track[:, :, ANGLE].T
-            cos, sin = np.cos(angle), np.sin(angle)
-            self.speed, self.drift = encounters.speed * cos, encounters.speed * sin
-        cos, sin = np.abs(cos), np.abs(sin)
+            self.cos, self.sin = np.cos(angle), np.sin(angle)
+            road_cos, road_sin = (
+                boxes.cos * self.cos + boxes.sin * self.sin,
+                boxes.sin * self.cos - boxes.cos * self.sin,
+            )
+        speed = encounters.speed
+        self.speed, self.drift = speed * self.cos, speed * self.sin
+        before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
+        right = np.diff(encounters.y) * road_cos[:, before] - np.diff(encounters.x) * road_sin[:, before]
+        self.drift[:, 1:] = right * trace.physics_hz
+        cos, sin = np.abs(self.cos), np.abs(self.sin)
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 

@@ -22,7 +22,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from pytest_pafot.attribution.responsibility import EMERGENCY, LEAVING
+from pytest_pafot.attribution.lane_changes import KEEPING
+from pytest_pafot.attribution.responsibility import EMERGENCY
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
@@ -333,7 +334,7 @@ def matters_to(ego: VehicleState, other: VehicleState, lane_width: float) -> boo
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
-    return next_lane and offset > LEAVING and _towards(ego, other) > 0
+    return next_lane and offset > KEEPING and _towards(ego, other) > 0
 
 
 def _along(vehicle: VehicleState) -> float:

@@ -1,33 +1,37 @@
-"""Would braking have helped? Checked against stepping through time."""
+"""Would braking have helped? Checked against stepping through time with polygons."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.avoidance import Braking, Chase, Emergency
+from pytest_pafot.attribution.avoidance import ALIKE, HORIZON, Braking, Emergency, Pursuit
+from tests.support.polygons import corners, polygon_distance
 
 HZ = 15
+SIZE = (5.0, 2.0)
 CALM = Braking(delay=1.0, deceleration=3.0)
-EMERGENCY = Emergency(
-    time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.0, deceleration=6.0)
-)
+HARD = Braking(delay=1.0, deceleration=6.0)
+EMERGENCY = Emergency(time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=HARD)
 
 
-def chase(gap, follower, leader, braking=0.0, *, seconds=30.0, abreast=True):
-    """A follower at constant speed and a leader that brakes, until they touch."""
+def pursuit(gap, responder, leader, braking=0.0, *, seconds=30.0, right=0.0, angle=0.0):
+    """A responder at constant speed, or at given ones, and a leader that brakes, until they touch."""
     times = np.arange(round(seconds * HZ) + 1) / HZ
-    speeds = np.maximum(leader - braking * times, 0.0)
-    gaps = gap + np.concatenate(([0.0], np.cumsum(speeds - follower)[:-1])) / HZ
-    end = int(np.argmax(gaps <= 0)) + 1 if (gaps <= 0).any() else len(gaps)
-    return Chase(
-        gap=gaps[:end],
-        abreast=np.full(end, abreast),
-        follower=np.full(end, float(follower)),
-        leader=speeds[:end],
-        leader_acceleration=np.where(speeds[:end] > 0, -braking, 0.0),
+    speeds, own = np.maximum(leader - braking * times, 0.0), np.broadcast_to(responder, times.shape).astype(float)
+    ahead = SIZE[0] + gap + np.concatenate(([0.0], np.cumsum(speeds - own)[:-1])) / HZ
+    touching = ahead <= SIZE[0]
+    end = int(np.argmax(touching)) + 1 if touching.any() and abs(right) <= SIZE[1] else len(ahead)
+    flat, turned = np.zeros(end), np.full(end, angle)
+    return Pursuit(
+        ahead=ahead[:end],
+        right=np.full(end, right),
+        directions=((flat + 1.0, flat), (np.cos(turned), np.sin(turned))),
+        speeds=(own[:end], speeds[:end]),
+        sizes=(SIZE, SIZE),
         hz=HZ,
     )
 
@@ -40,86 +44,114 @@ def stopping_gap(speed, response):
 @pytest.mark.parametrize("speed", [5.0, 15.0, 25.0])
 def test_standing_leaders_are_avoided_from_the_stopping_distance_on(speed):
     needed = stopping_gap(speed, CALM)
-    assert chase(needed + speed / HZ + 0.1, speed, 0.0).is_avoided(0, CALM)
-    assert not chase(needed - 0.1, speed, 0.0).is_avoided(0, CALM)
+    assert pursuit(needed, speed, 0.0).is_avoided(0, CALM)
+    assert not pursuit(needed - speed / HZ - 0.1, speed, 0.0).is_avoided(0, CALM)
 
 
 def test_time_lost_counts():
-    run = chase(stopping_gap(20.0, CALM) + 5.0, 20.0, 0.0)
+    run = pursuit(stopping_gap(20.0, CALM) + 5.0, 20.0, 0.0)
     assert run.is_avoided(0, CALM)
     assert not run.is_avoided(round(0.5 * HZ), CALM)
 
 
-def test_a_contact_before_the_brakes_act_cannot_be_avoided():
-    assert not chase(5.0, 20.0, 10.0).is_avoided(0, CALM)
+def test_an_answer_that_is_due_at_the_impact_or_later_avoids_nothing():
+    run = pursuit(5.0, 20.0, 10.0)
+    assert len(run.ahead) <= HZ
+    assert not run.is_avoided(0, CALM)
 
 
-def test_boxes_that_pass_beside_each_other_do_not_touch():
-    assert chase(5.0, 20.0, 10.0, abreast=False).is_avoided(0, CALM)
+def test_boxes_that_pass_beside_each_other_do_not_touch_up_to_the_end_of_the_recording():
+    beside = pursuit(5.0, 20.0, 10.0, right=3.0, seconds=1.0 + 2 / HZ)
+    assert (np.abs(beside.right) > SIZE[1]).all()
+    assert not beside.is_avoided(0, CALM), "after the impact the other is in the responder's lane"
+    assert beside.is_avoided(0, Braking(delay=0.0, deceleration=15.0))
 
 
-def test_a_leader_goes_on_braking_as_it_did_after_the_recording():
-    """The follower is off the leader when the recording ends, and would hit it afterwards."""
-    slows, keeps = chase(25.0, 20.0, 20.0, 4.0), chase(25.0, 20.0, 20.0, 4.0)
-    keeps = Chase(
-        gap=keeps.gap,
-        abreast=keeps.abreast,
-        follower=keeps.follower,
-        leader=keeps.leader,
-        leader_acceleration=np.zeros(len(keeps.gap)),
-        hz=HZ,
-    )
-    assert not slows.is_avoided(0, CALM)
-    assert keeps.is_avoided(0, CALM)
+def test_boxes_are_as_they_were_turned():
+    """A box across the road reaches a metre and a half less far along it, and further to the side."""
+    along, across = (pursuit(20.0, 20.0, 10.0, angle=angle, seconds=2.0) for angle in (0.0, math.pi / 2))
+    brakes = Braking(delay=1.0, deceleration=3.5)
+    assert not along.is_avoided(0, brakes)
+    assert replace(across, right=along.right + 3.4).is_avoided(0, replace(brakes, deceleration=9.0))
+
+
+def test_a_leader_keeps_its_speed_after_the_recording():
+    run = pursuit(25.0, 20.0, 20.0, 4.0)
+    assert run.is_avoided(0, CALM)
+    assert not pursuit(25.0, 20.0, run.speeds[1][-1]).is_avoided(0, CALM)
 
 
 def test_an_emergency_is_met_by_harder_braking():
-    run = chase(35.0, 20.0, 20.0, 6.5)
+    run = pursuit(20.0, 20.0, 20.0, 6.5)
     assert not run.is_avoided(0, CALM)
     assert run.is_avoided(0, CALM, EMERGENCY)
 
 
 def test_what_does_not_last_is_not_perceived():
-    run = chase(31.0, 20.0, 20.0, 4.0)
-    flash = run.leader_acceleration.copy()
-    flash[:4] = -9.0
-    assert not Chase(
-        gap=run.gap, abreast=run.abreast, follower=run.follower, leader=run.leader, leader_acceleration=flash, hz=HZ
-    ).is_avoided(0, CALM, Emergency(time_to_contact=0.0, leader_braking=5.0, perception=0.4, braking=EMERGENCY.braking))
+    run, flash = pursuit(20.0, 20.0, 20.0, 6.5), replace(EMERGENCY, time_to_contact=0.0)
+    assert run.is_avoided(0, CALM, flash)
+    assert not run.is_avoided(0, CALM, replace(flash, perception=5.0))
 
 
-def test_a_follower_that_speeds_up_in_the_delay_is_not_excused_by_it():
-    run = chase(60.0, 20.0, 0.0)
-    faster = np.linspace(20.0, 30.0, len(run.gap))
-    accelerating = Chase(
-        gap=run.gap,
-        abreast=run.abreast,
-        follower=faster,
-        leader=run.leader,
-        leader_acceleration=run.leader_acceleration,
-        hz=HZ,
-    )
-    assert accelerating.is_avoided(0, CALM) == run.is_avoided(0, CALM)
+def test_a_responder_that_speeds_up_in_the_delay_is_not_excused_by_it():
+    speeding = np.minimum(20.0 + np.arange(30 * HZ + 1) / HZ, 30.0)
+    assert pursuit(60.0, 20.0, 0.0).is_avoided(0, HARD)
+    assert pursuit(60.0, speeding, 0.0).is_avoided(0, HARD)
 
 
-@given(gap=st.floats(1, 100), follower=st.floats(1, 35), leader=st.floats(0, 35), braking=st.floats(0, 8))
-def test_it_agrees_with_stepping_through_time(gap, follower, leader, braking):
-    run = chase(gap, follower, leader, braking, seconds=20.0)
-    room, speed, other = gap, float(follower), float(leader)
-    last = -run.leader_acceleration[-1]
-    touched = False
-    for tick in range(len(run.gap) + 12 * HZ):
-        touched |= room <= 0
-        room += (other - speed) / HZ
-        if tick >= CALM.delay * HZ:
-            speed = max(speed - CALM.deceleration / HZ, 0.0)
-        slows = braking if tick < len(run.gap) - 1 else last
-        other = max(other - slows / HZ, 0.0)
-    assert run.is_avoided(0, CALM) != touched or math.isclose(room, 0.0, abs_tol=1e-6)
+def test_braking_after_the_impact_is_not_the_recorded_driver_s_merit():
+    """One that braked with 9 m/s^2 before its answer was due did more than the reference would have."""
+    times = np.arange(30 * HZ + 1) / HZ
+    braked = pursuit(16.0, np.maximum(20.0 - 9.0 * times, 0.0), 4.0)
+    assert len(braked.ahead) > 1.4 * HZ
+    assert not braked.is_avoided(0, Braking(delay=1.4, deceleration=6.0))
 
 
-@given(gap=st.floats(1, 100), follower=st.floats(1, 35), leader=st.floats(0, 35), braking=st.floats(0, 8))
-def test_more_braking_never_hurts(gap, follower, leader, braking):
-    run = chase(gap, follower, leader, braking)
-    harder = Braking(delay=CALM.delay, deceleration=6.0)
-    assert run.is_avoided(0, harder) >= run.is_avoided(0, CALM, EMERGENCY) >= run.is_avoided(0, CALM)
+speeds = st.floats(0, 35)
+
+
+@given(
+    gap=st.floats(5, 60),
+    leader=st.floats(0, 20),
+    braking=st.floats(0, 8),
+    own=st.floats(15, 35),
+    wobble=st.integers(0, 99),
+)
+def test_whoever_is_at_most_as_fast_as_the_reference_from_when_its_answer_was_due_is_not_told_to_brake(
+    gap, leader, braking, own, wobble
+):
+    """The reference is stepped through anew: what it drives behind the recorded other."""
+    rng, speed, driven = np.random.default_rng(wobble), own, []
+    for tick in range(10 * HZ + 1):
+        driven.append(speed + (rng.uniform(-2.0, ALIKE) if tick >= HZ else 0.0))
+        other = max(leader - braking * tick / HZ, 0.0)
+        speed = max(speed - 6.0 / HZ, 0.0) if tick + 1 >= HZ and speed > other else speed
+    slower = pursuit(gap, np.maximum(driven, 0.0), leader, braking, seconds=10.0)
+    assume(len(slower.ahead) <= 10 * HZ)
+    assert not slower.is_avoided(0, HARD)
+
+
+@given(
+    gap=st.floats(1, 50), own=st.floats(15, 35), leader=st.floats(0, 20), braking=st.floats(0, 8),
+    right=st.floats(-1.9, 1.9), angle=st.floats(-0.3, 0.3),
+)  # fmt: skip
+def test_it_agrees_with_stepping_through_time(gap, own, leader, braking, right, angle):
+    run = pursuit(gap, own, leader, braking, seconds=10.0, right=right, angle=angle)
+    end, touched, place, other, speed = len(run.ahead) - 1, False, 0.0, float(run.ahead[0]), float(own)
+    assume(HZ < end < 10 * HZ)
+    for tick in range(end + round(HORIZON * HZ) + 1):
+        leads = float(run.speeds[1][min(tick, end)])
+        side, turned = (right, angle) if tick <= end else (0.0, 0.0)
+        boxes = corners((place, 0.0, 0.0)), corners((other, side, turned))
+        touched |= abs(other - place) < 6.0 and polygon_distance(*boxes) == 0
+        if touched or (tick >= end and speed <= leads):
+            break
+        place, other = place + speed / HZ, other + leads / HZ
+        speed = max(speed - 3.0 / HZ, 0.0) if tick + 1 >= HZ and speed > leads else speed
+    assert run.is_avoided(0, CALM) != touched
+
+
+@given(gap=st.floats(1, 100), own=st.floats(1, 35), leader=speeds, braking=st.floats(0, 8))
+def test_more_braking_never_hurts(gap, own, leader, braking):
+    run = pursuit(gap, own, leader, braking)
+    assert run.is_avoided(0, HARD) >= run.is_avoided(0, CALM, EMERGENCY) >= run.is_avoided(0, CALM)

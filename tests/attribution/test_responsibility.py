@@ -24,7 +24,8 @@ class TestInOneLane:
         assert found.responsibility == "ego"
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
         assert found.reason == (
-            "from 4.8 s it was closer than the 47.1 m that RSS demands behind NPC 0 and braked with 0.0 of 6.0 m/s^2"
+            "from 4.8 s on the ego was 47.0 m behind NPC 0, closer than the 47.1 m that RSS demands; "
+            "braking with 6 m/s^2 from 5.7 s on would have avoided it; the ego did not brake"
         )
 
     def test_an_ego_that_does_not_brake_behind_a_braking_leader_is_responsible(self):
@@ -36,12 +37,12 @@ class TestInOneLane:
         ego = driven(0.0, brakes=[(3.0, 3.0, 0.0)])
         found = rss_rule(crash(ego, driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
         assert found.responsibility == "ego"
-        assert "braked with 3.0 of 6.0 m/s^2" in found.reason
+        assert found.reason.endswith("the ego braked from 3.0 s on with up to 3.0 m/s^2")
 
     def test_an_ego_that_was_too_close_from_the_start_had_no_time(self):
         found = rss_rule(crash(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])))
         assert (found.responsibility, found.tick) == ("npc", 0)
-        assert "no time to respond" in found.reason
+        assert found.reason.endswith("as the run began, and no response could avoid it")
 
     def test_an_ego_that_was_too_close_from_the_start_and_had_time_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, 8.0, 0.0)])))
@@ -50,28 +51,45 @@ class TestInOneLane:
     def test_an_npc_that_runs_into_the_ego_from_behind_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
-        assert "NPC 0 was closer than the" in found.reason
+        assert "NPC 0 was 55.0 m behind the ego, closer than the 57.3 m that RSS demands" in found.reason
 
-    def test_an_npc_that_runs_into_a_braking_ego_is_responsible(self):
-        ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
+    def test_an_npc_that_runs_into_a_gently_braking_ego_is_responsible(self):
+        ego = driven(0.0, brakes=[(2.0, 5.0, 5.0)])
         assert rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR)).responsibility == "npc"
 
-    def test_an_ego_that_brakes_harder_than_anybody_may_expect_is_responsible(self):
+    def test_an_ego_that_brakes_hard_for_nothing_is_responsible_where_the_npc_had_no_chance(self):
         ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
         found = rss_rule(crash(ego, driven(-74.0, speed=38.0), side="rear", cell=Cell.REAR))
-        assert found.responsibility == "ego"
-        assert "9.8 of at most 8.0 m/s^2 with nothing ahead" in found.reason
+        assert (found.responsibility, found.fault, found.time) == ("ego", "braked-for-nothing", 2.0)
+        assert found.reason == (
+            "from 2.0 s the ego braked with up to 9.8 m/s^2 with nothing in its way, and NPC 0 behind could not avoid it"
+        )
 
-    def test_an_ego_that_brakes_so_for_somebody_ahead_is_not(self):
+    def test_both_are_where_the_npc_could_have_avoided_it(self):
+        ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
+        found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
+        assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
+        assert found.reason.endswith("NPC 0's braking with 6 m/s^2 from 3.3 s on would have avoided it")
+
+    @pytest.mark.parametrize(
+        "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
+    )
+    def test_an_ego_that_brakes_hard_for_somebody_ahead_is_not(self, ahead):
         ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
-        behind, ahead = driven(-74.0, speed=38.0), driven(160.0, speed=2.0)
-        assert rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR)).responsibility == "npc"
+        trace = crash(ego, driven(-74.0, speed=38.0), ahead, side="rear", cell=Cell.REAR)
+        assert rss_rule(trace).responsibility == "npc"
 
-    def test_a_standing_ego_is_never_responsible(self):
-        ego = driven(0.0, brakes=[(1.0, 8.0, 0.0)])
+    def test_a_standing_ego_is_not_responsible_for_less_than_three_seconds(self):
+        ego = driven(0.0, brakes=[(1.0, 4.5, 0.0)])
         found = rss_rule(crash(ego, driven(-80.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
         assert found.reason == "the ego was standing (0.0 m/s) at the impact"
+
+    def test_an_ego_that_stops_for_nothing_is(self):
+        ego = driven(0.0, brakes=[(1.0, 4.5, 0.0)])
+        found = rss_rule(crash(ego, driven(-200.0), side="rear", cell=Cell.REAR))
+        assert (found.responsibility, found.fault, found.time) == ("both", "stopped-for-nothing", 1.0)
+        assert "the ego braked to a standstill with nothing in its way and stood for 7.6 s" in found.reason
 
     @pytest.mark.parametrize("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
     def test_two_seconds_behind_a_leader_of_equal_speed_are_safe_at_any_speed(self, speed):
@@ -86,16 +104,18 @@ class TestCutIn:
         npc = driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == "npc"
-        assert found.time == pytest.approx(2.0, abs=0.1)
+        assert found.time == pytest.approx(2.4, abs=0.1)
         assert (
-            found.reason == "at 2.0 s NPC 0 moved sideways towards the ego (1.0 m/s), 3.0 m ahead, too late to avoid it"
+            found.reason == "at 2.4 s NPC 0 crossed the lane line towards the ego (2.0 m/s sideways), 2.9 m ahead, "
+            "0.1 m/s slower, too late to avoid it"
         )
 
     def test_an_ego_that_does_not_brake_for_seconds_after_a_cut_in_is_responsible(self):
         npc = driven(25.0, LEFT, brakes=[(9.0, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
         assert found.responsibility == "ego"
-        assert found.reason.endswith("but braking with 3 to 6 m/s^2 instead of 0.0 would have avoided it")
+        would = "braking with 3 to 6 m/s^2 from 3.6 s on would have avoided it; the ego did not brake"
+        assert found.reason.endswith(would)
 
     def test_a_slow_vehicle_that_cuts_in_far_ahead_is_the_ego_s_to_avoid(self):
         npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])
@@ -105,14 +125,16 @@ class TestCutIn:
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "ego"
-        assert "the ego moved sideways towards NPC 0 (1.0 m/s), " in found.reason
-        assert " m ahead of it, where RSS demands " in found.reason
+        assert found.reason == (
+            "at 2.4 s the ego crossed the lane line towards NPC 0 (2.0 m/s sideways), 10.7 m ahead, 8.1 m/s slower, "
+            "where giving way takes 34.1 m"
+        )
 
     def test_an_ego_that_cuts_in_with_room_for_the_one_behind_is_not(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-45.0, speed=24.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
-        assert "could have met with 3 m/s^2 of braking" in found.reason
+        assert found.reason.endswith("30.3 m ahead, 4.1 m/s slower, more than the 24.3 m that giving way takes")
 
     def test_so_it_is_where_the_one_behind_comes_into_that_lane_at_the_same_time(self):
         ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-45.0, 8.0, speed=24.0, shifts=[(2.0, OWN, 2.0)])
@@ -122,7 +144,7 @@ class TestCutIn:
         npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
         assert found.responsibility == "ego"
-        assert "instead of speeding up to" in found.reason
+        assert found.reason.endswith("the ego sped up to 29.1 m/s")
 
     def test_an_ego_that_changes_lanes_into_a_slower_vehicle_ahead_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
@@ -135,7 +157,7 @@ class TestSideBySide:
     def test_an_ego_that_moves_into_a_vehicle_beside_it_is_responsible(self):
         found = rss_rule(crash(driven(0.0, shifts=[(1.0, LEFT, 3.0)]), driven(1.0, LEFT), side="left", cell=Cell.LEFT))
         assert found.responsibility == "ego"
-        assert found.reason.endswith("(1.3 m/s), side by side")
+        assert found.reason.endswith("(1.3 m/s sideways), side by side")
 
     def test_an_npc_that_moves_into_the_ego_beside_it_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(1.0, LEFT, shifts=[(1.0, OWN, 3.0)]), side="left", cell=Cell.LEFT))
@@ -145,7 +167,7 @@ class TestSideBySide:
         ego, npc = driven(0.0, shifts=[(1.0, 2.0, 2.0)]), driven(1.0, LEFT, shifts=[(1.0, 2.0, 2.0)])
         found = rss_rule(crash(ego, npc, side="left", cell=Cell.LEFT))
         assert found.responsibility == "both"
-        assert "(0.5 and 0.5 m/s)" in found.reason
+        assert found.reason.endswith("towards each other (1.0 and 1.0 m/s sideways)")
 
     def test_wandering_a_little_in_the_lane_is_no_lane_change(self):
         ego = driven(0.0, shifts=[(1.0, 3.8, 2.0)])
@@ -196,7 +218,7 @@ def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles)
     assert found.responsibility in ("ego", "npc", "both")
     assert 0 <= found.tick <= ticks
     assert found.time == found.tick / 15
-    assert len(found.reason) < 170
+    assert len(found.reason) < 230
     assert found.reason.isascii()
 
 

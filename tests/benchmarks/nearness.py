@@ -26,7 +26,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import Outcome
 
 SPACE = SearchSpace()
-FAULTS = ("entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-hard")
+FAULTS = ("entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-for-nothing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

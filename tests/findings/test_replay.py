@@ -29,7 +29,13 @@ def saved(run=None, failure=FAILS):
 
 
 FRONT = of_failure(crash(), FAILS)
-REAR = of_failure(crash(cell=Cell.REAR, side="rear", ego_speed=0.0), FAILS)
+HIT_STANDING = trace_of(
+    vehicle(0.0, 4.0, ticks=30),
+    vehicle(-26.0, 4.0, speed=10.0, ticks=30),
+    outcome=Outcome.COLLISION,
+    collision=collision_at(30, cell=Cell.REAR, side="rear", ego_speed=0.0),
+)
+REAR = of_failure(Run(HIT_STANDING), FAILS)
 """The ego stands, so that the NPC is responsible."""
 
 

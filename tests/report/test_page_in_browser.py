@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import ChanceView, Report
+from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.picture import picture_at
 from tests.report.builders import HOSTILE, bend_report, real_report
 from tests.support.browser import Browser, find_chromium
@@ -103,18 +103,6 @@ def test_a_time_outside_of_the_run_is_brought_into_it(opened, time):
     finding = real_report().findings[0]
     shown = opened(f"#finding={finding.id}&t={time}").evaluate(TIME)
     assert 0 <= shown <= finding.duration + 0.001
-
-
-def test_the_last_chance_is_marked_on_the_time_line_before_the_event(browser, tmp_path):
-    finding = replace(real_report().findings[0], last_chance=ChanceView(time=3.0, sentence="last chance 3.0 s: ..."))
-    path = tmp_path / "report.html"
-    path.write_text(render_page(Report(title="t", findings=(finding,))), encoding="utf-8")
-    page = browser.open(path.as_uri())
-    at = "Number(document.querySelector('article.current line.{}').getAttribute('x1'))"
-    assert 0 < page.evaluate(at.format("chance")) < page.evaluate(at.format("event"))
-    assert page.evaluate("document.querySelector('.chance-mark title').textContent") == "last chance 3.0 s: ..."
-    assert page.complaints == []
-    page.close()
 
 
 def test_keys_move_through_time(page):
@@ -262,7 +250,7 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     word = "x" * 300
     finding = replace(
         real_report().findings[0], headline=word, node_id=word, label=word, explanation=word, yaml=word, path=word,
-        command=word, prevention=word,
+        command=word, preventable_by=(word,),
     )  # fmt: skip
     campaign = replace(real_report().campaigns[0], node_id=word, warnings=(word,), outcomes=((word, 1),))
     report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), campaigns=(campaign,))

@@ -162,12 +162,12 @@ def test_who_came_near_to_a_fault_that_is_known_is_no_parent_for_that(make_evalu
     def evaluate(index, scenario):
         if index == 3:
             return make_evaluation(scenario, failing=True, kind="a", fault="entered-lane")
-        return make_evaluation(scenario, near_misses=(near("braked-hard", 0.2), near("entered-lane", 0.9)))
+        return make_evaluation(scenario, near_misses=(near("braked-for-nothing", 0.2), near("entered-lane", 0.9)))
 
     state = told(algorithm, algorithm.start(rng), evaluate, rng)
-    assert severities(state) == [("braked-hard", [0.2])]
+    assert severities(state) == [("braked-for-nothing", [0.2])]
     state = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("entered-lane", 1.0),)), rng)
-    assert severities(state) == [("braked-hard", [0.2])]
+    assert severities(state) == [("braked-for-nothing", [0.2])]
 
 
 @pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
