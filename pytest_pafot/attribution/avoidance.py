@@ -30,8 +30,8 @@ class Braking:
     """How a driver responds.
 
     Attributes:
-        delay: from the moment at which there is something to respond to, until the brakes have acted for a tick, so that
-            what the safe distance of RSS leaves room for is avoided in steps of time as well [s].
+        delay: from the moment at which there is something to respond to, until the brakes have acted for a tick, so
+            that what the safe distance of RSS leaves room for is avoided in steps of time as well [s].
         deceleration: from then on, while faster than the other [m/s^2].
         perception: first part of the delay, in which it may go on speeding up as it did [s].
     """
@@ -164,7 +164,7 @@ class Alarm:
         self._held, self._from = 0, math.inf
 
     def acts(self, tick: int, speed: float, leader: float, back: float) -> bool:
-        """Whether the emergency's braking acts in the step from a tick, for a responder that is so many metres further back."""
+        """Whether the emergency's braking acts in the step from a tick, for a responder so many metres further back."""
         last, emergency = len(self._gaps) - 1, self._emergency
         gap, closing = self._gaps[min(tick, last)] + back, speed - leader
         is_near = closing > 0 and gap < emergency.time_to_contact * closing

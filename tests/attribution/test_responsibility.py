@@ -62,7 +62,8 @@ class TestInOneLane:
         found = rss_rule(crash(ego, driven(-74.0, speed=38.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault, found.time) == ("ego", "braked-for-nothing", 2.0)
         assert found.reason == (
-            "from 2.0 s the ego braked with up to 9.8 m/s^2 with nothing in its way, and NPC 0 behind could not avoid it"
+            "from 2.0 s the ego braked with up to 9.8 m/s^2 with nothing in its way, "
+            "and NPC 0 behind could not avoid it"
         )
 
     def test_both_are_where_the_npc_could_have_avoided_it(self):
