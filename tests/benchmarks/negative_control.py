@@ -28,10 +28,12 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import LANE
-from pytest_pafot.world.reference_drivers import REFERENCES, Driver
+from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
 from tests.support.sound_driver import SoundLaneChanger
 
-DRIVERS: Mapping[str, Callable[[], Driver]] = MappingProxyType({**REFERENCES, "sound-lane-changer": SoundLaneChanger})
+DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
+    {**REFERENCES, "sound-lane-changer": SoundLaneChanger}
+)
 WORLD = Highway(ads_hz=15)
 FITNESS = resolve("default", responsible=is_ego_responsible)
 FAILURE = Failure(kind="AssertionError", assertion="assert not run.collision")
