@@ -25,8 +25,8 @@ class SoundLaneChanger(CarefulHuman):
     whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
     it, whoever is ahead must be farther than the safe distance, and whoever is behind farther than that and than one
     and a half times what giving way asks for. All that must have held for half a second. As long as its box can still
-    be kept in the own lane it goes back where the gaps no longer suffice. It does not speed up while somebody comes
-    over.
+    be kept in the own lane it goes back where the gaps no longer suffice. It follows without any delay, also whoever
+    comes over.
 
     Attributes:
         path: the line that it steers to, moving sideways with 1 m/s at most [m].
@@ -56,8 +56,7 @@ class SoundLaneChanger(CarefulHuman):
         acceleration, _ = CarefulHuman.__call__(self, observation)
         self.wanted = observation.speed_limit
         ego, width = observation.ego, observation.lane_width
-        if any(_comes_over(ego, other) for other in observation.others):
-            acceleration = self.acceleration = min(acceleration, 0.0)
+        self.acceleration = acceleration = min(acceleration, self._attentive(observation))
         if self.origin is None:
             self._consider(observation)
         elif self._is_committed(ego, width):
@@ -67,6 +66,16 @@ class SoundLaneChanger(CarefulHuman):
         self._move_path(self.lane * width)
         heading = math.asin(max(min(0.6 * (self.path - ego.y) / max(ego.speed, 3.0), 0.2), -0.2))
         return acceleration, 6.0 / max(ego.speed, 6.0) * (heading - ego.heading)
+
+    def _attentive(self, observation: Observation) -> float:
+        """What following asks for behind those in its track, and those who come over [m/s^2]: without any delay."""
+        ego, wish = observation.ego, math.inf
+        for index, other in enumerate(observation.others):
+            leader, comes_over = self.ahead(observation, index), _comes_over(ego, other)
+            if leader is not None and (comes_over or abs(other.y - ego.y) < (ego.width + other.width) / 2):
+                wish = min(wish, self.follow(ego.speed, leader))
+            wish = min(wish, 0.0) if comes_over else wish
+        return wish
 
     def _consider(self, observation: Observation) -> None:
         """Begin a lane change that is wanted and has had room for long enough."""
