@@ -70,6 +70,7 @@ class Pursuit:
         speeds: likewise, along the road [m/s].
         sizes: likewise, length and width [m].
         hz: ticks per second.
+        goes_on: whether the other, if it brakes at the last tick, does so afterwards.
     """
 
     ahead: FloatArray
@@ -78,13 +79,14 @@ class Pursuit:
     speeds: tuple[FloatArray, FloatArray]
     sizes: tuple[tuple[float, float], tuple[float, float]]
     hz: int
+    goes_on: bool = False
 
     def is_avoided(self, since: int, response: Braking, emergency: Emergency | None = None) -> bool:
         """Whether the responder keeps off the other by a response to what there is since a tick.
 
         Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
-        one lane and keeps its speed. The responder is followed until it is no faster, at most 12 s. One that drove no
-        faster than the reference from when its answer was due has answered, whatever came of it.
+        one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
+        One that drove no faster than the reference from when its answer was due has answered, whatever came of it.
         """
         due, end = since + round(response.delay * self.hz), len(self.ahead) - 1
         if due >= end:
@@ -107,10 +109,12 @@ class Pursuit:
         hz, recorded, other = self.hz, self._lists[0][since:], self._lists[1][since:]
         end, perceives, due = len(recorded) - 1, round(response.perception * hz), round(response.delay * hz)
         alarm = None if emergency is None else Alarm(self, since, emergency)
-        speed, back, speeds, lost = recorded[0], 0.0, [recorded[0]], [0.0]
+        slowing = max(other[-2] - other[-1], 0.0) if self.goes_on else 0.0
+        speed, leader, back, speeds, lost = recorded[0], other[0], 0.0, [recorded[0]], [0.0]
         for tick in range(end + math.ceil(HORIZON * hz)):
-            leader, is_recorded = other[min(tick, end)], tick < end
-            if tick >= end and speed <= leader:
+            is_recorded = tick < end
+            leader = other[tick] if tick <= end else max(leader - slowing, 0.0)
+            if tick >= end and speed <= leader and not (slowing and leader):
                 break
             deceleration = response.deceleration if tick + 1 >= due else 0.0
             if alarm is not None and alarm.acts(tick, speed, leader, back):
@@ -161,6 +165,7 @@ class Alarm:
         self._gaps = (pursuit.ahead[since:] - length).tolist()
         other = pursuit.speeds[1]
         self._brakings = (-np.diff(other, prepend=other[:1])[since:] * hz).tolist()
+        self._later = self._brakings[-1] if pursuit.goes_on else 0.0
         self._held, self._from = 0, math.inf
 
     def acts(self, tick: int, speed: float, leader: float, back: float) -> bool:
@@ -168,7 +173,8 @@ class Alarm:
         last, emergency = len(self._gaps) - 1, self._emergency
         gap, closing = self._gaps[min(tick, last)] + back, speed - leader
         is_near = closing > 0 and gap < emergency.time_to_contact * closing
-        is_critical = is_near or (tick <= last and self._brakings[tick] > emergency.leader_braking)
+        braking = self._brakings[tick] if tick <= last else self._later
+        is_critical = is_near or braking > emergency.leader_braking
         self._held = self._held + 1 if is_critical else 0
         if self._held >= self._lasting:
             self._from = min(self._from, tick - self._held + 1 + self._delay)

@@ -22,6 +22,8 @@ KEEPING = 0.375
 annex 4, appendix 3) [m]."""
 KEPT_SECONDS = 1.0
 """For so long, and the lane is the vehicle's [s]."""
+BETWEEN_SECONDS = 2.0
+"""Likewise for one that is not so near to the centre, but between the lane's lines [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,13 +32,13 @@ class LaneChange:
 
     Attributes:
         vehicle: which.
-        began: first tick of the motion.
-        tick: the moment: the first at which its box was over the last lane line that it crossed on its way.
+        seen: the tick from which on it could be told from wandering in the lane.
+        tick: the moment: from it on its box was over the last lane line that it crossed on its way.
         drift: sideways speed at the moment [m/s].
     """
 
     vehicle: int
-    began: int
+    seen: int
     tick: int
     drift: float
 
@@ -63,28 +65,41 @@ class LanePlaces:
         edge = side * self.offset(vehicle)[tick] + self.frame.half_across[vehicle, tick]
         return bool(edge > self._half_widths(vehicle)[tick])
 
-    def kept_since(self, vehicle: int, tick: int, end: int) -> int | None:
-        """The first tick by which the vehicle has kept its lane for a second since a tick; None if it never has."""
-        keeps = np.abs(self.offset(vehicle)[tick : end + 1]) <= KEEPING
-        lasting = first_lasting(keeps, round(KEPT_SECONDS * self.trace.physics_hz) + 1)
-        return None if lasting is None else tick + lasting + round(KEPT_SECONDS * self.trace.physics_hz)
+    def kept_since(self, vehicle: int, tick: int, end: int) -> tuple[int, int] | None:
+        """From when, and by when, the vehicle has kept its lane since a tick; None if it has not up to the end.
+
+        Near the lane's centre for a second, or between its lines for two.
+        """
+        offset = np.abs(self.offset(vehicle))
+        between = offset + self.frame.half_across[vehicle] <= self._half_widths(vehicle)
+        kept = []
+        for holds, seconds in ((offset <= KEEPING, KEPT_SECONDS), (between, BETWEEN_SECONDS)):
+            ticks = round(seconds * self.trace.physics_hz)
+            begin = first_lasting(holds[tick : end + 1], ticks + 1)
+            if begin is not None:
+                kept.append((tick + begin, tick + begin + ticks))
+        return min(kept, key=lambda each: each[1], default=None)
 
     def change(self, vehicle: int, other: int, side: float, onset: int) -> LaneChange | None:
         """How a vehicle came into the other's track, to one side (1: to the right), at a tick; None if it did not."""
         began = self._motion(vehicle, side, onset)
         if began is None:
             return None
-        edge = (side * self._across(vehicle) + self.frame.half_across[vehicle])[: onset + 1]
-        line = self._line_crossed(vehicle, side, max(began - 1, 0), onset)
-        if line is None:
-            if self.trace.track is None:
-                return None
-            # On a road that bends or joins another, a lane itself may lead into the other's.
-            line = float((side * self._centre(other) - self._half_widths(other))[onset])
-        beyond = np.flatnonzero(edge[began:] > line)
-        moment = began + int(beyond[0]) if beyond.size else onset
+        offset, half = side * self.offset(vehicle), self.frame.half_across[vehicle]
+        over = offset[began : onset + 1] + half[began : onset + 1] > self._half_widths(vehicle)[began : onset + 1]
+        if over.any():
+            last = int(np.flatnonzero(over)[-1])
+            moment = began + _run_start(over, last)
+        elif self.trace.track is not None:  # a lane itself may lead into the other's
+            line = (side * (self._across(other) - self.offset(other)) - self._half_widths(other))[onset]
+            beyond = (side * self._across(vehicle) + half)[began : onset + 1] > line
+            moment = began + int(beyond.argmax()) if beyond.any() else onset
+        else:
+            return None
+        left = offset[began : moment + 1] > KEEPING
+        seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])
-        return LaneChange(vehicle=vehicle, began=began, tick=moment, drift=drift)
+        return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""
@@ -95,22 +110,11 @@ class LanePlaces:
         breaks = np.flatnonzero(np.diff(moving) - 1 >= pause)
         return int(moving[breaks[-1] + 1] if breaks.size else moving[0])
 
-    def _line_crossed(self, vehicle: int, side: float, before: int, onset: int) -> float | None:
-        """The last lane line that the box is over, in metres to the side; None where it is still in its lane."""
-        centre, half = side * self._centre(vehicle), self._half_widths(vehicle)
-        is_over = self.over_line(vehicle, side, onset)
-        line = float(centre[onset] + (half[onset] if is_over else -half[onset]))
-        return None if line < centre[before] + half[before] / 2 else line
-
     def _across(self, vehicle: int) -> FloatArray:
         if self.trace.track is not None:
             return self.trace.track_of(vehicle)[:, ACROSS]
         states = self.trace.states[:, vehicle]
         return np.asarray(states[:, Y] * self._cos - states[:, X] * self._sin)
-
-    def _centre(self, vehicle: int) -> FloatArray:
-        """Of the lane that the vehicle is in, across the road [m]."""
-        return self._across(vehicle) - self.offset(vehicle)
 
     def _half_widths(self, vehicle: int) -> FloatArray:
         """Of the lane that the vehicle is in, or of the first one off the road [m]."""
@@ -124,6 +128,12 @@ class LanePlaces:
     @property
     def _sin(self) -> float:
         return float(np.sin(self.trace.lanes[0].heading))
+
+
+def _run_start(holds: npt.NDArray[np.bool_], tick: int) -> int:
+    """Where the stretch begins in which a condition holds up to a tick."""
+    fails = np.flatnonzero(~holds[:tick])
+    return int(fails[-1]) + 1 if fails.size else 0
 
 
 def first_lasting(holds: npt.NDArray[np.bool_], ticks: int) -> int | None:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, KEEPING, KEPT_SECONDS, LaneChange, LanePlaces
+from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces
 from pytest_pafot.attribution.needless_braking import (
     REACTION,
     STANDING_SPEED,
@@ -174,7 +174,7 @@ class Conflict:
             return self._ego_changed(ego)
         if npc is not None:
             return self._npc_changed(npc)
-        return self._strayed() if self._gap(self._onset) <= 0 else self._in_one_lane()
+        return self._strayed()
 
     # Lane changes.
 
@@ -186,6 +186,10 @@ class Conflict:
     def _both_changed(self, ego: LaneChange, npc: LaneChange) -> Attribution:
         if self._leads(ego.tick) and self._gives_way(ego):
             return self._gave_way(ego)
+        first, by_ego = (ego, False) if self._leads(self._onset) else (npc, True)
+        kept = self._lanes.kept_since(first.vehicle, max(ego.tick, npc.tick), self._end)
+        if kept is not None and self._pursuit(by_ego=by_ego).is_avoided(max(kept[1], self._before), FOLLOWING):
+            return self._duty_passed(first, kept)
         when = f"at {self._at(ego.tick)} the ego and at {self._at(npc.tick)} {self._name} crossed a lane line"
         reason = f"{when} towards each other ({ego.drift:.1f} and {npc.drift:.1f} m/s sideways)"
         return self._attributed("both", ego.tick, reason, "entered-lane")
@@ -200,50 +204,61 @@ class Conflict:
         kept = self._lanes.kept_since(0, tick, self._end)
         if kept is None:
             return self._attributed("ego", tick, crossed, "entered-lane")
-        since = max(kept, self._before)
-        if not self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
+        if not self._pursuit(by_ego=False).is_avoided(max(kept[1], self._before), FOLLOWING):
             late = f"and {self._name} could not avoid it any more when the ego kept the lane"
             return self._attributed("ego", tick, f"{crossed}, {late}", "entered-lane")
-        kept_from = kept - round(KEPT_SECONDS * self._hz)
-        kept_lane = f"the ego had kept its lane from {self._at(kept_from)} on"
-        return self._npc_followed(since, kept_from, f"{kept_lane}, and {self._name}'s {self._would(since)}")
+        return self._duty_passed(change, kept)
+
+    def _duty_passed(self, change: LaneChange, kept: tuple[int, int], reason: str = "") -> Attribution:
+        """To the one behind, who could still have avoided it when the one ahead had kept the lane for long enough."""
+        since, who = max(kept[1], self._before), self._name if change.vehicle else "the ego"
+        reason = reason or f"from {self._at(kept[0])} on {who} kept the lane ahead"
+        if change.vehicle == 0:
+            return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
+        reason = f"{reason}; {self._would(since)}; {self._answer(since)}"
+        return self._blamed_unless_standing(kept[0], reason, "leader-unanswered")
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         gave = f"{self._crossed(change)}, more than the {self._room(change):.1f} m that giving way takes"
-        return self._npc_followed(max(change.tick, self._before), change.tick, gave)
+        return self._npc_followed(change.tick, change.tick, gave)
 
     def _npc_changed(self, change: LaneChange) -> Attribution:
         crossed, tick = self._crossed(change), change.tick
         if self._gap(tick) > 0 and self._leads(tick):
-            return self._npc_followed(max(tick, self._before), tick, crossed)
+            return self._npc_followed(tick, tick, crossed)
         if self._gap(tick) <= 0 or not self._by_ego_front:
             return self._excused(tick, crossed)
-        seen, pursuit = self._seen(change), self._pursuit(by_ego=True)
-        kept = tick if self._gives_way(change) else self._lanes.kept_since(self._npc + 1, tick, self._end)
-        due = seen + round(CUT_OFF.delay * self._hz)
+        seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=True)
         if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
+            due = seen + round(CUT_OFF.delay * self._hz)
             demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
             would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
             return self._blamed_unless_standing(tick, f"{crossed}; {would}", "cut-in-unanswered")
-        if kept is not None and pursuit.is_avoided(max(kept, self._before), FOLLOWING):
-            since = max(kept, self._before)
-            would = f"{self._would(since)}; {self._answer(since)}"
-            return self._blamed_unless_standing(tick, f"{crossed}; {would}", "leader-unanswered")
+        gave_way = self._gives_way(change)
+        kept = (tick, tick) if gave_way else self._lanes.kept_since(self._npc + 1, tick, self._end)
+        if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
+            return self._duty_passed(change, kept, crossed if gave_way else "")
         return self._excused(tick, f"{crossed}, too late to avoid it")
 
     def _strayed(self) -> Attribution:
-        """Side by side without a lane change: by slow drift, or in lanes that come together."""
+        """Without a lane change: by slow drift, or in lanes that come together."""
         tick, right = self._onset, self._side
         ego, npc = (
             self._lanes.over_line(vehicle, side, tick) for vehicle, side in ((0, right), (self._npc + 1, -right))
         )
-        drifts = self._frame.drift[0, tick], self._frame.drift[self._npc + 1, tick]
-        if ego == npc:
+        place = "side by side"
+        if self._gap(tick) > 0:
+            avoidable = self._leads(tick) and self._pursuit(by_ego=False).is_avoided(self._before, FOLLOWING)
+            if not ego or npc or not self._leads(tick) or avoidable:
+                return self._in_one_lane()
+            place = f"{self._gap(tick):.1f} m ahead, and {self._name} could not avoid it"
+        elif ego == npc:
+            drifts = self._frame.drift[0, tick], self._frame.drift[self._npc + 1, tick]
             ego = right * drifts[0] >= -right * drifts[1] + DRIFTING
             npc = not ego
-        if npc:
-            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, side by side")
-        reason = f"at {self._at(tick)} the ego came sideways into {self._name}, side by side"
+        if not ego or npc:
+            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, {place}")
+        reason = f"at {self._at(tick)} the ego came sideways into {self._name}'s way, {place}"
         return self._blamed_unless_standing(tick, reason, "entered-lane")
 
     def _gives_way(self, change: LaneChange) -> bool:
@@ -257,12 +272,6 @@ class Conflict:
         needed = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration) + speed * HEADWAY
         return max(needed, 0.0)
 
-    def _seen(self, change: LaneChange) -> int:
-        """When a cut-in can be told from wandering in the lane; at the latest when it crosses the lane line."""
-        left = -self._side * self._lanes.offset(change.vehicle)[change.began : change.tick]
-        seen = np.flatnonzero(left > KEEPING)
-        return change.began + int(seen[0]) if seen.size else change.tick
-
     def _is_too_late(self, seen: int) -> bool:
         """Whether nobody can answer a cut-in that is seen at a tick, for its time to collision."""
         frame = self._frame
@@ -275,7 +284,7 @@ class Conflict:
     def _in_one_lane(self) -> Attribution:
         if self._leads(self._start):
             reason = self._close_behind(self._name, "the ego")
-            return self._npc_followed(self._before, self._start, reason)
+            return self._npc_followed(0, self._start, reason)
         since, close = self._before, self._close_behind("the ego", self._name)
         if self._pursuit(by_ego=True).is_avoided(since, FOLLOWING):
             reason = f"{close}; {self._would(since)}; {self._answer(since)}"
@@ -283,18 +292,18 @@ class Conflict:
         began = " as the run began" if self._start == 0 else ""
         return self._excused(self._start, f"{close}{began}, and no response could avoid it")
 
-    def _npc_followed(self, since: int, tick: int, reason: str) -> Attribution:
-        """The ego led, and the NPC owes an answer since a tick; unless the ego braked, or stopped, for nothing."""
+    def _npc_followed(self, duty: int, tick: int, reason: str) -> Attribution:
+        """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing."""
         stop = hard_braking(self._trace, self._start - round(REACTION * self._hz), self._end)
         if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1)):
             peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
             braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
-            return self._needless(stop, since, braked, "braked-for-nothing")
+            return self._needless(stop, duty, braked, "braked-for-nothing")
         stop = long_stop(self._trace, self._end)
         if stop is not None and self._is_needless(stop, slice(stop.begin, stop.end + 1)):
             stood = (self._end - stop.end) / self._hz
             stopped = f"from {self._at(stop.begin)} the ego braked to a standstill with nothing in its way"
-            return self._needless(stop, since, f"{stopped} and stood for {stood:.1f} s", "stopped-for-nothing")
+            return self._needless(stop, duty, f"{stopped} and stood for {stood:.1f} s", "stopped-for-nothing")
         return self._excused(tick, reason)
 
     def _is_needless(self, stop: Stop, ticks: slice) -> bool:
@@ -305,7 +314,8 @@ class Conflict:
         ticks = slice(max(ticks.start - round(REACTION * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
 
-    def _needless(self, stop: Stop, since: int, reason: str, fault: Fault) -> Attribution:
+    def _needless(self, stop: Stop, duty: int, reason: str, fault: Fault) -> Attribution:
+        since = max(duty, min(self._before, stop.begin))  # braking is something to answer, however far away
         if self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
             return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(since)}", fault)
         return self._attributed("ego", stop.begin, f"{reason}, and {self._name} behind could not avoid it", fault)
@@ -379,8 +389,8 @@ class Conflict:
         """Whether the ego is the one ahead."""
         return bool(self._frame.ahead[self._npc, tick] < 0)
 
-    def _pursuit(self, *, by_ego: bool) -> Pursuit:
-        """The ego behind the NPC, or the NPC behind the ego."""
+    def _pursuit(self, *, by_ego: bool, goes_on: bool = False) -> Pursuit:
+        """The ego behind the NPC, or the NPC behind the ego; ``goes_on`` with the braking of its last tick."""
         frame, npc, past, way = self._frame, self._npc, slice(self._end + 1), 1.0 if by_ego else -1.0
         vehicles = (0, npc + 1) if by_ego else (npc + 1, 0)
         first, second = ((frame.cos[vehicle, past], frame.sin[vehicle, past]) for vehicle in vehicles)
@@ -393,4 +403,5 @@ class Conflict:
             speeds=(responder, other),
             sizes=(own, theirs),
             hz=self._hz,
+            goes_on=goes_on,
         )

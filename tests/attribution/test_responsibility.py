@@ -70,7 +70,7 @@ class TestInOneLane:
         ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
         found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
         assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
-        assert found.reason.endswith("NPC 0's braking with 6 m/s^2 from 3.3 s on would have avoided it")
+        assert found.reason.endswith("NPC 0's braking with 6 m/s^2 from 3.0 s on would have avoided it")
 
     @pytest.mark.parametrize(
         "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
