@@ -10,6 +10,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+import pytest_pafot as pafot
 from example_ads import defects
 from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario
 
@@ -175,6 +176,32 @@ def test_the_healthy_one_drives_as_highway_envs_own(scenario):
     road = replace(ROAD, engine="highway-env")  # the kernel rounds as the C library does, and numpy may not
     healthy, stock = (road.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
     assert (healthy.states == stock.states).all()
+
+
+def never_collides(run):
+    assert not run.collision
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "fault", "npcs"),
+    [
+        ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
+        ("stops-in-its-lane", 3, "stopped-for-nothing", 1),
+        ("trusts-any-gap-behind", 3, "entered-lane", 2),
+    ],
+)
+def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, fault, npcs):
+    found = pafot.explore(
+        defects.make(name),
+        holds=never_collides,
+        blame="ego",
+        seed=seed,
+        generations=2,
+        genes=3,
+        shrink_rollouts=15,
+    ).findings
+    assert [finding.expect.signature.slug for finding in found] == [fault]
+    assert len(found[0].scenario.npcs) == npcs
 
 
 @pytest.mark.parametrize("name", DEFECTIVE)
