@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
@@ -51,8 +51,39 @@ class NoReferenceDriversError(RuntimeError):
     """The run does not know its world, so that no reference driver can be tried in it."""
 
 
-Prevent = Callable[[Scenario], tuple[str, ...]]
-"""Names of the reference drivers that survive a scenario."""
+class ReferenceWorld(Protocol):
+    """A world that can put reference drivers in the ego's place."""
+
+    @property
+    def reference_drivers(self) -> Sequence[str]:
+        """Their names."""
+
+    def rollout_reference(self, scenario: Scenario, name: str, /) -> Trace:
+        """Simulate a scenario with one of them."""
+
+
+ReferenceOutcome = Literal["avoids", "hit", "at-fault", "fails"]
+"""What becomes of a reference driver in the ego's place: it avoids the failure; it is hit, and an NPC is responsible;
+it answers for a collision itself, alone or with the NPC; or it fails the test function without a collision."""
+
+
+def preventing(outcomes: Iterable[tuple[str, ReferenceOutcome]], responsibility: str | None) -> Iterator[str]:
+    """Names of the reference drivers that would have prevented a failure.
+
+    They avoid it; or, where the ego answers for a collision, they are hit at most: what the ego did is no fault of
+    theirs then. To be hit as well prevents nothing where the ego itself was not at fault, or did not collide.
+    """
+    free: tuple[ReferenceOutcome, ...] = ("avoids", "hit") if responsibility in ("ego", "both") else ("avoids",)
+    return (name for name, outcome in outcomes if outcome in free)
+
+
+def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
+    """What became of a reference driver, by its run and by whether that fails."""
+    if not fails:
+        return "avoids"
+    if run.collision is None:
+        return "fails"
+    return "hit" if run.responsibility == "npc" else "at-fault"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,13 +93,13 @@ class Run:
     Attributes:
         trace: the record, tick by tick.
         decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
-        prevent: tries the reference drivers in the world of this run; see :attr:`preventable_by`.
+        world: that this run took place in, where it has reference drivers; see :attr:`reference_drivers`.
         take_over: has one of them take over in the midst of this run; see :attr:`last_chance`.
     """
 
     trace: Trace
     decision_limit: float | None = field(default=None, kw_only=True)
-    prevent: Prevent | None = field(default=None, kw_only=True)
+    world: ReferenceWorld | None = field(default=None, kw_only=True)
     take_over: TakeOver | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
@@ -177,16 +208,37 @@ class Run:
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
 
-    @cached_property
+    @property
     def preventable_by(self) -> tuple[str, ...]:
-        """Names of the reference drivers that survive the same scenario in the ego's place; simulated when asked for.
+        """Names of the reference drivers that avoid a collision in the ego's place or, where it is at fault, any fault.
 
         Raises:
             NoReferenceDriversError: for a run that was made without its world.
         """
-        if self.prevent is None:
-            raise _no_world("preventable_by", "prevent=world.preventable_by")
-        return self.prevent(self.scenario)
+        return tuple(preventing(self.reference_drivers.items(), self.responsibility))
+
+    @cached_property
+    def reference_drivers(self) -> Mapping[str, ReferenceOutcome]:
+        """By name, what becomes of each driver in the ego's place: ``"avoids"``, ``"hit"`` or ``"at-fault"``.
+
+        Simulated when asked for, and judged by the collision alone. A driver is missing in whose run two NPCs touched.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        runs = [(name, run) for name, run in self.by_reference_drivers() if run.outcome is not Outcome.INVALID]
+        return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
+
+    def by_reference_drivers(self) -> Iterator[tuple[str, Run]]:
+        """The same scenario with each reference driver in the ego's place, simulated one after the other.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.world is None:
+            raise _no_world("reference_drivers", "world=world")
+        for name in self.world.reference_drivers:
+            yield name, Run(self.world.rollout_reference(self.scenario, name), world=self.world)
 
     @cached_property
     def last_chance(self) -> LastChance | None:

@@ -9,18 +9,8 @@ from pytest_pafot import criticality
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import NoReferenceDriversError, Run
 from pytest_pafot.trace import AdsError, Outcome
+from tests.support.reference_runs import Drivers, closing, rammed
 from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
-
-
-def closing(ticks=30, **fields):
-    """The ego at 20 m/s behind an NPC at 10 m/s in its lane, and an NPC far behind on the left."""
-    return trace_of(
-        vehicle(0.0, 4.0, speed=20.0, ticks=ticks),
-        vehicle(26.0, 4.0, speed=10.0, ticks=ticks),
-        vehicle(-80.0, 0.0, speed=20.0, ticks=ticks),
-        scenario=scenario_of(2),
-        **fields,
-    )
 
 
 def crash(**fields):
@@ -54,15 +44,23 @@ def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
 
 
 def test_the_reference_drivers_are_tried_when_asked_for_and_once():
-    asked = []
-    run = Run(closing(), prevent=lambda scenario: asked.append(scenario) or ("idm-aeb",))
-    assert asked == []
-    assert run.preventable_by == run.preventable_by == ("idm-aeb",)
-    assert asked == [run.scenario]
+    world = Drivers(calm=closing())
+    run = Run(closing(), world=world)
+    assert world.asked == []
+    assert run.preventable_by == run.preventable_by == ("calm",)
+    assert world.asked == ["calm"]
+
+
+def test_a_reference_driver_avoids_the_collision_or_is_hit_or_is_at_fault_itself():
+    drivers = Drivers(calm=closing(), unlucky=rammed(), blind=crash().trace, cut=closing(outcome=Outcome.INVALID))
+    at_fault, victim = Run(crash().trace, world=drivers), Run(rammed(), world=drivers)
+    assert at_fault.reference_drivers == {"calm": "avoids", "unlucky": "hit", "blind": "at-fault"}
+    assert (at_fault.responsibility, at_fault.preventable_by) == ("ego", ("calm", "unlucky"))
+    assert (victim.responsibility, victim.preventable_by) == ("npc", ("calm",))
 
 
 def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
-    with pytest.raises(NoReferenceDriversError, match=r"prevent=world\.preventable_by"):
+    with pytest.raises(NoReferenceDriversError, match=r"use Run\(trace, world=world\)"):
         _ = Run(closing()).preventable_by
 
 

@@ -47,7 +47,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "worse, or its `module:function`. Without one, each algorithm's own: `av-fuzzer` has one, all others take the "
     "default.",
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
-    "or where there is none.",
+    'or where there is none; or `"preventable"`: likewise, and what it asserts then is a failure only where a '
+    "reference driver would have prevented it.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Arguments whose meaning no other docstring has."""
@@ -72,8 +73,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.npcs": "One list per NPC of Position-Instructions `{cell, speed}`: cell 1 to 8, speed [m/s]; or, in "
     "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
-    "expect.preventable_by": "A list of names, for reference drivers that survive the scenario in the ego's place; "
-    "not there where it is empty.",
+    "expect.reference_drivers": "For each reference driver what becomes of it in the ego's place: `avoids`, `hit`, "
+    "`at-fault` or `fails` ([their meaning](explanation.md#who-could-have-prevented-it)); not there where it means "
+    "nothing. Older files have a list `preventable_by` of drivers without a collision, which is read as `avoids`.",
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",

@@ -54,7 +54,6 @@ class FindTold:
     exception: BaseException
     run: Run | None = None  # of the scenario in the file; None where nobody saw how it ended
     is_new: bool = False  # whether it is told for the first time
-    tried: tuple[str, ...] = ()  # reference drivers that were tried in its scenario
 
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event

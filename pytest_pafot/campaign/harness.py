@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import Request, RequestError
-from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, skips
+from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.runner import Runner
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
-from pytest_pafot.run import Run
+from pytest_pafot.run import ReferenceOutcome, Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
@@ -52,13 +52,19 @@ class Harness:
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """The run that a trace is the record of, in the world of new scenarios unless another is given."""
         world = self.world if world is None else world
-        prevent, take_over = protocol.prevention(world), protocol.taking_over(world)
-        return Run(trace, decision_limit=self.request.decision_limit, prevent=prevent, take_over=take_over)
+        known, take_over = protocol.reference_world(world), protocol.taking_over(world)
+        return Run(trace, decision_limit=self.request.decision_limit, world=known, take_over=take_over)
 
     def judge(self, run: Run) -> Verdict:
         """What the user's function, or the failure of the ADS, makes of a run."""
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
+
+    def reference_outcomes(self, run: Run, verdict: Verdict) -> dict[str, ReferenceOutcome]:
+        """What becomes of the reference drivers where a run fails; empty where it is the ADS itself that failed."""
+        if verdict.is_ads or run.world is None:
+            return {}
+        return dict(reference_outcomes(run, self.test, blame=self.request.blame, test_file=self.test_file))
 
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """What the function makes of a trace from a world."""

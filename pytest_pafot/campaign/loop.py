@@ -56,10 +56,14 @@ class SearchLoop:
     def warnings(self) -> tuple[str, ...]:
         """The search's health, and whether the test function was asked at all."""
         warnings = self.health.warnings()
-        if self.verdicts["npc"] and not self.verdicts["passed"] and not self.verdicts["failed"]:
+        excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
+        if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
+            blame, what = self.simulation.harness.request.blame, "collisions that an NPC is responsible for"
+            if self.verdicts["unpreventable"]:
+                what = "failures that no reference driver would have prevented, or " + what
             warnings.append(
-                "the test function was never called: all runs that it could judge were collisions that an NPC is "
-                'responsible for, which blame="ego" leaves out; search longer'
+                f"the test function judged nothing: all runs that it could judge were {what}, which "
+                f'blame="{blame}" leaves out; search longer'
             )
         return tuple(warnings)
 

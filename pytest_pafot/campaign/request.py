@@ -22,7 +22,7 @@ from pytest_pafot.world.kernel.action import shown
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
-BLAMES = ("any", "ego")
+BLAMES = ("any", "ego", "preventable")
 
 
 class RequestError(Exception):
@@ -72,7 +72,9 @@ class Request:
     algorithm: AlgorithmClass
     ads: str | Callable[..., Any]  # name of the fixture that gives the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
-    blame: str = "any"  # ``any``, or ``ego`` to call the function only where the ego is responsible, or nobody
+    # ``any``; ``ego`` to call the function only where the ego is responsible, or nobody; ``preventable`` to count its
+    # failures then only where a reference driver would have prevented them
+    blame: str = "any"
     decision_limit: float | None = None  # slowest decision of the ADS that is no finding [s]
     fitness: str | Weights | Callable[[Trace], float] = "default"
     world: Any = None  # given by the mark, or None for the fixture's
@@ -124,7 +126,7 @@ def _problems(request: Request) -> Mapping[str, object]:
         and f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}",
         "ads=...": _problem_of_ads(request.ads),
         "arg=...": not _is_name(request.arg) and f"expected a name, received {request.arg!r}",
-        "blame=...": request.blame not in BLAMES and f"expected {' or '.join(BLAMES)}, received {request.blame!r}",
+        "blame=...": request.blame not in BLAMES and f"expected one of {', '.join(BLAMES)}, received {request.blame!r}",
         "decision_limit=...": limit is not None
         and not _is_positive(limit)
         and f"expected seconds, more than 0, received {limit!r}",
@@ -162,11 +164,11 @@ def build_world(request: Request, fixture_world: Any) -> Any:
         RequestError: when the road arguments do not fit the world, or it lacks what a search needs.
     """
     if request.world is not None:
-        return _checked_world(request.world, "world= to be")
+        return _checked_world(request, request.world, "world= to be")
     changes = dict(request.road)
     if not isinstance(fixture_world, Highway):
         if not changes:
-            return _checked_world(fixture_world, "the fixture pafot_world to give")
+            return _checked_world(request, fixture_world, "the fixture pafot_world to give")
         raise request.error(
             f"{next(iter(changes))}=...",
             f"expected the fixture pafot_world to give a pafot.Highway, received {fixture_world!r}; describe the whole "
@@ -202,13 +204,19 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     return space
 
 
-def _checked_world(world: Any, origin: str) -> Any:
+def _checked_world(request: Request, world: Any, origin: str) -> Any:
     missing = protocol.missing(world)
     if missing:
         raise RequestError(
             f"expected {origin} pafot.Highway(...) or pafot.World(...), or a world of your own with "
             f"{', '.join(protocol.REQUIRED)}, received {world!r:.100}, which has no {', '.join(missing)}"
             f"{hint_at_world(world)}"
+        )
+    if request.blame == "preventable" and protocol.reference_world(world) is None:
+        raise request.error(
+            "blame='preventable'",
+            f"expected a world with reference_drivers and rollout_reference(scenario, name), received {world!r:.100}; "
+            "write these, or use blame='ego'",
         )
     return world
 

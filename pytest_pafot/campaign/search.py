@@ -139,8 +139,8 @@ class Search:
             RequestError: for a fitness that does not exist, or a world that cannot be used.
         """
         harness, request = self.harness, self.harness.request
-        is_for_ego = request.blame == "ego"
-        try:  # Under blame="ego" a search is steered towards what the ego is responsible for.
+        is_for_ego = request.blame != "any"
+        try:  # Unless blame="any" a search is steered towards what the ego is responsible for.
             fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
         except FitnessError as error:
             raise request.error("fitness=...", error) from None
@@ -298,7 +298,7 @@ class Search:
             seconds=self.clock() - self._started,
             runs=loop.runs,
             known_runs=health.reused,
-            **{kind: loop.verdicts[kind] for kind in ("invalid", "npc", "rejected", "skipped")},
+            **{kind: loop.verdicts[kind] for kind in ("invalid", "npc", "unpreventable", "rejected", "skipped")},
             reached=health.reached_share if health.genes_started else None,
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],

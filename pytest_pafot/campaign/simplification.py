@@ -19,7 +19,6 @@ from pytest_pafot.findings.shrink import Shrunk, Start, shrink
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import LANE, SPEED
-from pytest_pafot.world import protocol
 
 
 @dataclass(slots=True, kw_only=True)
@@ -114,13 +113,13 @@ class Simplification:
             return
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
-        preventable_by = () if run.prevent is None else run.preventable_by
+        outcomes = harness.reference_outcomes(run, verdict)
         last_chance = None if run.take_over is None else run.last_chance
         finding = replace(
             before,
             scenario=scenario,
             expect=Expect.of(
-                run, verdict.failure, preventable_by=preventable_by, last_chance=last_chance, root=str(harness.root)
+                run, verdict.failure, reference_drivers=outcomes, last_chance=last_chance, root=str(harness.root)
             ),
             original=before.scenario if scenario != before.scenario else None,
             shrunk=shrunk if shrunk.rollouts else None,
@@ -129,8 +128,7 @@ class Simplification:
             return
         kept = recorder.rewritten(kept, finding)
         kept = replace(kept, find=replace(kept.find, headline=headline(run, verdict)))
-        tried = protocol.reference_drivers(harness.world)
-        recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run, tried=tried))
+        recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run))
 
 
 def driven(run: Run) -> Scenario:

@@ -72,8 +72,9 @@ class SearchSummary:
     seconds: float = 0.0
     runs: int = 0  # simulated scenarios
     known_runs: int = 0  # scenarios that were not simulated, since an earlier run showed what they do
-    invalid: int = 0  # runs without a judgement, by kind, as the next three
+    invalid: int = 0  # runs without a judgement, by kind, as the next four
     npc: int = 0
+    unpreventable: int = 0
     rejected: int = 0
     skipped: int = 0
     reached: float | None = None  # share of Position-Instructions whose cell was reached; None where no run tells

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.rejection import Rejected
-from pytest_pafot.run import Run
+from pytest_pafot.run import ReferenceOutcome, Run, preventing, reference_outcome
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 
@@ -29,8 +29,9 @@ class Verdict:
     """What the oracle says of a run."""
 
     # ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC is
-    # responsible for, under ``blame="ego"``; ``invalid`` a crash between NPCs
-    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "invalid"]
+    # responsible for, unless ``blame="any"``; ``unpreventable`` a failure that no reference driver would have
+    # prevented, under ``blame="preventable"``; ``invalid`` a crash between NPCs
+    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "invalid"]
     exception: BaseException | None = None  # that the function raised, where it failed or skipped
     failure: Failure | None = None
     is_timed: bool = False  # whether it depends on wall-clock time
@@ -50,24 +51,42 @@ class Verdict:
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:
     """Judge a run: by the function, except where the ADS or the NPCs themselves failed.
 
-    With ``blame="ego"`` the function is not asked about collisions that an NPC is responsible for. A failure is
-    identified by the line of the ``test_file`` that failed.
+    Unless blame is ``any`` the function is not asked about collisions that an NPC is responsible for. With
+    ``preventable`` what it asserts counts only where a reference driver would have prevented the failure; what it
+    raises else is an error of its own. A failure is identified by the line of the ``test_file`` that failed.
 
     Raises:
         BaseException: what says nothing of the run: an interrupt, the end of the session, a timeout of the item,
             the end of a debugging session, or a function that cannot be an oracle.
+        NoReferenceDriversError: with ``preventable``, for a failing run whose world has no reference drivers.
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     broken = ads_failure(run)
     if broken is None or run.ads_error is None:
-        is_excused = blame == "ego" and run.responsibility == "npc"
+        is_excused = blame != "any" and run.responsibility == "npc"
         verdict = Verdict(kind="npc") if is_excused else _asked(run, test, test_file)
+        if blame == "preventable" and isinstance(verdict.exception, assertions()):
+            outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
+            if next(preventing(outcomes, run.responsibility), None) is None:
+                verdict = Verdict(kind="unpreventable")
         if broken is None or verdict.failed:
             return verdict
     is_timed = run.ads_error is None or run.outcome is Outcome.HANG
     exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
     return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
+
+
+def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> Iterator[tuple[str, ReferenceOutcome]]:
+    """What becomes of each reference driver in the ego's place, simulated one after the other, judged as the ego is.
+
+    Left out are drivers whose run says nothing: two NPCs touched in it, or the function declined to judge.
+    """
+    blame = "any" if blame == "any" else "ego"
+    for name, other in run.by_reference_drivers():
+        verdict = judge(other, test, blame=blame, test_file=test_file)
+        if verdict.kind in ("passed", "failed", "npc"):
+            yield name, reference_outcome(other, fails=verdict.kind != "passed")
 
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:

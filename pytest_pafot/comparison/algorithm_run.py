@@ -27,7 +27,7 @@ from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.protocol import WorldLike, first_decision
+from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
 
 UNBOUNDED = 10**9  # generations of a run whose budget is a time
 
@@ -55,7 +55,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     """
     world, factory, chosen = world_of(plan), ads_factory(plan.ads), plan.algorithm(algorithm)
     seed, fitness = plan.run_seed(algorithm, run), _fitness(plan, chosen)
-    asks_for_near_misses = plan.blame == "ego" and chosen.reads_near_misses
+    asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
     seconds = 0.0
@@ -66,7 +66,9 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             nonlocal seconds
             traces = [runner.run(scenario) for scenario in scenarios]
             seconds += sum(trace.duration for trace in traces)
-            return [evaluated(trace, fitness, plan.blame, is_near_missed=asks_for_near_misses) for trace in traces]
+            return [
+                evaluated(trace, fitness, plan.blame, world, is_near_missed=asks_for_near_misses) for trace in traces
+            ]
 
         events = run_campaign(
             chosen.make(SearchSpace(**plan.space), **plan.parameters),
@@ -98,12 +100,14 @@ def _runner(world: WorldLike, factory: Callable[..., Any]) -> Iterator[Runner]:
             yield runner
 
 
-def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: bool = False) -> Evaluation:
-    """A run judged by who is responsible for it, with its :class:`RunFacts` as its note.
+def evaluated(
+    trace: Trace, fitness: Fitness, blame: str, world: WorldLike, *, is_near_missed: bool = False
+) -> Evaluation:
+    """A run in a world judged by who is responsible for it, with its :class:`RunFacts` as its note.
 
     The text of a signature can be read, and is equal exactly for equal signatures.
     """
-    run, signature = Run(trace), None
+    run, signature = Run(trace, world=reference_world(world)), None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
     if failure is not None:
         found = of_failure(run, failure)
@@ -111,6 +115,8 @@ def evaluated(trace: Trace, fitness: Fitness, blame: str, *, is_near_missed: boo
     responsibility, fault = run.attribution.responsibility, run.attribution.fault
     is_blamed = blame == "any" or responsibility in ("ego", "both")
     failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)
+    if failing and run.collision is not None and blame == "preventable":
+        failing = bool(run.preventable_by)
     evaluation = Evaluation.of(
         trace,
         fitness=fitness(trace),
@@ -163,7 +169,7 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
 def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
     """Of the plan, or the algorithm's own. Blame steers all but AV-Fuzzer's, which its authors did not steer."""
     name = plan.fitness or algorithm.fitness
-    is_steered = plan.blame == "ego" and name != "av-fuzzer"
+    is_steered = plan.blame != "any" and name != "av-fuzzer"
     return resolve(name, responsible=is_ego_responsible if is_steered else None)
 
 

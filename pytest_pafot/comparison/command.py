@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import cores
+from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
 from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.files import write_whole
@@ -50,9 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument(
         "--blame",
-        choices=("any", "ego"),
+        choices=BLAMES,
         default="any",
-        help="ego: search for collisions that the ego is responsible for (default: %(default)s, as the paper)",
+        help="ego: search for collisions that the ego is responsible for; preventable: for those of them where a "
+        "reference driver is not at fault (default: %(default)s, as the paper)",
     )
     parser.add_argument(
         "--fitness", help="of all algorithms: default, paper, av-fuzzer or module:function (default: each one's own)"

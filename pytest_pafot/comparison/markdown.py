@@ -23,6 +23,14 @@ from pytest_pafot.comparison.run_measures import (
 )
 from pytest_pafot.versions import installed_versions
 
+HITS = {
+    "any": "all collisions",
+    "ego": "collisions that the ego is responsible for (`--blame ego`)",
+    "preventable": "collisions that the ego is responsible for and a reference driver in its place is not (`--blame "
+    "preventable`)",
+}
+"""What counts as a failure, by the blame of the comparison."""
+
 BIN_SECONDS = 10.0  # width of the intervals in which the paper tells when collisions happen [s]
 
 HOW_TO_READ = """
@@ -62,7 +70,7 @@ def _head(results: Results, command: Sequence[str], wall: float | None) -> str:
     hours = results.whole["seconds"].sum() / SECONDS_PER_HOUR
     computing = "" if wall is None else f", {_time(wall)} of computing"
     budget = f"{plan.generations} generations" if plan.generations else f"{plan.seconds:g} simulated seconds"
-    hits = "all collisions" if plan.blame == "any" else "collisions that the ego is responsible for (`--blame ego`)"
+    hits = HITS[plan.blame]
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}

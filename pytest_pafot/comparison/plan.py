@@ -44,7 +44,8 @@ class Plan:
     seconds: float | None = None  # simulated time of a run, after which no scenario begins; None for generations
     seed: int = 0  # from which the seeds of all runs follow
     # ``any`` counts all collisions as failures, as the paper does; ``ego`` those that the ego is responsible for, and
-    # steers the default fitness towards them
+    # steers the default fitness towards them; ``preventable`` the same, but counts only those of them in which a
+    # reference driver in the ego's place is not at fault
     blame: str = "any"
     fitness: str | None = None  # of all algorithms, a name or ``module:function``; None for each one's own
     # of the algorithms, such as ``{"population": 8}``; each must take all of them

@@ -27,6 +27,7 @@ from pytest_pafot.errors import CorpusError, FieldError
 from pytest_pafot.findings.finding import Expect, Finding, Found, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
 from pytest_pafot.trace import Outcome, Side
 
@@ -196,13 +197,28 @@ def _expect(field: Field, npcs: int) -> Expect:
         cell=_given(fields, "cell", lambda inner: Cell(inner.whole(1, 8))),
         side=_given(fields, "side", lambda inner: inner.choice(get_args(Side))),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
-        fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
+        fault=_given(fields, "fault", _fault),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
-        preventable_by=_given(fields, "preventable_by", lambda inner: tuple(name.text() for name in inner.items()), ()),
+        reference_drivers=_given(fields, "preventable_by", _survivors, {})
+        | _given(fields, "reference_drivers", _outcomes, {}),
         last_chance=_given(fields, "last_chance", _last_chance),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
+
+
+def _fault(field: Field) -> Any:
+    """``braked-hard`` is what files of before call ``braked-for-nothing``."""
+    return "braked-for-nothing" if field.value == "braked-hard" else field.choice(get_args(Fault))
+
+
+def _survivors(field: Field) -> dict[str, ReferenceOutcome]:
+    """As in files of before, which name the reference drivers that had no collision, and no other."""
+    return {name.text(): "avoids" for name in field.items()}
+
+
+def _outcomes(field: Field) -> dict[str, ReferenceOutcome]:
+    return {name: inner.choice(get_args(ReferenceOutcome)) for name, inner in field.any_mapping().items()}
 
 
 def _last_chance(field: Field) -> LastChance:

@@ -65,7 +65,7 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     order = dict.fromkeys([*first, *(each.name for each in fields(expect) if each.name != "traceback"), "traceback"])
     values = {name: getattr(expect, name) for name in order}
     values["last_chance"] = {} if expect.last_chance is None else asdict(expect.last_chance)
-    entries = {name: value for name, value in values.items() if value not in (None, "", (), {}) or name == "failure"}
+    entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
         yield from _filled("expect: ", entries)
         return

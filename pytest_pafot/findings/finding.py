@@ -18,7 +18,7 @@ from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
-from pytest_pafot.run import Run
+from pytest_pafot.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import AdsError, Outcome, Side
 
@@ -47,7 +47,7 @@ class Expect:
         responsibility: who caused the collision.
         fault: what the ego answers for; None where it does not.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
-        preventable_by: reference drivers that survive the scenario in the ego's place.
+        reference_drivers: what becomes of each in the ego's place; empty where that means nothing.
         last_chance: when one of them would still have stayed free of fault; None where there is no such moment.
         traceback: of an ADS that raised, likewise; empty otherwise.
     """
@@ -64,7 +64,7 @@ class Expect:
     fault: Fault | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
-    preventable_by: tuple[str, ...] = ()
+    reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
     traceback: str = ""
 
@@ -78,13 +78,18 @@ class Expect:
         """The identity of the failure."""
         return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
 
+    @property
+    def preventable_by(self) -> tuple[str, ...]:
+        """Names of the reference drivers that would have prevented it; see :func:`~pytest_pafot.run.preventing`."""
+        return tuple(preventing(self.reference_drivers.items(), self.responsibility))
+
     @classmethod
     def of(
         cls,
         run: Run,
         failure: Failure,
         *,
-        preventable_by: tuple[str, ...] = (),
+        reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
         last_chance: LastChance | None = None,
         root: str = "",
     ) -> Expect:
@@ -110,7 +115,7 @@ class Expect:
             fault=run.attribution.fault,
             npc_manoeuvre=None if hit is None else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
-            preventable_by=preventable_by,
+            reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,
             traceback=text,
         )

@@ -77,12 +77,12 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     from pytest_pafot.run import Run  # noqa: PLC0415
     from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
-    from pytest_pafot.world.protocol import prevention, taking_over  # noqa: PLC0415
+    from pytest_pafot.world.protocol import reference_world, taking_over  # noqa: PLC0415
 
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         world = pafot_world if world is None else world
         trace = world.rollout(scenario, ads_factory)
-        run = Run(trace, prevent=prevention(world), take_over=taking_over(world))
+        run = Run(trace, world=reference_world(world), take_over=taking_over(world))
         failure = ads_failure(run)
         if failure is not None:  # Such a run is short, and passes nearly any assertion on what did not happen in it.
             pytest.fail(ads_text(failure), pytrace=False)

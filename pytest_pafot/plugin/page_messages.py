@@ -65,7 +65,6 @@ class PageMessages:
             finding,
             node_id=find.node_id,
             headline=find.headline,
-            preventable_tried=told.tried,
         )
         command = view.command
         if not find.path:  # What lies in no file is found again by its search.

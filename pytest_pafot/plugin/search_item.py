@@ -176,7 +176,7 @@ class SearchMessages:
         kept, config = told.kept, self.item.config
         width = config.stash[SHARED].width
         explanation = "" if told.run is None else told.run.explain()
-        details = [] if told.is_new else terminal.simplified_lines(kept.finding, told.tried)
+        details = [] if told.is_new else terminal.simplified_lines(kept.finding)
         if is_compact(config):  # without its last line, which names the scenario as the file does
             explanation = explanation.rpartition("\n")[0]
         else:

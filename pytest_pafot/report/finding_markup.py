@@ -104,10 +104,7 @@ def _tags(finding: FindingView) -> list[str]:
 
 def _tag_list(finding: FindingView) -> str:
     who, *tags = _tags(finding)
-    if finding.preventable_by:
-        tags.append(f"preventable by {', '.join(finding.preventable_by)}")
-    elif finding.preventable_tried:
-        tags.append(f"no reference driver prevents it (tried: {', '.join(finding.preventable_tried)})")
+    tags += [finding.prevention] if finding.prevention else []
     mark = f'<span aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
     items = "".join(f"<li>{text(tag)}</li>" for tag in tags)
     return f'<ul class="tags"><li>{mark} {text(who)}</li>{items}</ul>'

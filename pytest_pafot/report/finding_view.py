@@ -24,7 +24,7 @@ from pytest_pafot.report.page_data import (
     VehicleView,
 )
 from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
-from pytest_pafot.report.terminal import speed_sentences
+from pytest_pafot.report.terminal import prevention_text, speed_sentences
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
@@ -34,9 +34,7 @@ FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
 
 
-def finding_view(
-    trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", preventable_tried: Sequence[str] = ()
-) -> FindingView:
+def finding_view(trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "") -> FindingView:
     """The view of a finding, with the node id of the item that replays it.
 
     What is known only later, such as the number of runs that failed in this way, the label or the path of the file,
@@ -45,7 +43,6 @@ def finding_view(
     Args:
         trace: of the run that shows it, of the scenario in its file; None where nobody saw how it ended.
         headline: unless given, that of the run.
-        preventable_tried: reference drivers that were tried, beside those in the finding that survived.
     """
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
@@ -70,8 +67,7 @@ def finding_view(
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
         last_chance=None if chance is None else ChanceView(time=chance.time, sentence=chance.sentence),
-        preventable_by=expect.preventable_by,
-        preventable_tried=tuple(dict.fromkeys((*expect.preventable_by, *preventable_tried))),
+        prevention=prevention_text(expect),
     )
     if finding.shrunk is not None:
         original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts

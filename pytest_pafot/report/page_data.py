@@ -154,8 +154,7 @@ class FindingView:
         times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
         yaml, path: the text of its file and where that is.
-        preventable_by, preventable_tried: reference drivers that survive the scenario in the ego's place, and all that
-            were tried.
+        prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
         last_chance: None where there is no such moment.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
@@ -178,8 +177,7 @@ class FindingView:
     label: str = ""
     path: str = ""
     assertion: str = ""
-    preventable_by: tuple[str, ...] = ()
-    preventable_tried: tuple[str, ...] = ()
+    prevention: str = ""
     last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
+from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import PositionInstruction
 from pytest_pafot.text import ascii_text, plural
 
@@ -27,6 +28,14 @@ MAX_NAMED = 3
 
 MAX_REPLAYS = 10
 """Replays that are listed one by one, of those that do not fail as before."""
+
+_BESIDE: Mapping[ReferenceOutcome, str] = {
+    "avoids": "",
+    "hit": " (hit, not at fault)",
+    "at-fault": " (at fault)",
+    "fails": " (fails too)",
+}
+"""What is said beside the names of reference drivers."""
 
 ORPHANED = "rename the folder to the test's new name, or remove it with --pafot-prune"
 LEFT_ALONE = (
@@ -106,16 +115,27 @@ def find_section(
     return "\n".join(fitted)
 
 
-def simplified_lines(finding: Finding, tried: Sequence[str]) -> list[str]:
-    """The size of a find before and after, who of the reference drivers that were tried would prevent it, and when."""
+def simplified_lines(finding: Finding) -> list[str]:
+    """The size of a find before and after, which of the reference drivers would have prevented it, and when."""
     lines: list[str] = []
     if finding.shrunk is not None:
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
         more = "" if finding.shrunk.is_minimal else ", and could be simpler"
         lines.append(f"shrunk     from {size_of(finding.original or finding.scenario)} {after}{more}")
-    if tried:
-        lines.append(f"preventable by {', '.join(finding.expect.preventable_by) or 'none of the reference drivers'}")
+    prevention = prevention_text(finding.expect)
+    lines += [prevention] if prevention else []
     return lines if finding.expect.last_chance is None else [*lines, finding.expect.last_chance.sentence]
+
+
+def prevention_text(expect: Expect) -> str:
+    """Which reference drivers would have prevented a finding, and what became of the others; empty without any."""
+    clauses: list[str] = []
+    for outcome, beside in _BESIDE.items():
+        names = [name for name, became in expect.reference_drivers.items() if became == outcome]
+        if names:
+            negation = "" if names[0] in expect.preventable_by else "not "
+            clauses.append(f"{negation}{'' if clauses else 'preventable '}by {', '.join(names)}{beside}")
+    return "; ".join(clauses)
 
 
 def effort_lines(finding: Finding) -> list[str]:
@@ -180,6 +200,7 @@ def _figures(search: SearchSummary) -> str:
         (search.known_runs, "not run again"),
         (search.failing, "failing"),
         (search.npc, "npc at fault"),
+        (search.unpreventable, "not preventable"),
         (search.invalid, "invalid"),
         (search.rejected, "rejected"),
         (search.skipped, "skipped"),

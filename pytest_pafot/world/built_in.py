@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
@@ -145,12 +145,6 @@ class BuiltInWorld(ABC):
         self.rules.check_fits(scenario)
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz)
         return rollout_planner(self, every_tick, scenario, driver, body=body)
-
-    def preventable_by(self, scenario: Scenario) -> tuple[str, ...]:
-        """Names of the reference drivers that survive a scenario, whoever is to blame for a collision."""
-        return tuple(
-            name for name in REFERENCES if self.rollout_reference(scenario, name).outcome is not Outcome.COLLISION
-        )
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """What an ADS is given at its first decision in a scenario; None where the run does not come so far."""

@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
+from pytest_pafot.run import ReferenceWorld
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -103,21 +104,15 @@ def road_start(world: Any) -> RoadStart | None:
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
 
-def prevention(world: Any) -> Callable[[Scenario], tuple[str, ...]] | None:
-    """What gives the names of the reference drivers that survive a scenario of a world, where it tries any."""
-    found: Callable[[Scenario], tuple[str, ...]] | None = getattr(world, "preventable_by", None)
-    return found
+def reference_world(world: Any) -> ReferenceWorld | None:
+    """The world, where it has reference drivers."""
+    return world if hasattr(world, "rollout_reference") and hasattr(world, "reference_drivers") else None
 
 
 def taking_over(world: Any) -> Callable[[Trace, int, str], Trace] | None:
     """What has a reference driver take over in the midst of a run in a world, where it can."""
     found: Callable[[Trace, int, str], Trace] | None = getattr(world, "take_over", None)
     return found
-
-
-def reference_drivers(world: Any) -> tuple[str, ...]:
-    """Names of the reference drivers that a world tries, where it tells them."""
-    return tuple(getattr(world, "reference_drivers", ()))
 
 
 def hang_limit(world: Any) -> float:

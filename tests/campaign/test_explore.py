@@ -12,8 +12,18 @@ from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.summary import SearchSummary
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.world.reference_drivers import CarefulHuman
 
 SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
+
+
+class Bare:
+    """A world with all that a search needs, and nothing besides."""
+
+    speed_limit, longest_run, to_dict = 25.0, 20.0, dict
+
+    def rollout(self, scenario, ads_factory):
+        """Never called."""
 
 
 def never_collides(run):
@@ -102,12 +112,45 @@ def test_an_error_of_the_set_up_is_raised_as_it_is():
     assert "no finding" in raised.value.__notes__[0]
 
 
+def test_a_find_that_a_search_for_preventable_failures_keeps_names_who_would_have_prevented_it(tmp_path):
+    arguments = {"holds": never_collides, "seed": 7, "corpus": str(tmp_path), "blame": "preventable", **SHORT}
+    found = pafot.explore(constant_speed.make, **arguments).findings
+    assert found
+    for finding in found:
+        assert finding.expect.responsibility == "ego"
+        assert finding.expect.preventable_by
+    assert pafot.explore(constant_speed.make, **arguments).findings == ()
+
+
+def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_with_nothing_else_warns():
+    def holds(run):
+        assert run.duration < 0
+
+    summary = pafot.explore(CarefulHuman, holds=holds, seed=5, blame="preventable", **SHORT).summary
+    assert (summary.failing, summary.unpreventable + summary.npc + summary.invalid) == (0, summary.runs)
+    assert "the test function judged nothing" in summary.warnings[-1]
+
+
+def test_of_an_ads_that_fails_no_file_tells_what_reference_drivers_do():
+    class Raises:
+        def __call__(self, observation):
+            return [(0.0, 0.0)][int(observation.time > 1)]
+
+    (finding,) = pafot.explore(Raises, holds=never_collides, seed=5, **SHORT).findings
+    assert finding.expect.failure == "IndexError"
+    assert finding.expect.reference_drivers == {}
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
         ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
         ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected arguments of the search"),
+        (
+            {"world": Bare(), "blame": "preventable"},
+            r"\(blame='preventable'\): expected a world with reference_drivers",
+        ),
         ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway"),
         ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
         ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),

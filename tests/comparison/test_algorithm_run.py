@@ -15,6 +15,7 @@ from pytest_pafot.comparison.rows import COLUMNS, text_of
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.searching.fitness import resolve
+from tests.support.reference_runs import Drivers, closing, rammed, running_into
 
 
 def again(row):
@@ -36,7 +37,7 @@ def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
         assert (str(trace.outcome), trace.duration) == (row.outcome, row.duration)
         assert rss_rule(trace).responsibility == row.responsibility
         assert position_rule(trace) == row.position_responsibility
-        assert evaluated(trace, resolve(), "any").note.signature == row.signature
+        assert evaluated(trace, resolve(), "any", world).note.signature == row.signature
         assert (trace.collision is None) == (row.collision_time is None)
     assert any(row.outcome == "collision" for row in rows)
 
@@ -57,11 +58,19 @@ def test_a_budget_of_seconds_ends_with_the_scenario_that_spends_it(quick):
 
 
 def test_a_failure_is_any_collision_or_with_blame_one_of_the_egos(quick):
-    for blame, blamed in (("any", {"ego", "npc", "both"}), ("ego", {"ego", "both"})):
+    egos = {"ego", "both"}
+    for blame, blamed in (("any", {"npc"} | egos), ("ego", egos), ("preventable", egos)):
         rows = list(run_rows(quick(blame=blame, generations=8), "pafot", 0))
         hits = [row for row in rows if row.outcome == "collision"]
         assert {row.responsibility for row in hits} > {"npc"}
         assert all(row.failing == (row.responsibility in blamed) for row in hits)
+
+
+def test_what_no_reference_driver_would_have_prevented_is_no_failure_where_blame_asks_for_that():
+    for driver, failing in ((closing, True), (rammed, True), (running_into, False)):
+        world = Drivers(one=driver())
+        assert evaluated(running_into(), resolve(), "preventable", world).failing == failing
+        assert evaluated(running_into(), resolve(), "ego", world).failing
 
 
 def test_blame_steers_the_default_fitness_and_not_av_fuzzers(quick):

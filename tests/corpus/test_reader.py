@@ -49,6 +49,7 @@ def fault(path, content):
     return caught.value
 
 
+DRIVERS = "reference_drivers: {careful-human: avoids, idm-aeb: avoids}"
 WORLD = TEXT[TEXT.index("world:") : TEXT.index("\nscenario:")]
 
 
@@ -68,6 +69,16 @@ def test_comments_order_and_style_do_not_matter(path):
     document = yaml.safe_load(TEXT)
     path.write_text("# mine\n" + yaml.safe_dump(dict(reversed(document.items())), default_flow_style=False))
     assert load(path) == plain_finding()
+
+
+def test_a_file_that_names_survivors_alone_means_the_drivers_that_avoid_the_failure(path):
+    path.write_text(swapped(DRIVERS, "preventable_by: [careful-human, idm-aeb]"))
+    assert load(path) == plain_finding()
+
+
+def test_a_fault_that_has_another_name_now_is_read_by_that(path):
+    path.write_text(swapped("responsibility: ego", "responsibility: ego, fault: braked-hard"))
+    assert load(path).expect.fault == "braked-for-nothing"
 
 
 def test_the_name_of_the_file_is_the_id(path):
@@ -146,8 +157,10 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
         ("side: front", "side: top", 14, "expect.side"),
         ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
-        ("[careful-human, idm-aeb]", "careful-human", 14, "expect.preventable_by"),
-        ("[careful-human, idm-aeb]", "[careful-human, 2]", 14, "expect.preventable_by[1]"),
+        (DRIVERS, "preventable_by: careful-human", 14, "expect.preventable_by"),
+        (DRIVERS, "preventable_by: [careful-human, 2]", 14, "expect.preventable_by[1]"),
+        (DRIVERS, "reference_drivers: [careful-human]", 14, "expect.reference_drivers"),
+        (DRIVERS, "reference_drivers: {careful-human: survives}", 14, "expect.reference_drivers.careful-human"),
         ("generation: 17", "generation: -1", 15, "found.generation"),
         ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
         ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
@@ -174,7 +187,7 @@ def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, lin
     ],
 )
 def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
-    error = fault(path, swapped("[careful-human, idm-aeb]", f"[careful-human, idm-aeb], last_chance: {chance}"))
+    error = fault(path, swapped(DRIVERS, f"{DRIVERS}, last_chance: {chance}"))
     assert (error.line, error.field) == (14, f"expect.last_chance{field}")
 
 

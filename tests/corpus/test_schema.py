@@ -47,6 +47,8 @@ def test_a_file_of_version_1_is_read_as_it_was_then(name):
     for part in ("expect", "found", "shrunk"):
         value = getattr(finding, part)
         read_back = None if value is None else plain(asdict(value))
+        if part == "expect":
+            read_back["preventable_by"] = [*value.preventable_by]
         assert read_back is expected[part] or read_back == {**read_back, **expected[part]}
     assert finding.world == {**finding.world, **expected["world"]}
 

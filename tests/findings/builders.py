@@ -11,6 +11,7 @@ from pytest_pafot.corpus.schema import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
+from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway
@@ -42,7 +43,7 @@ def plain_finding(**changes):
             cell=Cell.FRONT,
             side="front",
             responsibility="ego",
-            preventable_by=("careful-human", "idm-aeb"),
+            reference_drivers={"careful-human": "avoids", "idm-aeb": "avoids"},
         ),
         "found": Found(seed=1234, generation=17, algorithm="pafot", versions=VERSIONS),
     }
@@ -128,7 +129,7 @@ def expectations(draw, npcs):
         responsibility=draw(st.sampled_from(["ego", "npc", "both", "none"])),
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
-        preventable_by=tuple(draw(st.lists(texts(), max_size=3))),
+        reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
         last_chance=draw(st.none() | chances()),
         traceback=draw(texts()),
     )

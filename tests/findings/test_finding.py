@@ -39,7 +39,8 @@ def test_a_new_finding_is_named_by_its_signature_and_its_scenario():
 
 def test_it_expects_what_the_run_showed():
     chance = LastChance(time=1.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.0, 0.0))
-    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, preventable_by=("idm-aeb",), last_chance=chance)
+    told = {"reference_drivers": {"idm-aeb": "avoids"}, "last_chance": chance}
+    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, **told)
     assert expect == Expect(
         failure="AssertionError",
         assertion="not run.collision",
@@ -52,8 +53,7 @@ def test_it_expects_what_the_run_showed():
         fault="leader-unanswered",
         npc_manoeuvre="lane-keeping",
         ego_manoeuvre="lane-keeping",
-        preventable_by=("idm-aeb",),
-        last_chance=chance,
+        **told,
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 import pytest_pafot.plugin.page_messages
 import pytest_pafot.report.session_report  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.report.terminal import prevention_text
 from pytest_pafot.world.reference_drivers import REFERENCES
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
@@ -346,13 +347,13 @@ def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the
     assert finding["shrink"]["original_npcs"] == len(saved.original.npcs) == 2
     assert finding["shrink"]["rollouts"] == saved.shrunk.rollouts > 0
     assert any(note.endswith("still fails") for note in finding["shrink"]["notes"])
-    assert tuple(finding["preventable_by"]) == saved.expect.preventable_by
-    assert set(finding["preventable_tried"]) == set(REFERENCES)
+    assert set(saved.expect.reference_drivers) == set(REFERENCES)
+    assert finding["prevention"] == prevention_text(saved.expect)
     assert finding["responsibility"] == saved.expect.responsibility
     assert len(finding["vehicles"]) == 2
     project.run("--pafot-report=report.html", generations=0)
     (again,) = [each for each in data_of(page)["findings"] if each["id"] == finding["id"]]
-    for same in ("shrink", "preventable_by", "vehicles", "times", "event", "headline"):
+    for same in ("shrink", "prevention", "vehicles", "times", "event", "headline"):
         assert again[same] == finding[same]
 
 

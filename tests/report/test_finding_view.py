@@ -118,13 +118,11 @@ def test_headline_and_explanation_are_those_of_the_run_unless_a_headline_is_give
     assert view_of(rear_trace(), headline="H").headline == "H"
 
 
-def test_reference_drivers_that_survived_count_as_tried():
+def test_reference_drivers_are_told_with_what_became_of_them():
     trace = cut_in_trace()
     finding = finding_of(trace)
-    finding = replace(finding, expect=replace(finding.expect, preventable_by=("idm-aeb",)))
-    view = finding_view(trace, finding, node_id="n", preventable_tried=("careful-human", "idm-aeb"))
-    assert view.preventable_by == ("idm-aeb",)
-    assert view.preventable_tried == ("idm-aeb", "careful-human")
+    finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
+    assert finding_view(trace, finding, node_id="n").prevention == "not preventable by idm-aeb (fails too)"
 
 
 def test_the_command_survives_a_shell():

@@ -101,7 +101,7 @@ def page_that_says(text):
     """A page that holds a text wherever a report can."""
     finding = replace(
         real_report().findings[0], id=text, headline=text, explanation=text, yaml=text, node_id=text, command=text,
-        label=text, path=text, responsibility=text, preventable_by=(text,), test=text,
+        label=text, path=text, responsibility=text, prevention=text, test=text,
     )  # fmt: skip
     campaign = replace(real_report().campaigns[0], node_id=text, warnings=(text,), outcomes=((text, 1),))
     return render_page(
@@ -143,12 +143,10 @@ def test_a_finding_without_frames_says_so():
     assert "Nobody saw a run" in render_page(Report(title="t", findings=(finding,)))
 
 
-def test_reference_drivers_are_told_whether_they_survive_or_not():
+def test_reference_drivers_are_told():
     finding = real_report().findings[0]
-    survived = replace(finding, preventable_by=("idm-aeb",), preventable_tried=("idm-aeb", "careful-human"))
-    assert "preventable by idm-aeb" in render_page(Report(title="t", findings=(survived,)))
-    none = replace(finding, preventable_tried=("idm-aeb",))
-    assert "no reference driver prevents it (tried: idm-aeb)" in render_page(Report(title="t", findings=(none,)))
+    told = replace(finding, prevention="preventable by idm-aeb")
+    assert "<li>preventable by idm-aeb</li>" in render_page(Report(title="t", findings=(told,)))
 
 
 def test_the_page_itself_is_below_100_kilobytes():

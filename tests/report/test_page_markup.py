@@ -29,7 +29,9 @@ def hand_made_trace():
 
 
 def hand_made_finding():
-    return replace(view_of(hand_made_trace(), preventable_tried=("idm-aeb",)), yaml="test: '<its>' file\n")
+    return replace(
+        view_of(hand_made_trace()), prevention="not preventable by idm-aeb (at fault)", yaml="test: '<its>' file\n"
+    )
 
 
 def hand_made_campaign():
@@ -75,7 +77,7 @@ def test_an_article_on_a_finding_that_was_shrunk_and_that_nobody_saw_reads_so(sn
     shrunk = shrink_view(scenario([(1, 25.0), (2, 8.0)], [(4, 20.0)]), scenario([(2, 8.0), (2, 8.0)]), rollouts=41)
     finding = replace(
         hand_made_finding(), shrink=shrunk, label="new", runs=3, path="corpus/a.pafot.yaml", instructions=(),
-        preventable_by=("idm-aeb",), explanation="", times=(), vehicles=(),
+        prevention="preventable by idm-aeb", explanation="", times=(), vehicles=(),
     )  # fmt: skip
     assert lines_of(finding_article(finding, 1)) == snapshot
 

@@ -9,9 +9,11 @@ from dataclasses import asdict, replace
 import pytest
 
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.findings.finding import Expect
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
 from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
+from pytest_pafot.trace import Outcome
 
 FIND = Find(
     id="front-2-1f3a9c",
@@ -94,6 +96,25 @@ def test_the_section_of_a_find_reads_so(snapshot):
         details=["found      pafot, seed 7, generation 0, run 1", "worlds     highway"],
     )  # fmt: skip
     assert text == snapshot
+
+
+@pytest.mark.parametrize(
+    ("responsibility", "outcomes", "text"),
+    [
+        ("ego", "avoids avoids", "preventable by A, B"),
+        ("ego", "hit avoids at-fault", "preventable by B; by A (hit, not at fault); not by C (at fault)"),
+        ("npc", "hit avoids hit", "preventable by B; not by A, C (hit, not at fault)"),
+        ("npc", "hit hit", "not preventable by A, B (hit, not at fault)"),
+        ("none", "fails hit", "not preventable by B (hit, not at fault); not by A (fails too)"),
+        ("none", "", ""),
+    ],
+)
+def test_a_find_says_who_would_have_prevented_it_and_what_became_of_the_others(responsibility, outcomes, text):
+    expect = Expect(
+        failure="AssertionError", outcome=Outcome.COLLISION, time=1.0, responsibility=responsibility,
+        reference_drivers=dict(zip("ABC", outcomes.split(), strict=False)),
+    )  # fmt: skip
+    assert terminal.prevention_text(expect) == text
 
 
 def test_nothing_to_tell_is_nothing_told():

@@ -206,7 +206,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         "scenario": _scenario(finding.scenario),
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
-        | {"preventable_by": [*expect.preventable_by], "last_chance": _chance(expect.last_chance)},
+        | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "shrunk": None
         if shrunk is None
@@ -241,7 +241,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
 
 DEFAULTS: Mapping[str, Any] = {
     "gene_seconds": 10.0,
-    "preventable_by": [],
+    "reference_drivers": {},
     "assertion": "",
     "message": "",
     "traceback": "",
@@ -277,4 +277,7 @@ def misread(text: str, finding: Finding) -> list[str]:
         said = {key: value for key, value in upgraded({**said, "pafot": 1}).items() if key != "pafot"}
     elif version != 2:
         return [f"read as of version {version!r}"]
+    survivors = said["expect"].pop("preventable_by", None)
+    if survivors:
+        said["expect"]["reference_drivers"] = dict.fromkeys(survivors, "avoids")
     return differences(said, holds(finding))

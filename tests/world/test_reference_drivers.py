@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from pytest_pafot.run import Run
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
@@ -185,7 +186,7 @@ class TestInTheWorld:
         assert trace.ego[:, SPEED].max() <= 22.0 + 0.1
 
     def test_survives_a_vehicle_that_brakes_ahead(self, name):
-        assert name in Highway().preventable_by(scenario(22.0, cell=1))
+        assert Highway().rollout_reference(scenario(22.0, cell=1), name).outcome is not Outcome.COLLISION
 
     def test_drives_in_a_registered_environment_too(self, name):
         trace = World("highway-v0", duration=10.0).rollout_reference(scenario(22.0), name)
@@ -198,17 +199,23 @@ class TestInTheWorld:
         assert trace.states.tobytes() == Highway(duration=20.0).rollout_reference(BRAKES, name).states.tobytes()
 
 
+def constant_speed_in(told):
+    """The run of an ego that never brakes, in a world with reference drivers."""
+    return Run(Highway().rollout(told, lambda: lambda observation: (0.0, 0.0)), world=Highway())
+
+
 def test_what_nobody_survives_is_preventable_by_nobody():
     """From behind, at the limit: no lane keeper can do anything about it."""
-    rammed = scenario(26.8, cell=6)
-
-    assert Highway().preventable_by(rammed) == ()
+    run = constant_speed_in(scenario(26.8, cell=6))
+    assert run.preventable_by == ()
+    assert run.reference_drivers == dict.fromkeys(REFERENCES, "hit")
 
 
 def test_what_a_constant_speed_ego_hits_careful_drivers_avoid():
     slow = scenario(22.0, 15.0, cell=2)
-    assert Highway().rollout(slow, lambda: lambda observation: (0.0, 0.0)).outcome is Outcome.COLLISION
-    assert "careful-human" in Highway().preventable_by(slow)
+    run = constant_speed_in(slow)
+    assert run.collision
+    assert run.reference_drivers["careful-human"] == "avoids"
 
 
 def test_an_unknown_driver_is_refused_with_the_names_of_the_known():

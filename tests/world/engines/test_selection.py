@@ -191,7 +191,8 @@ def test_a_run_by_the_kernel_imports_neither_highway_env_nor_gymnasium():
     code = (
         "import sys; from pytest_pafot import Highway, PositionInstruction, Scenario; world = Highway(); "
         "scenario = Scenario(npcs=[[PositionInstruction(2, 0.0)]]); "
-        "trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0)); world.preventable_by(scenario); "
+        "trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0)); "
+        "world.rollout_reference(scenario, 'idm-aeb'); "
         "print(trace.outcome, [name for name in ('highway_env', 'gymnasium', 'pygame') if name in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

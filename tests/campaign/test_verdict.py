@@ -1,0 +1,81 @@
+"""The verdict of the user's function on a run, and on reference drivers in the ego's place."""
+
+import pytest
+
+from pytest_pafot.campaign.verdict import judge, reference_outcomes
+from pytest_pafot.rejection import Rejected
+from pytest_pafot.run import Run
+from pytest_pafot.trace import AdsError, Outcome
+from tests.support.reference_runs import Drivers, closing, rammed, running_into
+
+DRIVERS = {"far": closing(ticks=3), "near": closing(), "unlucky": rammed(), "blind": running_into()}
+
+
+def keeps_apart(run):
+    assert run.min_distance > 15.0
+
+
+def never_collides(run):
+    assert not run.collision
+
+
+def judged(trace, test, blame, **drivers):
+    """The kind of a verdict, and the reference drivers that were asked for it."""
+    world = Drivers(**drivers)
+    return judge(Run(trace, world=world), test, blame=blame, test_file="").kind, world.asked
+
+
+@pytest.mark.parametrize("blame", ["any", "ego", "preventable"])
+def test_reference_drivers_are_judged_by_the_function_as_the_ego_is(blame):
+    run = Run(closing(), world=Drivers(**DRIVERS, cut=closing(outcome=Outcome.INVALID)))
+    told = dict(reference_outcomes(run, keeps_apart, blame=blame, test_file=""))
+    assert told == {"far": "avoids", "near": "fails", "unlucky": "hit", "blind": "at-fault"}
+
+
+def test_a_driver_about_which_the_function_does_not_judge_is_left_out():
+    def judges_long_runs(run):
+        if run.duration < 1:
+            raise Rejected
+        never_collides(run)
+
+    told = reference_outcomes(Run(closing(), world=Drivers(**DRIVERS)), judges_long_runs, blame="any", test_file="")
+    assert dict(told) == {"near": "avoids", "unlucky": "hit", "blind": "at-fault"}
+
+
+def test_what_the_function_allows_is_avoided_even_where_it_is_a_collision():
+    def stays_on_the_road(run):
+        assert not run.off_road
+
+    run = Run(closing(off_road_tick=9), world=Drivers(**DRIVERS))
+    told = dict(reference_outcomes(run, stays_on_the_road, blame="any", test_file=""))
+    assert told == dict.fromkeys(DRIVERS, "avoids")
+    assert dict(reference_outcomes(run, stays_on_the_road, blame="ego", test_file=""))["unlucky"] == "hit"
+
+
+def test_a_preventable_failure_is_one_where_a_reference_driver_is_free_of_fault():
+    assert judged(running_into(), never_collides, "preventable", blind=running_into())[0] == "unpreventable"
+    assert judged(running_into(), never_collides, "preventable", unlucky=rammed())[0] == "failed"
+    assert judged(running_into(), never_collides, "preventable", calm=closing())[0] == "failed"
+    assert judged(running_into(), never_collides, "ego", blind=running_into())[0] == "failed"
+
+
+def test_without_a_collision_only_a_driver_with_whom_the_property_holds_would_have_prevented_the_failure():
+    assert judged(closing(), keeps_apart, "preventable", near=closing(), unlucky=rammed())[0] == "unpreventable"
+    assert judged(closing(), keeps_apart, "preventable", far=closing(ticks=3))[0] == "failed"
+
+
+def test_reference_drivers_are_run_only_for_what_would_be_a_find_and_no_more_than_it_takes():
+    drivers = {"blind": running_into(), "calm": closing(), "idle": closing()}
+    assert judged(closing(), never_collides, "preventable", **drivers) == ("passed", [])
+    assert judged(rammed(), never_collides, "preventable", **drivers) == ("npc", [])
+    assert judged(running_into(), never_collides, "ego", **drivers) == ("failed", [])
+    assert judged(running_into(), never_collides, "preventable", **drivers) == ("failed", ["blind", "calm"])
+
+
+def test_an_error_of_the_function_or_of_the_ads_counts_whatever_reference_drivers_do():
+    def misspelt(run):
+        return run.colision
+
+    broken = closing(outcome=Outcome.ADS_ERROR, error=AdsError(kind="KeyError", message="x", traceback="", tick=3))
+    assert judged(running_into(), misspelt, "preventable", blind=running_into()) == ("failed", [])
+    assert judged(broken, never_collides, "preventable", blind=running_into()) == ("failed", [])
