@@ -6,10 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.finding_view import finding_view, frame_ticks, shrink_view
+from pytest_pafot.report.page_data import ChanceView
 from pytest_pafot.trace import ACCELERATION, Outcome
 from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
 from tests.support.traces import collision_at, straight_lanes, trace_of, vehicle
@@ -123,6 +125,16 @@ def test_reference_drivers_are_told_with_what_became_of_them():
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
     assert finding_view(trace, finding, node_id="n").prevention == "not preventable by idm-aeb (fails too)"
+
+
+def test_the_last_chance_is_in_the_explanation_and_on_the_time_line():
+    trace = cut_in_trace()
+    finding = finding_of(trace)
+    chance = LastChance(time=11.2, driver="careful-human", action=(-4.0, 0.0), ego_action=(0.8, 0.0))
+    view = finding_view(trace, replace(finding, expect=replace(finding.expect, last_chance=chance)), node_id="n")
+    assert view.last_chance == ChanceView(time=11.2, sentence=chance.sentence)
+    assert view.explanation.splitlines()[-1] == f"  {chance.sentence}"
+    assert view_of(trace).last_chance is None
 
 
 def test_the_command_survives_a_shell():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.page_data import ChanceView, Report
 from pytest_pafot.report.picture import picture_at
 from tests.report.builders import HOSTILE, bend_report, real_report
 from tests.support.browser import Browser, find_chromium
@@ -103,6 +103,18 @@ def test_a_time_outside_of_the_run_is_brought_into_it(opened, time):
     finding = real_report().findings[0]
     shown = opened(f"#finding={finding.id}&t={time}").evaluate(TIME)
     assert 0 <= shown <= finding.duration + 0.001
+
+
+def test_the_last_chance_is_marked_on_the_time_line_before_the_event(browser, tmp_path):
+    finding = replace(real_report().findings[0], last_chance=ChanceView(time=3.0, sentence="last chance 3.0 s: ..."))
+    path = tmp_path / "report.html"
+    path.write_text(render_page(Report(title="t", findings=(finding,))), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    at = "Number(document.querySelector('article.current line.{}').getAttribute('x1'))"
+    assert 0 < page.evaluate(at.format("chance")) < page.evaluate(at.format("event"))
+    assert page.evaluate("document.querySelector('.chance-mark title').textContent") == "last chance 3.0 s: ..."
+    assert page.complaints == []
+    page.close()
 
 
 def test_keys_move_through_time(page):
