@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
-from pytest_pafot.trace import ACCELERATION, STEERING, Trace
+from pytest_pafot.trace import ACCELERATION, STEERING, FloatArray, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""
@@ -69,12 +69,16 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     every, first = trace.physics_hz // trace.ads_hz, max(trace.ticks - round(SCANNED * trace.physics_hz), 0)
     for tick in range((trace.ticks - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, DRIVER)
-        if not np.allclose(taken.states[: tick + 1], trace.states[: tick + 1], rtol=0.0, atol=ROUNDING):
+        if not _is_near(taken.states[: tick + 1], trace.states[: tick + 1]):
             return None
         if not is_ego_responsible(taken):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None
+
+
+def _is_near(states: FloatArray, recorded: FloatArray) -> bool:
+    return states.shape == recorded.shape and bool((np.abs(states - recorded) <= ROUNDING).all())
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:

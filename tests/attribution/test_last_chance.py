@@ -75,9 +75,10 @@ def test_where_it_would_say_nothing_nothing_is_simulated(trace, fault):
     assert scanned(trace, chances={27}, fault=fault) == (None, [])
 
 
-def test_a_run_that_does_not_repeat_has_none():
-    elsewhere = trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=30), vehicle(90.0, 4.0, speed=10.0, ticks=30))
-    chance, tried = scanned(crash(), chances={27}, survived=elsewhere)
+@pytest.mark.parametrize("ticks", [30, 20], ids=["elsewhere", "over before"])
+def test_a_run_that_does_not_repeat_has_none(ticks):
+    other = trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=ticks), vehicle(90.0, 4.0, speed=10.0, ticks=ticks))
+    chance, tried = scanned(crash(), chances={27}, survived=other)
     assert chance is None
     assert tried == [27]
 
