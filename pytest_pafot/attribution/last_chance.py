@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
-from pytest_pafot.trace import ACCELERATION, STEERING, FloatArray, Trace
+from pytest_pafot.trace import ACCELERATION, STEERING, FloatArray, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""
@@ -52,8 +52,9 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     """The last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
 
     It is not at fault where it does not collide, and where it does not answer for the collision by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`. From some earlier decisions it may fail nevertheless, so
-    that all of the last 10 s before the impact are tried, the latest first.
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`; a run in which two NPCs touch tells nothing. From some
+    earlier decisions it may fail nevertheless, so that all of the last 10 s before the impact are tried, the latest
+    first.
 
     Args:
         trace: of the run.
@@ -71,7 +72,7 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
         taken = take_over(trace, tick, DRIVER)
         if not _is_near(taken.states[: tick + 1], trace.states[: tick + 1]):
             return None
-        if not is_ego_responsible(taken):
+        if taken.outcome is not Outcome.INVALID and not is_ego_responsible(taken):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None

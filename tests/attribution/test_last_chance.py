@@ -66,6 +66,11 @@ def test_a_collision_that_the_driver_does_not_answer_for_is_no_fault():
     assert chance.time == 1.8
 
 
+def test_a_run_in_which_two_npcs_touch_tells_nothing():
+    trace = crash()
+    assert scanned(trace, chances={27}, survived=replace(trace, outcome=Outcome.INVALID, collision=None))[0] is None
+
+
 @pytest.mark.parametrize(
     ("trace", "fault"),
     [(crash(), None), (crash(), "entered-lane"), (crash(outcome=Outcome.SAFE), None)],
