@@ -8,13 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
-from pytest_pafot.trace import ACCELERATION, STEERING, FloatArray, Outcome, Trace
+from pytest_pafot.trace import ACCELERATION, STEERING, Collision, FloatArray, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""
 
 SCANNED = 10.0
 """How long before the impact a chance is looked for [s]."""
+
+SAME_IMPACT = 0.5
+"""Up to so long after the recorded impact, one with the same NPC is the same that nothing has changed but the limits
+of a rule: who lets go of the brake just before it has not braked for long, and is no less hit [s]."""
 
 ROUNDING = 1e-6
 """By how much a run that repeats may differ: environments that step themselves move NPCs with sines of their own."""
@@ -52,9 +56,9 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     """The last of the ego's decisions from which a reference driver stays free of fault to the end of the run.
 
     It is not at fault where it does not collide, and where it does not answer for the collision by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`; a run in which two NPCs touch tells nothing. From some
-    earlier decisions it may fail nevertheless, so that all of the last 10 s before the impact are tried, the latest
-    first.
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, unless it is the same impact, 0.5 s later at most; a run
+    in which two NPCs touch tells nothing. From some earlier decisions it may fail nevertheless, so that all of the last
+    10 s before the impact are tried, the latest first.
 
     Args:
         trace: of the run.
@@ -72,10 +76,17 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
         taken = take_over(trace, tick, DRIVER)
         if not _is_near(taken.states[: tick + 1], trace.states[: tick + 1]):
             return None
-        if taken.outcome is not Outcome.INVALID and not is_ego_responsible(taken):
+        if _is_free(taken, trace.collision):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None
+
+
+def _is_free(taken: Trace, impact: Collision) -> bool:
+    """Whether the driver is free of fault, other than by a verdict that turns on the same impact."""
+    hit, until = taken.collision, impact.time + SAME_IMPACT
+    is_same = hit is not None and hit.npc == impact.npc and hit.time <= until
+    return taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken)
 
 
 def _is_near(states: FloatArray, recorded: FloatArray) -> bool:

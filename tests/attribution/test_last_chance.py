@@ -66,6 +66,15 @@ def test_a_collision_that_the_driver_does_not_answer_for_is_no_fault():
     assert chance.time == 1.8
 
 
+@pytest.mark.parametrize(("later", "is_escape"), [(0.0, False), (0.5, False), (0.6, True)])
+def test_to_be_hit_by_the_same_npc_at_once_is_no_escape_whoever_is_blamed(monkeypatch, later, is_escape):
+    trace = crash()
+    survived = replace(trace, collision=replace(trace.collision, time=2.0 + later))
+    monkeypatch.setattr("pytest_pafot.attribution.last_chance.is_ego_responsible", lambda taken: taken is not survived)
+    chance, _ = scanned(trace, chances={27}, survived=survived)
+    assert (chance is not None) is is_escape
+
+
 def test_a_run_in_which_two_npcs_touch_tells_nothing():
     trace = crash()
     assert scanned(trace, chances={27}, survived=replace(trace, outcome=Outcome.INVALID, collision=None))[0] is None
