@@ -170,7 +170,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
     Args:
         fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
             a function of a Trace that returns a number, higher = worse for the ego, or ``module:function``.
-        responsible: with ``blame="ego"``, whether the ego is responsible for a run's collision; the fitness is
+        responsible: unless ``blame="any"``, whether the ego is responsible for a run's collision; the fitness is
             then :class:`Steered` by it.
 
     Raises:
@@ -182,7 +182,7 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
 
 @dataclass(frozen=True, slots=True)
 class Steered:
-    """The fitness of a search for collisions that the ego is responsible for (``blame="ego"``).
+    """The fitness of a search for collisions that the ego is responsible for (``blame`` other than ``any``).
 
     Two rules, which hold whatever the fitness is:
 
