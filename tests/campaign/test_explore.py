@@ -12,7 +12,6 @@ from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.summary import SearchSummary
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.world.reference_drivers import CarefulHuman
 
 SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
 
@@ -124,10 +123,12 @@ def test_a_find_that_a_search_for_preventable_failures_keeps_names_who_would_hav
 
 def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_with_nothing_else_warns():
     def holds(run):
+        if run.collision:
+            pafot.reject()
         assert run.duration < 0
 
-    summary = pafot.explore(CarefulHuman, holds=holds, seed=1, blame="preventable", **SHORT).summary
-    assert (summary.failing, summary.unpreventable + summary.npc + summary.invalid) == (0, summary.runs)
+    summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", **SHORT).summary
+    assert summary.unpreventable > summary.failing == 0
     assert "the test function judged nothing" in summary.warnings[-1]
 
 
