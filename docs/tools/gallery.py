@@ -1,0 +1,217 @@
+"""Write the table of gallery.md and its pictures, from the situations that the tests judge.
+
+Run it after a change of either: ``python docs/tools/gallery.py``. It needs nothing besides the plugin.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+DOCS = Path(__file__).parents[1]
+sys.path.insert(0, str(DOCS.parent))
+
+from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
+from pytest_pafot.trace import ACROSS, ANGLE, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y  # noqa: E402
+from tests.support.situations import SITUATIONS, Situation  # noqa: E402
+
+PAGE = DOCS / "gallery.md"
+PICTURES = DOCS / "gallery"
+
+WIDTH, LINE, MARGIN = 460, 15, 4
+"""Of a picture, of a line of text in it, and around both [px]."""
+LEAST_WAY, MOST_WAY, FARTHEST = 90.0, 170.0, 140.0
+"""How much of the road it shows at least and at most, and how far from the ego a vehicle may be to be shown [m]."""
+MOST_ACROSS = 40.0
+"""How far from the ego's way a lane is drawn [m]; a bend comes back to where it began."""
+LANES_BESIDE = 0.8
+"""How much is shown beside the lanes that somebody drives on [m]."""
+SHORTLY = 0.3
+"""Moments that are less apart are one [s]."""
+COLOURS = ("#5aa9ff", "#ffa64d", "#c9ced6")
+"""Of the ego, of the vehicle that it touches, and of all others."""
+
+STROKES = (
+    'stroke="#59616b" stroke-width="4.2"',
+    'stroke="#e8eaed" stroke-width="4.2" stroke-dasharray="3 5"',
+    'stroke="#59616b" stroke-width="3.8"',
+)
+"""A lane, drawn three times along its centre line: what is between its dashed lines, these, and what is inside."""
+
+_TABLE = re.compile(r"(<!-- generated: gallery -->\n).*?(<!-- end of generated -->)", re.DOTALL)
+
+
+class Box(NamedTuple):
+    """A vehicle as it is drawn: along and across the road from where the ego is on it [m], angle [deg]."""
+
+    along: float
+    across: float
+    angle: float
+    speed: float
+
+
+def written(page: str) -> str:
+    """A page with the table as it is now."""
+    return _TABLE.sub(lambda found: f"{found[1]}{''.join(_rows())}{found[2]}", page)
+
+
+def pictures() -> dict[str, str]:
+    """The text of every picture, by the name of its file."""
+    return {f"{each.name}.svg": picture(each.trace()) for group in SITUATIONS.values() for each in group}
+
+
+def _rows() -> Iterator[str]:
+    for heading, group in SITUATIONS.items():
+        yield f"\n## {heading}\n\n| What happens | Verdict |\n| --- | --- |\n"
+        for situation in group:
+            image = f'<img src="gallery/{situation.name}.svg" width="{WIDTH}" alt="{situation.name}">'
+            yield f"| {image}<br>{situation.text} | {_verdict(situation)} |\n"
+    yield "\n"
+
+
+def _verdict(situation: Situation) -> str:
+    found = rss_rule(situation.trace())
+    fault = f", `{found.fault}`" if found.fault else ""
+    return f"**{found.responsibility}**{fault}, by rule {situation.clause}:<br>{found.reason}"
+
+
+def picture(trace: Trace) -> str:
+    """What is where on the road at three moments: when it begins, when it is decided, and at the impact."""
+    shown = moments(trace)
+    strips = [boxes(trace, tick) for tick in shown]
+    along = [box.along for strip in strips for box in strip if abs(box.along) < FARTHEST]
+    along += [end for tick in shown for end in _ends(trace, tick)]
+    spare = max(LEAST_WAY - (max(along) - min(along)), 16.0) / 2
+    left, way = min(along) - spare, min(max(along) - min(along) + 2 * spare, MOST_WAY)
+    across = [lane for tick in shown for lane in _lanes_used(trace, tick)]
+    top, height = min(across) - 2 - LANES_BESIDE, max(across) - min(across) + 4 + 2 * LANES_BESIDE
+    pixels = round(height * WIDTH / way)
+    parts, y = [], MARGIN
+    for tick, strip in zip(shown, strips, strict=True):
+        parts.append(f'<text x="{MARGIN}" y="{y + LINE - 4}">{_caption(tick / trace.physics_hz, strip)}</text>')
+        y += LINE
+        view = f'viewBox="{left:.1f} {top:.1f} {way:.1f} {height:.1f}"'
+        name = f"r{len(parts)}"
+        road = f'<path id="{name}" d="{_road(trace, tick, left, left + way)}"/>'
+        lines = "".join(f'<use href="#{name}" {stroke}/>' for stroke in STROKES)
+        cars = "".join(_car(box, COLOURS[min(number, 2)]) for number, box in enumerate(strip))
+        hit = _impact(strip) if tick == trace.ticks else ""
+        size = f'width="{WIDTH}" height="{pixels}"'
+        parts.append(f'<svg y="{y}" {size} {view} fill="none"><defs>{road}</defs>{lines}{cars}{hit}</svg>')
+        y += pixels + MARGIN
+    size = f'viewBox="0 0 {WIDTH} {y}" width="{WIDTH}" height="{y}"'
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11" fill="#e8eaed">\n'
+        '<defs><path id="c" d="M-2.5-1h4.2l.8.5v1l-.8.5h-4.2z"/></defs>\n'
+        f'<rect width="{WIDTH}" height="{y}" rx="5" fill="#2b3037"/>\n' + "\n".join(parts) + "\n</svg>\n"
+    )
+
+
+def moments(trace: Trace) -> list[int]:
+    """Ticks: the first at which something happens, the one that the reason names or one halfway, and the impact."""
+    end, shortly = trace.ticks, round(SHORTLY * trace.physics_hz)
+    named = rss_rule(trace).tick or 0
+    changes = np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2)) > SHORTLY
+    begins = int(changes.argmax()) if trace.track is None and changes.any() else named
+    first = max(min(begins, named, end - 2 * shortly), 0)
+    return [first, named if first + shortly <= named <= end - shortly else (first + end) // 2, end]
+
+
+def boxes(trace: Trace, tick: int) -> list[Box]:
+    """All vehicles at a tick."""
+    x, y, direction = _place(trace, tick)
+    states = trace.states[tick]
+    along, across = _turned(states[:, X] - x, states[:, Y] - y, direction)
+    angles = np.degrees(states[:, HEADING] - direction)
+    return [Box(*map(float, each)) for each in zip(along, across, angles, states[:, SPEED], strict=True)]
+
+
+def _place(trace: Trace, tick: int) -> tuple[float, float, float]:
+    """Where the ego is along the road: x and y of the first lane or of its way there [m], and the direction [rad]."""
+    ego = trace.ego[tick]
+    if trace.track is None or not trace.lanes[0].points:
+        return float(ego[X]), trace.lanes[0].y, trace.lanes[0].heading
+    across, angle = trace.track[tick, 0, [ACROSS, ANGLE]]
+    direction = ego[HEADING] - angle
+    return float(ego[X] + across * np.sin(direction)), float(ego[Y] - across * np.cos(direction)), float(direction)
+
+
+def _turned(x: FloatArray, y: FloatArray, direction: float) -> tuple[FloatArray, FloatArray]:
+    cos, sin = np.cos(direction), np.sin(direction)
+    return x * cos + y * sin, y * cos - x * sin
+
+
+def _lanes_used(trace: Trace, tick: int) -> list[float]:
+    """Centres of the lanes that somebody drives on; in bends, of those about the ego's [m]."""
+    if trace.lanes[0].points:
+        return [-5.0, 8.0]
+    return [trace.lanes[int(lane)].y for lane in trace.states[tick, :, LANE]]
+
+
+def _ends(trace: Trace, tick: int) -> Iterator[float]:
+    """How far ahead lanes end on a straight road, where that is to be seen [m]."""
+    ends = (lane.x + lane.length - trace.ego[tick, X] for lane in trace.lanes if not lane.points)
+    return (float(end) for end in ends if 0 < end < LEAST_WAY)
+
+
+def _road(trace: Trace, tick: int, left: float, right: float) -> str:
+    """The centre lines of the lanes, as far as they are seen."""
+    x, y, direction = _place(trace, tick)
+    return "".join(_line(_turned(*(_points(lane, left) - (x, y)).T, direction), left, right) for lane in trace.lanes)
+
+
+def _points(lane: Lane, left: float) -> FloatArray:
+    straight = [(min(lane.x, left) - 1e3, lane.y), (lane.x + lane.length, lane.y)]
+    return np.array(lane.points or straight)
+
+
+def _line(points: tuple[FloatArray, FloatArray], left: float, right: float) -> str:
+    along, across = points
+    near = np.flatnonzero((along[1:] > left) & (along[:-1] < right) & (np.abs(across[1:]) < MOST_ACROSS))
+    if not near.size:
+        return ""
+    along, across = (each[near[0] : near[-1] + 2] for each in points)
+    steps = [max(along[0], left), *along[1:-1], min(along[-1], right)]
+    return "M" + "L".join(f"{step:.1f} {np.interp(step, along, across):.1f}" for step in steps)
+
+
+def _car(box: Box, colour: str) -> str:
+    turn = f" rotate({box.angle:.1f})" if abs(box.angle) > 0.05 else ""
+    return f'<use href="#c" fill="{colour}" transform="translate({box.along:.1f} {box.across:.1f}){turn}"/>'
+
+
+def _impact(strip: list[Box]) -> str:
+    """A ring around the point of the ego that is nearest to the centre of the other."""
+    ego, npc = strip[:2]
+    angle = np.radians(ego.angle)
+    ahead, right = _turned(np.array(npc.along - ego.along), np.array(npc.across - ego.across), angle)
+    x, y = _turned(np.clip(ahead, -2.5, 2.5), np.clip(right, -1.0, 1.0), -angle)
+    return f'<circle cx="{ego.along + x:.1f}" cy="{ego.across + y:.1f}" r="1.7" stroke="#ff5c5c" stroke-width=".6"/>'
+
+
+def _caption(time: float, strip: list[Box]) -> str:
+    ego, npc = strip[:2]
+    far = f", {abs(npc.along):.0f} m {'ahead' if npc.along > 0 else 'behind'}" if abs(npc.along) > FARTHEST else ""
+    speeds = (f"ego {ego.speed:.1f} m/s", f"NPC {npc.speed:.1f} m/s{far}")
+    told = (f'<tspan dx="9" fill="{colour}">{text}</tspan>' for text, colour in zip(speeds, COLOURS, strict=False))
+    return f"{time:.1f} s{''.join(told)}"
+
+
+def main() -> None:
+    """Write the page and the pictures, and remove those that no situation has any more."""
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    made = pictures()
+    PICTURES.mkdir(exist_ok=True)
+    for path in set(PICTURES.iterdir()) - {PICTURES / name for name in made}:
+        path.unlink()
+    for name, text in made.items():
+        (PICTURES / name).write_text(text, encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""The rules of attribution against situations whose verdict an expert has written down before."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.attribution.responsibility import rss_rule
+from tests.support.situations import SITUATIONS
+
+ROOT = Path(__file__).parents[2]
+ALL = [situation for group in SITUATIONS.values() for situation in group]
+
+
+@pytest.mark.parametrize("situation", ALL, ids=lambda each: each.name)
+def test_the_verdict_is_the_one_that_an_expert_expects(situation):
+    found = rss_rule(situation.trace())
+    assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.reason
+    assert situation.says in found.reason
+
+
+def gallery():
+    spec = importlib.util.spec_from_file_location("docs_gallery", ROOT / "docs" / "tools" / "gallery.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_and_its_pictures_are_as_the_situations_have_it():
+    module = gallery()
+    page = module.PAGE.read_text(encoding="utf-8")
+    assert module.written(page) == page, "run: python docs/tools/gallery.py"
+    drawn = {path.name: path.read_text(encoding="utf-8") for path in module.PICTURES.iterdir()}
+    assert module.pictures() == drawn, "run: python docs/tools/gallery.py"
+
+
+def test_no_picture_is_heavy():
+    assert max(path.stat().st_size for path in (ROOT / "docs" / "gallery").iterdir()) <= 4096
