@@ -67,9 +67,9 @@ def long_stop(trace: Trace, end: int) -> Stop | None:
     """The braking to a standstill that has lasted for long at a tick; None where there was none."""
     speed = trace.ego[: end + 1, SPEED]
     driving = np.flatnonzero(speed > STANDING_SPEED)
-    if not driving.size or end - driving[-1] < STANDING_SECONDS * trace.physics_hz:
+    stopped = int(driving[-1]) + 1 if driving.size else 0
+    if not stopped or end - stopped < STANDING_SECONDS * trace.physics_hz:
         return None
-    stopped = int(driving[-1]) + 1
     steady = np.flatnonzero(np.diff(speed[: stopped + 1]) >= 0)
     return Stop(begin=int(steady[-1]) + 1 if steady.size else 0, end=stopped)
 
@@ -77,19 +77,21 @@ def long_stop(trace: Trace, end: int) -> Stop | None:
 def reasons(trace: Trace, frame: RoadFrame, safe_along: FloatArray, ticks: slice) -> npt.NDArray[np.bool_]:
     """Whether anything ahead gave the ego a reason to brake, at each of the ticks.
 
-    A vehicle in its track, closer than RSS allows or less than four seconds to a collision; one that is coming into it,
-    no farther than the ego drives in that time; the end of its lane, as if a vehicle stood there.
+    A vehicle in its track, closer than RSS allows or less than four seconds to a collision; one that brakes hard there,
+    or is coming into it, no farther than the ego drives in that time; the end of its lane, as if a vehicle stood there.
     """
     speed = frame.speed[:1, ticks]
     along = np.abs(frame.ahead[:, ticks]) - frame.half_along[:1, ticks] - frame.half_along[1:, ticks]
     in_track = frame.gap_across.T[:, ticks] <= 0
     is_ahead = (frame.ahead[:, ticks] > 0) | (along <= 0)
     closing = speed - frame.speed[1:, ticks]
-    is_close = (along < safe_along.T[:, ticks]) | (along < NEAR_SECONDS * closing)
+    is_near = along <= NEAR_SECONDS * speed
+    slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
+    is_close = (along < safe_along.T[:, ticks]) | (along < NEAR_SECONDS * closing) | (is_near & (slowed > HARD_BRAKING))
     sideways = np.sign(frame.right[:, ticks]) * (frame.drift[:1, ticks] - frame.drift[1:, ticks])
     lane = trace.lanes[max(int(trace.ego[ticks.stop - 1, LANE]), 0)]
     is_beside = frame.gap_across.T[:, ticks] < lane.width
-    is_entering = ~in_track & is_beside & (sideways >= DRIFTING) & (along <= NEAR_SECONDS * speed)
+    is_entering = ~in_track & is_beside & (sideways >= DRIFTING) & is_near
     found = (is_ahead & ((in_track & is_close) | is_entering)).any(axis=0)
     return np.asarray(found | _is_near_end(trace, lane, ticks))
 

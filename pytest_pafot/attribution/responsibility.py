@@ -209,10 +209,10 @@ class Conflict:
             return self._attributed("ego", tick, f"{crossed}, {late}", "entered-lane")
         return self._duty_passed(change, kept)
 
-    def _duty_passed(self, change: LaneChange, kept: tuple[int, int], reason: str = "") -> Attribution:
+    def _duty_passed(self, change: LaneChange, kept: tuple[int, int]) -> Attribution:
         """To the one behind, who could still have avoided it when the one ahead had kept the lane for long enough."""
         since, who = max(kept[1], self._before), self._name if change.vehicle else "the ego"
-        reason = reason or f"from {self._at(kept[0])} on {who} kept the lane ahead"
+        reason = f"from {self._at(kept[0])} on {who} kept the lane ahead"
         if change.vehicle == 0:
             return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
         reason = f"{reason}; {self._would(since)}; {self._answer(since)}"
@@ -234,10 +234,9 @@ class Conflict:
             demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
             would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
             return self._blamed_unless_standing(tick, f"{crossed}; {would}", "cut-in-unanswered")
-        gave_way = self._gives_way(change)
-        kept = (tick, tick) if gave_way else self._lanes.kept_since(self._npc + 1, tick, self._end)
+        kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
-            return self._duty_passed(change, kept, crossed if gave_way else "")
+            return self._duty_passed(change, kept)
         return self._excused(tick, f"{crossed}, too late to avoid it")
 
     def _strayed(self) -> Attribution:
