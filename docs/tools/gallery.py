@@ -31,8 +31,8 @@ MOST_ACROSS = 40.0
 """How far from the ego's way a lane is drawn [m]; a bend comes back to where it began."""
 LANES_BESIDE = 0.8
 """How much is shown beside the lanes that somebody drives on [m]."""
-SHORTLY = 0.3
-"""Moments that are less apart are one [s]."""
+LITTLE = 0.1
+"""Moments that are less apart are one [s]; who moved sideways [m] or changed speed [m/s] by no more did nothing."""
 COLOURS = ("#5aa9ff", "#ffa64d", "#c9ced6")
 """Of the ego, of the vehicle that it touches, and of all others."""
 
@@ -114,12 +114,12 @@ def picture(trace: Trace) -> str:
 
 def moments(trace: Trace) -> list[int]:
     """Ticks: the first at which something happens, the one that the reason names or one halfway, and the impact."""
-    end, shortly = trace.ticks, round(SHORTLY * trace.physics_hz)
+    end, little = trace.ticks, round(LITTLE * trace.physics_hz)
     named = rss_rule(trace).tick or 0
-    changes = np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2)) > SHORTLY
+    changes = np.abs(trace.states[:, :, [Y, SPEED]] - trace.states[0, :, [Y, SPEED]].T).max(axis=(1, 2)) > LITTLE
     begins = int(changes.argmax()) if trace.track is None and changes.any() else named
-    first = max(min(begins, named, end - 2 * shortly), 0)
-    return [first, named if first + shortly <= named <= end - shortly else (first + end) // 2, end]
+    first = max(min(begins, named, end - 4 * little), 0)
+    return [first, named if first + little <= named <= end - little else (first + end) // 2, end]
 
 
 def boxes(trace: Trace, tick: int) -> list[Box]:

@@ -223,6 +223,14 @@ SITUATIONS = {
             "both", "braked-for-nothing", "7", "from 8.0 s the ego braked",
         ),
         Situation(
+            "braked-for-a-leader-that-brakes",
+            "One 60 m ahead brakes with 8 m/s^2, and the ego does so 0.5 s later. The one 2 s behind does not brake.",
+            lambda: hit(
+                driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
+            ),
+            "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
             "braked-for-an-obstacle",
             "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The one 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 8.0, 0.0)]), driven(-45.0), driven(135.0, speed=0.0)),
@@ -427,7 +435,7 @@ SITUATIONS = {
             "npc-swipes-the-ego",
             "An NPC beside the ego moves into it.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
-            "npc", None, "2", "side by side",
+            "npc", None, "3", "side by side",
         ),
         Situation(
             "npc-drifts",
@@ -439,7 +447,7 @@ SITUATIONS = {
             "npc-swerves-into-the-side",
             "An NPC beside the ego swerves into it with 4 m/s; the ego brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
-            "npc", None, "2", "side by side",
+            "npc", None, "3", "side by side",
         ),
     ),
     "The ego changes lanes": (
@@ -517,13 +525,13 @@ SITUATIONS = {
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
             ),
-            "npc", None, "2", "NPC 0 crossed the lane line",
+            "npc", None, "3", "NPC 0 crossed the lane line",
         ),
         Situation(
             "ego-swipes",
             "The ego moves into one beside it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "2", "side by side",
+            "ego", "entered-lane", "3", "side by side",
         ),
         Situation(
             "ego-drifts",
@@ -598,7 +606,7 @@ SITUATIONS = {
             "ego-enters-where-one-has-just-entered",
             "An NPC has moved into the lane between for 2 s when the ego moves in beside it.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
-            "ego", "entered-lane", "2", "the ego crossed",
+            "ego", "entered-lane", "3", "the ego crossed",
         ),
         Situation(
             "ego-given-up-its-lane-change",
@@ -635,19 +643,19 @@ SITUATIONS = {
             "bend-npc-runs-wide",
             "In a bend the NPC on the inside runs wide, into the ego beside it.",
             lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
-            "npc", None, "2", "side by side",
+            "npc", None, "3", "side by side",
         ),
         Situation(
             "bend-ego-runs-wide",
             "In a bend the ego runs wide, into an NPC beside it.",
             lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "2", "side by side",
+            "ego", "entered-lane", "3", "side by side",
         ),
         Situation(
             "ramp-npc-merges-close",
             "An NPC that is 6 m/s slower merges from a ramp 6 m ahead of the ego.",
             lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
-            "npc", None, "5", "at 7.2 s NPC 0 crossed",
+            "npc", None, "3", "at 7.2 s NPC 0 crossed",
         ),
         Situation(
             "ramp-npc-merges-35-m-ahead",
