@@ -93,7 +93,9 @@ class LanePlaces:
         elif self.trace.track is not None:  # a lane itself may lead into the other's
             line = (side * (self._across(other) - self.offset(other)) - self._half_widths(other))[onset]
             beyond = (side * self._across(vehicle) + half)[began : onset + 1] > line
-            moment = began + int(beyond.argmax()) if beyond.any() else onset
+            if not beyond.any():
+                return None
+            moment = began + int(beyond.argmax())
         else:
             return None
         left = offset[began : moment + 1] > KEEPING

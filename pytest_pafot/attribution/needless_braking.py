@@ -27,9 +27,11 @@ STANDING_SECONDS = 3.0
 NEAR_SECONDS = 4.0
 """Time to collision below which a vehicle ahead is a reason to brake; and how far ahead one that is entering is, in
 seconds of the ego's driving [s]."""
-REACTION = 1.0
-"""A reason that was there so long before the braking still is one; and the danger behind is the braking's until so long
-after it [s]."""
+REASON_SECONDS = 1.6
+"""A reason that was there so long before the braking still is one: a careful driver takes 0.4 s to perceive it, 0.75 s
+until the brakes act, and the rest until they brake hard (UN R157, annex 4, appendix 3) [s]."""
+AFTERMATH_SECONDS = 1.0
+"""The danger behind is the braking's until so long after it [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,8 @@ import numpy as np
 from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces
 from pytest_pafot.attribution.needless_braking import (
-    REACTION,
+    AFTERMATH_SECONDS,
+    REASON_SECONDS,
     STANDING_SPEED,
     Stop,
     braking,
@@ -293,7 +294,7 @@ class Conflict:
 
     def _npc_followed(self, duty: int, tick: int, reason: str) -> Attribution:
         """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing."""
-        stop = hard_braking(self._trace, self._start - round(REACTION * self._hz), self._end)
+        stop = hard_braking(self._trace, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
         if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1)):
             peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
             braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
@@ -310,7 +311,7 @@ class Conflict:
         speed = self._frame.speed[0]
         if not self._leads(stop.begin) or speed[self._end] >= speed[stop.begin]:
             return False
-        ticks = slice(max(ticks.start - round(REACTION * self._hz), 0), ticks.stop)
+        ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
 
     def _needless(self, stop: Stop, duty: int, reason: str, fault: Fault) -> Attribution:
