@@ -148,7 +148,7 @@ def test_blame_ego_counts_what_npcs_are_responsible_for_and_does_not_ask_the_tes
         """
 @pytest.fixture
 def ads():
-    return lambda: lambda observation: (-8.0, 0.0)
+    return lambda: lambda observation: (0.0, 0.0)
 
 @pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego")
 def test_fault(run):
