@@ -15,6 +15,8 @@ RESPONSE, BRAKING, LEADERS_BRAKING = 1.0, 6.0, 8.0
 """What the safe distance counts with: the follower's delay [s] and braking, the leader's braking [m/s^2]."""
 GENEROUS, SUFFICIENT = 1.5, 1.2
 """How much of what giving way asks for there must be to begin a lane change, and to go on with it."""
+SECONDS = {GENEROUS: 3.0, SUFFICIENT: 1.5}
+"""How much longer it could close in on who is ahead there, before that is too near [s]."""
 
 
 @dataclass(slots=True)
@@ -23,10 +25,10 @@ class SoundLaneChanger(CarefulHuman):
 
     It wants another lane where that promises 2 m/s more, and the one to the right where it loses nothing. It looks at
     whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
-    it, whoever is ahead must be farther than the safe distance, and whoever is behind farther than that and than one
-    and a half times what giving way asks for. All that must have held for half a second. As long as its box can still
-    be kept in the own lane it goes back where the gaps no longer suffice. It follows without any delay, also whoever
-    comes over.
+    it, whoever is ahead must be farther than the safe distance even three seconds later, and whoever is behind farther
+    than the safe distance and than one and a half times what giving way asks for. All that must have held for half a
+    second, in which it keeps to the middle of its lane. As long as its box can still be kept there it goes back where
+    the gaps no longer suffice. It follows without any delay, also whoever comes over.
 
     Attributes:
         path: the line that it steers to, moving sideways with 1 m/s at most [m].
@@ -39,10 +41,12 @@ class SoundLaneChanger(CarefulHuman):
     """[m/s]."""
     GAIN = 2.0
     """Of speed, that is worth a lane change [m/s]."""
-    SIGHT = 100.0
+    SIGHT = 200.0
     """[m]."""
     SLOWEST = 8.0
     """At which it changes lanes [m/s]; below, it would take long."""
+    SETTLED = 0.375
+    """Beside its lane's centre at most, when it begins another lane change [m]."""
     PATIENCE, LOOK = 4.0, 0.5
     """Between two lane changes, and before one [s]."""
 
@@ -68,11 +72,12 @@ class SoundLaneChanger(CarefulHuman):
         return acceleration, 6.0 / max(ego.speed, 6.0) * (heading - ego.heading)
 
     def _attentive(self, observation: Observation) -> float:
-        """What following asks for behind those in its track, and those who come over [m/s^2]: without any delay."""
+        """What following asks for behind those in its track or lane, and who come over [m/s^2]: without any delay."""
         ego, wish = observation.ego, math.inf
         for index, other in enumerate(observation.others):
             leader, comes_over = self.ahead(observation, index), _comes_over(ego, other)
-            if leader is not None and (comes_over or abs(other.y - ego.y) < (ego.width + other.width) / 2):
+            in_way = other.lane == self.lane or abs(other.y - ego.y) < (ego.width + other.width) / 2
+            if leader is not None and (comes_over or in_way):
                 wish = min(wish, self.follow(ego.speed, leader))
             wish = min(wish, 0.0) if comes_over else wish
         return wish
@@ -80,9 +85,8 @@ class SoundLaneChanger(CarefulHuman):
     def _consider(self, observation: Observation) -> None:
         """Begin a lane change that is wanted and has had room for long enough."""
         ego = observation.ego
-        is_ready = (
-            self.now >= self.changed + self.PATIENCE and ego.speed >= self.SLOWEST and self.brakes_from > self.now
-        )
+        is_settled = abs(ego.y - self.lane * observation.lane_width) < self.SETTLED and self.brakes_from > self.now
+        is_ready = is_settled and self.now >= self.changed + self.PATIENCE and ego.speed >= self.SLOWEST
         sides = [lane for lane in (self.lane - 1, self.lane + 1) if 0 <= lane < observation.lanes]
         for lane in sorted(sides, key=lambda lane: -self._progress(observation, lane)):
             gain = self._progress(observation, lane) - self._progress(observation, self.lane)
@@ -143,7 +147,7 @@ def _is_far(ego: VehicleState, other: VehicleState, share: float) -> bool:
     """Whether a vehicle in the lane to enter is far enough ahead or behind."""
     gap = abs(other.x - ego.x) - (ego.length + other.length) / 2
     if other.x > ego.x:
-        return gap > _safe(ego.speed, other.speed)
+        return gap > _safe(ego.speed, other.speed) + SECONDS[share] * max(ego.speed - other.speed, 0.0)
     closing = max(other.speed - ego.speed, 0.0)
     giving_way = closing * 0.4 + closing**2 / (2 * 3.0) + ego.speed * 1.0
     return gap > max(share * giving_way, _safe(other.speed, ego.speed))
