@@ -1,0 +1,90 @@
+"""Do two programs that were written from one page come to the same verdicts? docs/verdicts.md, on random collisions.
+
+    python -m tests.benchmarks.verdicts_twice [--collisions 2000] [--seed 0] [--policies NAME ...] [--workers 2]
+
+The collisions are shared out evenly among the policies of ``tests.support.random_collisions``. Prints by policy and by
+verdict how often the rules of the package and those of ``tests.support.pencil_and_paper`` agree on who is responsible,
+on the fault and on the tick, and each collision on which they do not, with both answers and how to make it again.
+Likewise each reason with a number that is not that of the trace.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+from pytest_pafot.attribution.responsibility import rss_rule
+from tests.support import pencil_and_paper
+from tests.support.random_collisions import POLICIES, collision
+from tests.support.reasons import numbers
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Both answers to one collision, and whether the numbers of the reason are true."""
+
+    policy: str
+    verdict: str
+    agrees: bool
+    is_true: bool
+    text: str
+
+
+def compared(policy: str, number: int, seed: int) -> Compared:
+    """What both say of a collision.
+
+    Raises:
+        LookupError: where none is found.
+    """
+    found = collision(policy, number, seed)
+    first, second = rss_rule(found.trace), pencil_and_paper.judge(found.trace)
+    mine = (second.responsibility, second.fault, second.tick)
+    theirs = (first.responsibility, first.fault, first.tick)
+    said, true = numbers(found.trace, first)
+    text = (
+        f"collision({policy!r}, {number}, {seed}) in {found.world!r}\n"
+        f"    impact at tick {found.trace.collision.tick}, {found.trace.collision!r}\n"
+        f"    package: {theirs}: {first.reason}\n    paper:   {mine}: {second.ticks}\n"
+        f"    numbers: {said}, by the trace {true}"
+    )
+    return Compared(policy, f"{first.responsibility}, {first.fault or 'no fault'}", mine == theirs, said == true, text)
+
+
+def table(compared: list[Compared], key: str) -> str:
+    """Agreement by policy, or by verdict."""
+    every = Counter(getattr(each, key) for each in compared)
+    agreed = Counter(getattr(each, key) for each in compared if each.agrees)
+    return "\n".join(f"{agreed[name]:6} of {count:5}  {name}" for name, count in sorted(every.items()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--collisions", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
+    parser.add_argument("--workers", type=int, default=2)
+    arguments = parser.parse_args()
+    names = arguments.policies
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        jobs = [
+            pool.submit(compared, names[index % len(names)], index // len(names), arguments.seed)
+            for index in range(arguments.collisions)
+        ]
+        done, without = [], Counter()
+        for index, job in enumerate(jobs):
+            try:
+                done.append(job.result())
+            except LookupError:
+                without[names[index % len(names)]] += 1
+                continue
+            if not (done[-1].agrees and done[-1].is_true):
+                print(done[-1].text, flush=True)
+    print(f"by policy\n{table(done, 'policy')}\nby verdict\n{table(done, 'verdict')}")
+    agree, true = sum(each.agrees for each in done), sum(each.is_true for each in done)
+    print(f"{agree} of {len(done)} agree, {true} reasons have true numbers; no collision found: {dict(without)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,594 @@
+"""The rules of attribution once more, from docs/verdicts.md alone: clause by clause, in plain loops over plain numbers.
+
+It was written without a look at the program that it is compared with, and is obvious rather than fast. Sides are +1 to
+the right and -1 to the left; ticks are indices of the trace's rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from pytest_pafot.trace import ACROSS, ALONG, ANGLE, HEADING, LANE, OFFSET, SPEED, STRETCH, X, Y
+from tests.support.polygons import corners, point_to_segment, polygon_distance
+
+STANDS = 0.1
+MOVES_SIDEWAYS = 0.3
+OFF_CENTRE = 0.375
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """A verdict: who, which fault, what it begins with, and the ticks by which it was found."""
+
+    responsibility: str
+    fault: str | None
+    tick: int
+    ticks: dict[str, int] = field(default_factory=dict)
+
+
+class Vehicle:
+    """What the trace says of one vehicle, in the page's words; every list is by tick."""
+
+    def __init__(self, trace, index):
+        self.hz = trace.physics_hz
+        self.length, self.width = trace.sizes[index].tolist()
+        self.rows = trace.states[:, index].tolist()
+        self.body_speed = [row[SPEED] for row in self.rows]
+        if trace.track is None:
+            self._on_straight_road(trace)
+        else:
+            self._on_bend(trace, trace.track[:, index].tolist())
+        self.is_straight = trace.track is None
+        self.lane_width = [trace.lanes[lane].width for lane in self.lane]
+        self.speed = [v * math.cos(a) for v, a in zip(self.body_speed, self.angle, strict=True)]
+
+    def _on_straight_road(self, trace):
+        cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
+        centres = [lane.y * cos - lane.x * sin for lane in trace.lanes]
+        width = trace.lanes[0].width
+        with_shoulders = [*centres, min(centres) - width, max(centres) + width]
+        self.along = [row[X] * cos + row[Y] * sin for row in self.rows]
+        self.across = [row[Y] * cos - row[X] * sin for row in self.rows]
+        self.angle = [row[HEADING] - trace.lanes[0].heading for row in self.rows]
+        self.centre = [
+            centres[int(row[LANE])] if row[LANE] >= 0 else min(with_shoulders, key=lambda centre: abs(centre - y))
+            for row, y in zip(self.rows, self.across, strict=True)
+        ]
+        self.lane = [nearest_lane(trace, row) for row in self.rows]
+        self.stretch = [1.0] * len(self.rows)
+
+    def _on_bend(self, trace, track):
+        self.along = [row[ALONG] for row in track]
+        self.across = [row[ACROSS] for row in track]
+        self.angle = [row[ANGLE] for row in track]
+        self.centre = [row[ACROSS] - row[OFFSET] for row in track]
+        self.lane = [nearest_lane(trace, row) for row in self.rows]
+        self.stretch = [row[STRETCH] for row in track]
+
+    def reach(self, tick):
+        """To the front and to the back of the centre."""
+        angle = self.angle[tick]
+        return (self.length * abs(math.cos(angle)) + self.width * abs(math.sin(angle))) / 2
+
+    def side_reach(self, tick):
+        angle = self.angle[tick]
+        return (self.length * abs(math.sin(angle)) + self.width * abs(math.cos(angle))) / 2
+
+    def edge(self, tick, side):
+        """How far the box reaches to a side, counted to that side."""
+        return side * self.across[tick] + self.side_reach(tick)
+
+    def sideways(self, tick):
+        """To the right."""
+        if tick == 0:
+            return self.body_speed[0] * math.sin(self.angle[0])
+        was, now = self.rows[tick - 1], self.rows[tick]
+        road = was[HEADING] - self.angle[tick - 1]
+        return ((now[Y] - was[Y]) * math.cos(road) - (now[X] - was[X]) * math.sin(road)) * self.hz
+
+    def deceleration(self, tick):
+        return (self.body_speed[tick - 1] - self.body_speed[tick]) * self.hz if tick else 0.0
+
+    def deceleration_along(self, tick):
+        return (self.speed[tick - 1] - self.speed[tick]) * self.hz if tick else 0.0
+
+    def off_centre(self, tick):
+        """To the right."""
+        return self.across[tick] - self.centre[tick]
+
+    def is_over_its_line(self, tick, side):
+        return self.edge(tick, side) > self.line(tick, side)
+
+    def line(self, tick, side):
+        """The line of its own lane on a side, counted to that side."""
+        return side * self.centre[tick] + self.lane_width[tick] / 2
+
+
+def metres(a, b, tick):
+    """Driven from one to the other, on a bend, per metre of the way: the mean of both places."""
+    return (a.stretch[tick] + b.stretch[tick]) / 2
+
+
+def nearest_lane(trace, row):
+    """The lane of a row of the trace; off the road the nearest."""
+    if row[LANE] >= 0:
+        return int(row[LANE])
+    return min(range(len(trace.lanes)), key=lambda lane: distance_to(trace.lanes[lane], (row[X], row[Y])))
+
+
+def distance_to(lane, place):
+    """Of a place to the centre line of a lane."""
+    points = lane.points or ((lane.x, lane.y), end_of(lane))
+    return min(point_to_segment(place, *piece) for piece in pairwise(points))
+
+
+def gap(a, b, tick):
+    return abs(a.along[tick] - b.along[tick]) * metres(a, b, tick) - a.reach(tick) - b.reach(tick)
+
+
+def beside(a, b, tick):
+    """Between the boxes across the road; at most 0 in one track."""
+    return abs(a.across[tick] - b.across[tick]) - a.side_reach(tick) - b.side_reach(tick)
+
+
+def in_one_track(a, b, tick):
+    return beside(a, b, tick) <= 0
+
+
+def is_behind(ego, npc, tick):
+    """Whether the ego is the one behind, as it is with level centres."""
+    return ego.along[tick] <= npc.along[tick]
+
+
+def side_of(other, own, tick):
+    return 1 if other.across[tick] > own.across[tick] else -1
+
+
+def safe_along(behind, ahead, tick):
+    v, u = behind.speed[tick], ahead.speed[tick]
+    return max(0.0, v * 1.0 + v * abs(v) / 12 - u * abs(u) / 16)
+
+
+def safe_across(a, b, tick):
+    closer = 0.0
+    for own, other in ((a, b), (b, a)):
+        s = side_of(other, own, tick) * own.sideways(tick)
+        t = s + 0.2
+        closer += s * 1.0 + 0.1 + t * abs(t) / 1.6
+    return 0.1 + max(0.0, closer)
+
+
+def giving_way(behind, ahead, tick):
+    """The gap that the one ahead must leave."""
+    v = ahead.speed[tick]
+    dv = max(0.0, behind.speed[tick] - v)
+    return dv * 0.4 + dv**2 / (2 * 3.0) + v * 1.0
+
+
+def first_of_last_stretch(holds, last):
+    """Of ticks up to the last one, which counts as one of them."""
+    first = last
+    while first > 0 and holds(first - 1):
+        first -= 1
+    return first
+
+
+class Crash:
+    """One collision, from the ego's and the NPC's trace."""
+
+    def __init__(self, trace):
+        self.trace, self.hz, self.impact = trace, trace.physics_hz, trace.collision.tick
+        self.vehicles = [Vehicle(trace, index) for index in range(trace.states.shape[1])]
+        self.ego, self.npc = self.vehicles[0], self.vehicles[trace.collision.npc + 1]
+        self.danger = first_of_last_stretch(self.is_danger, self.impact)
+        self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
+        self.is_cut_in = False
+        self.ticks = {"danger": self.danger, "joined": self.joined}
+
+    def is_danger(self, tick):
+        apart = gap(self.ego, self.npc, tick)
+        pair = (self.ego, self.npc) if is_behind(self.ego, self.npc, tick) else (self.npc, self.ego)
+        is_close_along = apart < safe_along(*pair, tick) or apart <= 0
+        is_close_across = max(0.0, beside(self.ego, self.npc, tick)) < safe_across(self.ego, self.npc, tick)
+        return is_close_along and is_close_across
+
+    def seconds(self, ticks):
+        return ticks / self.hz
+
+    def opinion(self, responsibility, fault=None, tick=None):
+        tick = self.danger if tick is None else tick
+        return Opinion(responsibility, fault, tick, self.ticks)
+
+    def verdict(self):
+        """The rules in their order, and the excuse for an ego that stands."""
+        opinion = self._by_the_first_rule_that_applies()
+        stands = abs(self.ego.speed[self.impact]) <= STANDS
+        is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or "drift" in self.ticks
+        if stands and is_excused and opinion.responsibility == "ego":
+            return self.opinion("npc", None, opinion.tick)
+        return opinion
+
+    def _by_the_first_rule_that_applies(self):
+        if self.danger > self.joined or self.joined == 0:
+            return self.one_follows_the_other()
+        mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
+        if mine is not None:
+            self.ticks["ego's moment"] = mine.moment
+        if theirs is not None:
+            self.ticks["npc's moment"] = theirs.moment
+        if mine is not None and theirs is not None:
+            if self.seconds(abs(mine.moment - theirs.moment)) <= 1.0:
+                return self.both_changed_lanes(mine, theirs)
+            mine, theirs = (mine, None) if mine.moment > theirs.moment else (None, theirs)
+        if mine is not None:
+            return self.ego_changed_lanes(mine)
+        if theirs is not None:
+            return self.npc_changed_lanes(theirs)
+        return self.drift() or self.one_follows_the_other()
+
+    # Rule 3
+
+    def gives_way(self, ahead, behind, tick):
+        apart = gap(ahead, behind, tick)
+        return apart > 0 and apart >= giving_way(behind, ahead, tick)
+
+    def both_changed_lanes(self, mine, theirs):
+        at, later = mine.moment, max(mine.moment, theirs.moment)
+        if not is_behind(self.ego, self.npc, at) and self.gives_way(self.ego, self.npc, at):
+            return self.npc_follows(at, tick=at)
+        ego_behind = is_behind(self.ego, self.npc, self.joined)
+        ahead, behind = (self.npc, self.ego) if ego_behind else (self.ego, self.npc)
+        passed = self.duty_passes(ahead, behind, later)
+        if passed is not None and ego_behind:
+            return self.opinion("ego", "leader-unanswered", passed.kept)
+        if passed is not None:
+            return self.npc_follows(passed.due, tick=passed.kept)
+        return self.opinion("both", "entered-lane", at)
+
+    def ego_changed_lanes(self, change):
+        at = change.moment
+        if is_behind(self.ego, self.npc, at):
+            return self.opinion("ego", "entered-lane", at)
+        if self.gives_way(self.ego, self.npc, at):
+            return self.npc_follows(at, tick=at)
+        passed = self.duty_passes(self.ego, self.npc, at)
+        if passed is not None:
+            return self.npc_follows(passed.due, tick=passed.kept)
+        return self.opinion("ego", "entered-lane", at)
+
+    def npc_changed_lanes(self, change):
+        at = change.moment
+        if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
+            return self.npc_follows(at, tick=at)
+        if gap(self.ego, self.npc, at) <= 0 or self.trace.collision.side != "front":
+            return self.opinion("npc", None, at)
+        return self.cut_in(change)
+
+    # Rule 4a
+
+    def duty_passes(self, mover, other, since):
+        """To the other, who would have avoided it from then on; None where it does not."""
+        second = self.keeps_its_lane(mover, since)
+        if second is None:
+            return None
+        kept, end = second
+        due = max(end, self.danger - 1)
+        if not self.would_have_avoided(other, mover, due):
+            return None
+        self.ticks["answer"] = due
+        return Passed(kept, due)
+
+    def keeps_its_lane(self, vehicle, since):
+        """From when to when it did so for long enough, since a tick; None if not up to the impact."""
+        near = inside = 0
+        for tick in range(since, self.impact + 1):
+            off = abs(vehicle.off_centre(tick))
+            near = near + 1 if off <= OFF_CENTRE else 0
+            inside = inside + 1 if off + vehicle.side_reach(tick) <= vehicle.lane_width[tick] / 2 else 0
+            for ticks, length in ((near, round(1.0 * self.hz)), (inside, round(2.0 * self.hz))):
+                if ticks > length:
+                    return tick - length, tick
+        return None
+
+    # Rule 4b
+
+    def one_follows_the_other(self):
+        if is_behind(self.ego, self.npc, self.danger):
+            due = self.ticks["answer"] = max(self.danger - 1, 0)
+            if self.would_have_avoided(self.ego, self.npc, due):
+                return self.opinion("ego", "leader-unanswered")
+            return self.opinion("npc")
+        return self.npc_follows(0, tick=self.danger)
+
+    def npc_follows(self, since, *, tick):
+        """Since a tick that rule 3 or 4a names, or 0."""
+        due = self.ticks["answer"] = max(since, self.danger - 1, 0)
+        hard, stop = self.braked_for_nothing(), self.stopped_for_nothing()
+        if hard is None and stop is None:
+            return self.opinion("npc", None, tick)
+        fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
+        due = self.ticks["answer"] = max(since, min(due, began))
+        could = self.would_have_avoided(self.npc, self.ego, due)
+        return self.opinion("both" if could else "ego", fault, began)
+
+    # Rule 5
+
+    def cut_in(self, change):
+        self.is_cut_in = True
+        seen = change.moment
+        while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(change.moment, change):
+            seen -= 1
+        self.ticks["answer"] = seen
+        dv = self.ego.speed[seen] - self.npc.speed[seen]
+        nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
+        if not nobody_can and self.would_have_avoided_a_cut_in(seen):
+            return self.opinion("ego", "cut-in-unanswered", change.moment)
+        passed = self.duty_passes(self.npc, self.ego, change.moment)
+        if passed is not None:
+            return self.opinion("ego", "leader-unanswered", passed.kept)
+        return self.opinion("npc", None, change.moment)
+
+    def is_seen(self, tick, change):
+        return change.side * self.npc.off_centre(tick) > OFF_CENTRE
+
+    # Rule 1
+
+    def would_have_avoided(self, responder, other, due):
+        """Following: 1.0 s, then 6 m/s^2."""
+        drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
+        return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
+
+    def would_have_avoided_a_cut_in(self, seen):
+        drive = Response(self, self.ego, self.npc, seen, delay=1.4, perceived=0.4)
+        return drive.avoids(Emergency(drive).deceleration, brakes_on=True)
+
+    # Rule 7
+
+    def braked_for_nothing(self):
+        """The tick at which such braking begins, or None."""
+        stretch = self.last_hard_braking()
+        if stretch is None or stretch[1] < self.danger - round(1.0 * self.hz):
+            return None
+        began = stretch[0] - 1
+        return began if self.counts(began, began) else None
+
+    def last_hard_braking(self):
+        found = first = None
+        for tick in range(1, self.impact + 1):
+            is_hard = self.ego.deceleration(tick) > 5.0
+            first = (first or tick) if is_hard else None
+            if is_hard and self.seconds(tick - first + 1) >= 0.4 - ROUNDING:
+                found = first, tick
+        return found
+
+    def stopped_for_nothing(self):
+        """The tick at which the braking to a standstill begins, or None."""
+        speed = self.ego.body_speed
+        moving = [tick for tick in range(self.impact + 1) if speed[tick] > STANDS]
+        if not moving:
+            return None
+        stood = moving[-1] + 1
+        if self.seconds(self.impact - stood) < 3.0 - ROUNDING:
+            return None
+        began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
+        self.ticks["stood"] = stood
+        return began if self.counts(began, stood) else None
+
+    def counts(self, began, end):
+        """Whether braking may have been for nothing, with no reason from 1.6 s before it began to the end."""
+        if is_behind(self.ego, self.npc, began) or self.ego.speed[self.impact] >= self.ego.speed[began]:
+            return False
+        ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
+        return not any(self.is_reason(tick, self.ego.lane[end]) for tick in ticks)
+
+    def is_reason(self, tick, lane):
+        others = [vehicle for vehicle in self.vehicles if vehicle is not self.ego]
+        is_any = any(self.is_leader_a_reason(other, tick) or self.is_entering(other, tick) for other in others)
+        return is_any or self.is_end_of_lane_near(tick, lane)
+
+    def is_ahead_or_side_by_side(self, other, tick):
+        return other.along[tick] > self.ego.along[tick] or gap(self.ego, other, tick) <= 0
+
+    def is_leader_a_reason(self, other, tick):
+        if not self.is_ahead_or_side_by_side(other, tick) or not in_one_track(self.ego, other, tick):
+            return False
+        apart, closing = gap(self.ego, other, tick), self.ego.speed[tick] - other.speed[tick]
+        is_braking = other.deceleration_along(tick) > 5.0 and apart <= 4.0 * self.ego.speed[tick]
+        return apart < safe_along(self.ego, other, tick) or apart < 4.0 * closing or is_braking
+
+    def is_entering(self, other, tick):
+        if not self.is_ahead_or_side_by_side(other, tick) or in_one_track(self.ego, other, tick):
+            return False
+        side = side_of(other, self.ego, tick)
+        closing = side * (self.ego.sideways(tick) - other.sideways(tick))
+        return (
+            beside(self.ego, other, tick) < self.ego.lane_width[tick]
+            and gap(self.ego, other, tick) <= 4.0 * self.ego.speed[tick]
+            and closing >= MOVES_SIDEWAYS
+        )
+
+    def is_end_of_lane_near(self, tick, lane):
+        end = end_of(self.trace.lanes[lane])
+        if any(math.dist(end, (other.x, other.y)) <= 1.0 for other in self.trace.lanes):
+            return False
+        place = self.ego.rows[tick][X], self.ego.rows[tick][Y]
+        return math.dist(end, place) < 4.0 * self.ego.speed[tick]
+
+    # Rule 9
+
+    def drift(self):
+        """None where the rule says nothing."""
+        at, side = self.joined, side_of(self.npc, self.ego, self.joined)
+        ego_strays = self.ego.is_over_its_line(at, side)
+        npc_strays = self.npc.is_over_its_line(at, -side)
+        if gap(self.ego, self.npc, at) > 0:
+            strays_ahead = ego_strays and not npc_strays and not is_behind(self.ego, self.npc, at)
+            if not strays_ahead or self.would_have_avoided(self.npc, self.ego, max(self.danger - 1, 0)):
+                return None
+            return self.opinion("ego", "entered-lane", at)
+        self.ticks["drift"] = at
+        if ego_strays == npc_strays:
+            ego_strays = side * self.ego.sideways(at) - -side * self.npc.sideways(at) >= MOVES_SIDEWAYS
+        return self.opinion("ego", "entered-lane", at) if ego_strays else self.opinion("npc", None, at)
+
+
+def end_of(lane):
+    if lane.points:
+        return lane.points[-1]
+    return lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading)
+
+
+@dataclass(frozen=True)
+class LaneChange:
+    """Rule 2: from the first tick of the motion, over the line at the moment, to a side."""
+
+    start: int
+    moment: int
+    side: int
+
+    @classmethod
+    def of(cls, crash, mover, other):
+        """The mover's into the other's track, or None."""
+        side, joined = side_of(other, mover, crash.joined - 1), crash.joined
+        moving = [tick for tick in range(joined + 1) if side * mover.sideways(tick) >= MOVES_SIDEWAYS]
+        if not moving or crash.seconds(joined - moving[-1]) >= 0.5 - ROUNDING:
+            return None
+        start = moving[-1]
+        for tick in reversed(moving):
+            if crash.seconds(start - tick - 1) >= 0.5 - ROUNDING:
+                break
+            start = tick
+        moment = last_crossing(mover, range(start, joined + 1), side)
+        if moment is None and not mover.is_straight:
+            line = side * other.centre[joined] - other.lane_width[joined] / 2
+            moment = next((tick for tick in range(start, joined + 1) if mover.edge(tick, side) > line), None)
+        return None if moment is None else cls(start, moment, side)
+
+
+def last_crossing(mover, motion, side):
+    """The first tick of the last stretch in which the box was over the line of the lane of its centre, or None."""
+    first, was_over = None, False
+    for tick in motion:
+        is_over = mover.is_over_its_line(tick, side)
+        has_passed = tick > motion[0] and side * (mover.centre[tick] - mover.centre[tick - 1]) > 1.0
+        if is_over and (has_passed or not was_over):
+            first = tick
+        was_over = is_over
+    return first
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Rule 4a: from when on the mover kept its lane, and from when on the other has to answer."""
+
+    kept: int
+    due: int
+
+
+class Response:
+    """Rule 1: the responder drives its recorded line at speeds of its own."""
+
+    LONGEST = 12.0
+
+    def __init__(self, crash, responder, other, since, *, delay, perceived):
+        self.crash, self.responder, self.other, self.since = crash, responder, other, since
+        self.hz, self.impact = crash.hz, crash.impact
+        self.due = since + round(delay * self.hz)
+        self.perceived = since + round(perceived * self.hz)
+        self.speeds = {since: responder.speed[since]}
+        self.others_speeds = dict(enumerate(other.speed[: self.impact + 1]))
+        self.lag = self.others_way = 0.0
+
+    def avoids(self, deceleration, *, brakes_on=False):
+        """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
+        if self.due >= self.impact:
+            return False
+        for tick in range(self.since, self.impact):
+            self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
+            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
+            if self.is_contact(tick + 1):
+                return False
+        if self.has_answered():
+            return False
+        return self.is_free_after_the_impact(deceleration, brakes_on)
+
+    def next_speed(self, tick, deceleration):
+        own = self.speeds[tick]
+        if tick + 1 >= self.due:
+            return self.slowed_down(tick, deceleration)
+        recorded = self.responder.speed[tick + 1]
+        return recorded if tick + 1 <= self.perceived else min(own, recorded)
+
+    def slowed_down(self, tick, deceleration):
+        """By a step that begins at a tick."""
+        own = self.speeds[tick]
+        return max(0.0, own - deceleration / self.hz) if own > self.others_speeds[tick] else own
+
+    def has_answered(self):
+        ticks = range(self.due, self.impact + 1)
+        return all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
+
+    def ahead_by(self, tick):
+        """How far the other's centre is ahead of where the responder would be [m]."""
+        at = min(tick, self.impact)
+        apart = (self.other.along[at] - self.responder.along[at]) * metres(self.other, self.responder, at)
+        return apart + self.lag + self.others_way
+
+    def is_contact(self, tick):
+        own, other = self.responder, self.other
+        places = (0.0, own.across[tick], own.angle[tick]), (self.ahead_by(tick), other.across[tick], other.angle[tick])
+        if abs(places[1][0]) > (math.hypot(own.length, own.width) + math.hypot(other.length, other.width)) / 2:
+            return False
+        boxes = corners(places[0], own.length, own.width), corners(places[1], other.length, other.width)
+        return polygon_distance(*boxes) == 0
+
+    def straight_gap(self, tick):
+        """At a tick, with straight boxes."""
+        return abs(self.ahead_by(tick)) - (self.responder.length + self.other.length) / 2
+
+    def is_free_after_the_impact(self, deceleration, brakes_on):
+        tick = self.impact
+        falls = max(0.0, self.other.deceleration_along(tick)) if brakes_on else 0.0
+        while True:
+            own, other = self.speeds[tick], self.others_speeds[tick]
+            still_brakes = falls > 0 and other > 0
+            if not still_brakes and (own <= other or (tick - self.since) / self.hz >= self.LONGEST):
+                return True
+            self.speeds[tick + 1] = self.slowed_down(tick, deceleration(tick))
+            self.others_speeds[tick + 1] = max(0.0, other - falls / self.hz) if still_brakes else other
+            self.lag -= own / self.hz
+            self.others_way += other / self.hz
+            tick += 1
+            if self.straight_gap(tick) <= 0:
+                return False
+
+
+class Emergency:
+    """How hard the responder to a cut-in brakes at a tick."""
+
+    def __init__(self, drive):
+        self.drive, self.count, self.first = drive, 0, None
+
+    def deceleration(self, tick):
+        """To be asked tick by tick."""
+        drive = self.drive
+        own, other = drive.speeds[tick], drive.others_speeds[tick]
+        self.count = self.count + 1 if self.is_one(tick, own - other) else 0
+        if self.first is None and self.count >= round(0.4 * drive.hz):
+            self.first = tick - self.count + 1
+        acts = self.first is not None and tick + 1 >= self.first + round(1.4 * drive.hz)
+        if acts and own <= other:
+            self.count, self.first, acts = 0, None, False
+        return 6.0 if acts else 3.0
+
+    def is_one(self, tick, closing):
+        falls = self.drive.other.deceleration_along(tick) if tick <= self.drive.impact else 0.0
+        return (closing > 0 and self.drive.straight_gap(tick) / closing < 2.0) or falls > 5.0
+
+
+def judge(trace):
+    """The verdict on a collision."""
+    return Crash(trace).verdict()

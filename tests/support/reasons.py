@@ -1,0 +1,147 @@
+"""Every number that the reason of a verdict says, computed once more from the trace.
+
+A reason is a list of clauses. Each has a pattern with the numbers to be looked at, and a function that computes them in
+their order; what no pattern knows is an error.
+"""
+
+from __future__ import annotations
+
+import re
+
+from tests.support.pencil_and_paper import Crash, gap, giving_way, is_behind, safe_along, side_of
+
+NUMBER = r"(-?\d+\.\d)"
+
+
+class Reading:
+    """A collision as its reason is read: what its numbers are at the tick that the verdict names."""
+
+    def __init__(self, trace, tick):
+        self.crash = Crash(trace)
+        self.crash.verdict()
+        self.ego, self.npc, self.tick = self.crash.ego, self.crash.npc, tick
+        self.mover, self.other = self.ego, self.npc
+
+    def time(self, tick):
+        return tick / self.crash.hz
+
+    def apart(self):
+        return gap(self.ego, self.npc, self.tick)
+
+    def behind_and_ahead(self):
+        pair = self.ego, self.npc
+        return pair if is_behind(*pair, self.tick) else pair[::-1]
+
+    def too_close(self):
+        return [self.time(self.tick), self.apart(), safe_along(*self.behind_and_ahead(), self.tick)]
+
+    def crossed(self, mover, other):
+        """When and how fast sideways; what is told of the mover next is compared with the other."""
+        self.mover, self.other = mover, other
+        return [self.time(self.tick), self.towards(mover, other, self.tick)]
+
+    def towards(self, mover, other, tick):
+        return mover.sideways(tick) * side_of(other, mover, max(self.crash.joined - 1, 0))
+
+    def place(self, words):
+        """How far ahead or behind, and how much faster or slower, as the words say."""
+        faster = self.mover.speed[self.tick] - self.other.speed[self.tick]
+        ahead = self.mover.along[self.tick] > self.other.along[self.tick]
+        assert ("ahead" in words) == ahead
+        return [self.apart(), faster if "faster" in words else -faster]
+
+    def both_crossed(self):
+        moments = self.crash.ticks["ego's moment"], self.crash.ticks["npc's moment"]
+        return [
+            *(self.time(moment) for moment in moments),
+            self.towards(self.ego, self.npc, moments[0]),
+            self.towards(self.npc, self.ego, moments[1]),
+        ]
+
+    def due(self, delay):
+        return self.crash.ticks["answer"] / self.crash.hz + delay
+
+    def braking(self):
+        """Of the ego, since its answer counts: from when on and with how much at most."""
+        ticks = range(self.crash.ticks["answer"] + 1, self.crash.impact + 1)
+        first = next(tick for tick in ticks if self.ego.deceleration(tick) >= 0.5)
+        return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in ticks)]
+
+    def speed_reached(self):
+        return max(self.ego.speed[self.crash.ticks["answer"] : self.crash.impact + 1])
+
+    def hard_braking(self):
+        first, last = self.crash.last_hard_braking()
+        return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in range(first, last + 1))]
+
+    def stood(self):
+        return [self.time(self.tick), self.time(self.crash.impact - self.crash.ticks["stood"])]
+
+
+CLAUSES = {
+    f"from {NUMBER} s on (?:NPC # was {NUMBER} m behind the ego|the ego was {NUMBER} m behind NPC #), closer than the "
+    f"{NUMBER} m that RSS demands": lambda reading, said: reading.too_close(),
+    f"at {NUMBER} s NPC # crossed the lane line towards the ego \\({NUMBER} m/s sideways\\)": (
+        lambda reading, said: reading.crossed(reading.npc, reading.ego)
+    ),
+    f"at {NUMBER} s the ego crossed the lane line towards NPC # \\({NUMBER} m/s sideways\\)": (
+        lambda reading, said: reading.crossed(reading.ego, reading.npc)
+    ),
+    f", {NUMBER} m (?:ahead|behind), {NUMBER} m/s (?:faster|slower)": lambda reading, said: reading.place(said),
+    f", (?:where giving way takes {NUMBER} m|more than the {NUMBER} m that giving way takes)": (
+        lambda reading, said: [giving_way(reading.npc, reading.ego, reading.tick)]
+    ),
+    f"at {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other "
+    f"\\({NUMBER} and {NUMBER} m/s sideways\\)": lambda reading, said: reading.both_crossed(),
+    f"the ego had kept its lane from {NUMBER} s on|from {NUMBER} s on (?:NPC #|the ego) kept the lane ahead": (
+        lambda reading, said: [reading.time(reading.tick)]
+    ),
+    f"from {NUMBER} s the ego braked with up to {NUMBER} m/s\\^2 with nothing in its way": (
+        lambda reading, said: reading.hard_braking()
+    ),
+    f"from {NUMBER} s the ego braked to a standstill with nothing in its way and stood for {NUMBER} s": (
+        lambda reading, said: reading.stood()
+    ),
+    f"the ego was standing \\({NUMBER} m/s\\) at the impact": (
+        lambda reading, said: [abs(reading.ego.speed[reading.crash.impact])]
+    ),
+    f"at {NUMBER} s (?:NPC # came sideways into the ego|the ego came sideways into NPC #)(?:'s way)?": (
+        lambda reading, said: [reading.time(reading.crash.joined)]
+    ),
+    f"(?:; |; NPC #'s |, and NPC #'s )braking with 6 m/s\\^2 from {NUMBER} s on would have avoided it": (
+        lambda reading, said: [reading.due(1.0)]
+    ),
+    f"; braking with 3 to 6 m/s\\^2 from {NUMBER} s on would have avoided it": lambda reading, said: [reading.due(1.4)],
+    f"; the ego braked from {NUMBER} s on with up to {NUMBER} m/s\\^2": lambda reading, said: reading.braking(),
+    f"; the ego sped up to {NUMBER} m/s": lambda reading, said: [reading.speed_reached()],
+    ", side by side|, too late to avoid it|, and no response could avoid it|, and NPC # behind could not avoid it"
+    "|, and NPC # could not avoid it any more when the ego kept the lane|; the ego did not brake": (
+        lambda reading, said: []
+    ),
+}
+"""Of these a reason is made; ``#`` is the NPC that was touched."""
+
+
+def numbers(trace, attribution):
+    """The numbers of a reason as it says them, and as they are.
+
+    Raises:
+        ValueError: for words that are in none of the clauses.
+    """
+    reading, rest = Reading(trace, attribution.tick), attribution.reason
+    said, true = [], []
+    while rest:
+        found, compute = clause(rest, trace.collision.npc)
+        said += [number for number in found.groups() if number is not None]
+        true += [f"{number:.1f}".replace("-0.0", "0.0") for number in compute(reading, found[0])]
+        rest = rest[found.end() :]
+    return said, true
+
+
+def clause(rest, npc):
+    """The one that begins a text."""
+    for pattern, compute in CLAUSES.items():
+        found = re.match(pattern.replace("#", str(npc)), rest)
+        if found:
+            return found, compute
+    raise ValueError(f"no clause of a reason that is known begins: {rest!r}")
