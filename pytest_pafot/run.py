@@ -21,7 +21,7 @@ from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
 
 LINE_LENGTH = 99
 """Of an explanation."""
-MAX_GENE_ROWS = 6
+MAX_GENE_ROWS = 5
 """Of the table in it."""
 _DEPARTURES = {
     Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
@@ -304,7 +304,7 @@ class Run:
             sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
             if self.second_opinion != self.responsibility:
                 sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
-            lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=3)
+            lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=4)
         lines += [*_gene_table(self.trace), f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}"]
         return "\n".join(_ascii(line) for line in lines)
 

@@ -187,6 +187,6 @@ def test_an_explanation_of_many_genes_shows_the_last_ones():
         scenario=scenario_of(1, genes=20, gene_seconds=1.0),
     )
     lines = Run(trace).explain().splitlines()
-    assert "(4 earlier)" in lines[2]
-    assert lines[3].split()[0] == "4.0"
+    assert "(5 earlier)" in lines[2]
+    assert lines[3].split()[0] == "5.0"
     assert lines[-2].split()[0] == "9.0"

@@ -18,6 +18,9 @@ from pytest_pafot.trace import FloatArray
 Direction = tuple[FloatArray, FloatArray]
 """Cosine and sine of an angle, tick by tick."""
 
+DRAWS_AWAY = 2.0
+"""From so much more speed of the other on, no headway has to be restored by braking [m/s]."""
+
 HORIZON = 12.0
 """How far the two are followed beyond the impact [s]; longer than the calmest braking to a standstill takes."""
 
@@ -32,13 +35,15 @@ class Braking:
     Attributes:
         delay: from the moment at which there is something to respond to, until the brakes have acted for a tick, so
             that what the safe distance of RSS leaves room for is avoided in steps of time as well [s].
-        deceleration: from then on, while faster than the other [m/s^2].
+        deceleration: from then on, while faster than the other, or nearer than the headway [m/s^2].
         perception: first part of the delay, in which it may go on speeding up as it did [s].
+        headway: that it restores [s].
     """
 
     delay: float
     deceleration: float
     perception: float = 0.0
+    headway: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,20 +91,18 @@ class Pursuit:
 
         Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
         one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
-        One that drove no faster than the reference from when its answer was due has answered, whatever came of it.
+        One that drove no faster than the reference has answered, whatever came of it.
         """
-        due, end = since + round(response.delay * self.hz), len(self.ahead) - 1
-        if due >= end:
+        end = len(self.ahead) - 1
+        if since >= end:
             return False
         speeds, lost = self._driven(since, response, emergency)
         recorded = end - since + 1
-        if (self.speeds[0][due:] <= speeds[due - since : recorded] + ALIKE).all():
+        if (self.speeds[0][since:] <= speeds[:recorded] + ALIKE).all():
             return False
         if self._touches(slice(since, end + 1), lost[:recorded]):
             return False
-        length = (self.sizes[0][0] + self.sizes[1][0]) / 2
-        later = self.ahead[-1] - length + lost[recorded:]  # here lost also counts what the other gained
-        return bool((later > 0).all())
+        return bool((self.gaps[-1] + lost[recorded:] > 0).all())  # here lost also counts what the other gained
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.
@@ -119,14 +122,23 @@ class Pursuit:
             deceleration = response.deceleration if tick + 1 >= due else 0.0
             if alarm is not None and alarm.acts(tick, speed, leader, back):
                 deceleration = alarm.deceleration
+            is_near = (
+                self.gaps[since + min(tick, end)] + back < response.headway * speed and leader < speed + DRAWS_AWAY
+            )
             back += ((recorded[tick] if is_recorded else leader) - speed) / hz
-            wanted = max(speed - deceleration / hz, 0.0) if speed > leader else speed
+            wanted = max(speed - deceleration / hz, 0.0) if speed > leader or is_near else speed
             if is_recorded and tick + 1 < due:
                 wanted = recorded[tick + 1] if tick < perceives else min(wanted, recorded[tick + 1])
             speed = wanted
             speeds.append(speed)
             lost.append(back)
         return np.array(speeds), np.array(lost)
+
+    @cached_property
+    def gaps(self) -> list[float]:
+        """Between the boxes as if they were straight [m]."""
+        gaps: list[float] = (self.ahead - (self.sizes[0][0] + self.sizes[1][0]) / 2).tolist()
+        return gaps
 
     @cached_property
     def _lists(self) -> tuple[list[float], list[float]]:
@@ -161,8 +173,7 @@ class Alarm:
         self.deceleration = emergency.braking.deceleration
         self._emergency = emergency
         self._lasting, self._delay = math.ceil(emergency.perception * hz), round(emergency.braking.delay * hz)
-        length = (pursuit.sizes[0][0] + pursuit.sizes[1][0]) / 2
-        self._gaps = (pursuit.ahead[since:] - length).tolist()
+        self._gaps = pursuit.gaps[since:]
         other = pursuit.speeds[1]
         self._brakings = (-np.diff(other, prepend=other[:1])[since:] * hz).tolist()
         self._later = self._brakings[-1] if pursuit.goes_on else 0.0

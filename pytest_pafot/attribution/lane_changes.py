@@ -6,6 +6,7 @@ Across the road vehicles are where their centre is; which lane they are in says 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -56,9 +57,13 @@ class LanePlaces:
         across = self._across(vehicle)
         centres = np.array([lane.y * self._cos - lane.x * self._sin for lane in self.trace.lanes])
         lane = self.trace.states[:, vehicle, LANE].astype(np.intp)
-        off = np.flatnonzero(lane < 0)
-        lane[off] = np.abs(across[off, None] - centres).argmin(axis=1)
-        return np.asarray(across - centres[lane])
+        offset, off = across - centres[lane], lane < 0
+        if off.any():  # as on one more lane, on either side of the road
+            width = self.trace.lanes[0].width
+            beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
+            apart = across[off, None] - beside
+            offset[off] = apart[np.arange(len(apart)), np.abs(apart).argmin(axis=1)]
+        return np.asarray(offset)
 
     def over_line(self, vehicle: int, side: float, tick: int) -> bool:
         """Whether a box reaches over the line of the lane that its centre is in, on one side (1: to the right)."""
@@ -102,6 +107,37 @@ class LanePlaces:
         seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])
         return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
+
+    def moved_over(self, npc: int, first: int, last: int) -> LaneChange | None:
+        """How the one of ego and NPC that is ahead came over into the lane that the other was already in.
+
+        The one behind had left the lane that they shared, so that their tracks overlapped all the time. None where
+        nothing of the kind happened between the ticks, and on roads that bend.
+        """
+        if self.trace.track is not None:
+            return None
+        leads = self.frame.ahead[npc, first : last + 1] < 0
+        pairs = product(((0, npc + 1, leads), (npc + 1, 0, ~leads)), (1.0, -1.0))
+        crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
+        return max((each for each in crossings if each is not None), key=lambda each: each.tick, default=None)
+
+    def _crossing_after(
+        self, mover: int, other: int, is_ahead: npt.NDArray[np.bool_], side: float, first: int, last: int
+    ) -> LaneChange | None:
+        """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
+        lanes, part = self.trace.states[first : last + 1, :, LANE], slice(first, last + 1)
+        offsets, half = side * self.offset(mover)[part], self._half_widths(mover)[part]
+        is_over = offsets + self.frame.half_across[mover, part] > half
+        reaches = side * self.offset(other)[part] + self.frame.half_across[other, part] > self._half_widths(other)[part]
+        beyond = side * (lanes[:, other] - lanes[:, mover])
+        was_there = is_ahead & ((beyond == 1) | ((beyond == 0) & reaches)) & (lanes[:, [mover, other]].min(axis=1) >= 0)
+        crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
+        if not crosses.any():
+            return None
+        tick = int(np.flatnonzero(crosses)[-1]) + 1
+        left = offsets[: tick + 1] > KEEPING
+        drift = float(side * self.frame.drift[mover, first + tick])
+        return LaneChange(vehicle=mover, seen=first + _run_start(left, tick), tick=first + tick, drift=drift)
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""

@@ -6,6 +6,7 @@ clause, with their sources; the numbers in comments are its sections.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -13,9 +14,11 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
-from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces
+from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
 from pytest_pafot.attribution.needless_braking import (
     AFTERMATH_SECONDS,
+    HARD_BRAKING,
+    HARD_SECONDS,
     REASON_SECONDS,
     STANDING_SPEED,
     Stop,
@@ -44,11 +47,11 @@ granted of a system that must avoid. Lateral values are the defaults of :class:`
 FOLLOWING = Braking(delay=1.0, deceleration=6.0)
 """The proper response of the one behind in a lane: that of RSS, with the numbers of :data:`DISTANCES`."""
 
-CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4)
+CUT_OFF = Braking(delay=1.4, deceleration=3.0, perception=0.4, headway=1.0)
 """The proper response of one that was cut off, unless it is an emergency: no harsh braking (UN R157, 5.2.3.3), but
-what a lane change may ask of others (UN R79, 5.6.4.7: 3 m/s^2). The delay is the careful and competent driver's
-(UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half the time in which
-they build up."""
+what a lane change may ask of others (UN R79, 5.6.4.7: 3 m/s^2, and a second behind). The delay is the careful and
+competent driver's (UN R157, annex 4, appendix 3): 0.4 s to perceive the risk, 0.75 s until the brakes act, and half the
+time in which they build up."""
 
 EMERGENCY = Emergency(
     time_to_contact=2.0, leader_braking=5.0, perception=0.4, braking=Braking(delay=1.4, deceleration=6.0)
@@ -61,6 +64,8 @@ HEADWAY = 1.0
 """What is to be left between the two when the one behind has slowed down, in seconds of the mover's driving [s]."""
 TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
+SOON = 5.0
+"""Hard braking ahead up to so long after a lane change belongs to it [s]."""
 BRAKES = 0.5
 """What the sentences call braking, at least [m/s^2]."""
 SPED_UP = 0.3
@@ -164,18 +169,18 @@ class Conflict:
     @cached_property
     def attribution(self) -> Attribution:
         """By the rules of docs/verdicts.md."""
-        if self._onset == 0 or self._start > self._onset:
-            return self._in_one_lane()  # the danger came later, or was there when the run began
+        over = self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
+        if self._onset == 0 or self._start > self._onset:  # the danger came later, or was there when the run began
+            return self._in_one_lane() if over is None else self._changed(over)
         ego, npc = self._change(0), self._change(self._npc + 1)
-        if ego is not None and npc is not None:
-            if abs(ego.tick - npc.tick) <= TOGETHER * self._hz:
-                return self._both_changed(ego, npc)
-            ego, npc = (ego, None) if ego.tick > npc.tick else (None, npc)
-        if ego is not None:
-            return self._ego_changed(ego)
-        if npc is not None:
-            return self._npc_changed(npc)
-        return self._strayed()
+        latest = max((each for each in (ego, npc) if each is not None), key=lambda each: each.tick, default=None)
+        if over is not None and (latest is None or over.tick > latest.tick):
+            return self._changed(over)
+        if latest is None:
+            return self._strayed() if self._gap(self._onset) <= 0 else self._in_one_lane()
+        if ego is not None and npc is not None and abs(ego.tick - npc.tick) <= TOGETHER * self._hz:
+            return self._both_changed(ego, npc)
+        return self._changed(latest)
 
     # Lane changes.
 
@@ -183,6 +188,9 @@ class Conflict:
         npc = self._npc + 1
         other, side = (npc, self._side) if vehicle == 0 else (0, -self._side)
         return self._lanes.change(vehicle, other, side, self._onset)
+
+    def _changed(self, change: LaneChange) -> Attribution:
+        return self._npc_changed(change) if change.vehicle else self._ego_changed(change)
 
     def _both_changed(self, ego: LaneChange, npc: LaneChange) -> Attribution:
         if self._leads(ego.tick) and self._gives_way(ego):
@@ -201,14 +209,28 @@ class Conflict:
             return self._attributed("ego", tick, crossed, "entered-lane")
         if self._gives_way(change):
             return self._gave_way(change)
-        crossed = f"{crossed}, where giving way takes {self._room(change):.1f} m"
+        crossed, pursuit = self._without_room(change), self._pursuit(by_ego=False)
         kept = self._lanes.kept_since(0, tick, self._end)
-        if kept is None:
-            return self._attributed("ego", tick, crossed, "entered-lane")
-        if not self._pursuit(by_ego=False).is_avoided(max(kept[1], self._before), FOLLOWING):
-            late = f"and {self._name} could not avoid it any more when the ego kept the lane"
-            return self._attributed("ego", tick, f"{crossed}, {late}", "entered-lane")
-        return self._duty_passed(change, kept)
+        if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
+            return self._duty_passed(change, kept)
+        if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])):
+            since = max(tick, self._before)  # there was room at first
+            if pursuit.is_avoided(since, FOLLOWING):
+                reason = f"{crossed}; {self._name}'s {self._would(since)}"
+                return self._attributed("both", tick, reason, "entered-lane")
+        late = f", and {self._name} could not avoid it any more when the ego kept the lane" if kept is not None else ""
+        return self._attributed("ego", tick, f"{crossed}{late}", "entered-lane")
+
+    def _without_room(self, change: LaneChange) -> str:
+        """How the ego's lane change left too little room."""
+        tick, lowest, crossed = change.tick, self._lowest(change), self._crossed(change)
+        room = self._room(tick, lowest)
+        if self._gap(tick) >= room:
+            entered = max(self._onset, tick)
+            gap = f"{max(self._gap(entered), 0.0):.1f} m"
+            return f"{crossed}, and came into its track only {gap} ahead at {self._at(entered)}"
+        slowed = f", as it slowed down to {lowest:.1f} m/s" if lowest < self._frame.speed[0, tick] - SPED_UP else ""
+        return f"{crossed}, where giving way takes {room:.1f} m{slowed}"
 
     def _duty_passed(self, change: LaneChange, kept: tuple[int, int]) -> Attribution:
         """To the one behind, who could still have avoided it when the one ahead had kept the lane for long enough."""
@@ -220,13 +242,14 @@ class Conflict:
         return self._blamed_unless_standing(kept[0], reason, "leader-unanswered")
 
     def _gave_way(self, change: LaneChange) -> Attribution:
-        gave = f"{self._crossed(change)}, more than the {self._room(change):.1f} m that giving way takes"
+        room = self._room(change.tick, self._lowest(change))
+        gave = f"{self._crossed(change)}, more than the {room:.1f} m that giving way takes"
         return self._npc_followed(change.tick, change.tick, gave)
 
     def _npc_changed(self, change: LaneChange) -> Attribution:
         crossed, tick = self._crossed(change), change.tick
         if self._gap(tick) > 0 and self._leads(tick):
-            return self._npc_followed(tick, tick, crossed)
+            return self._npc_followed(tick, tick, crossed, moved_in=tick)
         if self._gap(tick) <= 0 or not self._by_ego_front:
             return self._excused(tick, crossed)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=True)
@@ -234,43 +257,56 @@ class Conflict:
             due = seen + round(CUT_OFF.delay * self._hz)
             demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
             would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
+            checked = self._brake_check(change)
+            if checked and not self._stands:
+                return self._attributed("both", tick, f"{crossed}, and {checked}; {would}", "cut-in-unanswered")
             return self._blamed_unless_standing(tick, f"{crossed}; {would}", "cut-in-unanswered")
         kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
         return self._excused(tick, f"{crossed}, too late to avoid it")
 
+    def _brake_check(self, change: LaneChange) -> str:
+        """That an NPC that did not give way braked hard soon afterwards; empty where it did not."""
+        tick, speed = change.tick, self._frame.speed[self._npc + 1]
+        gave_way = self._gap(tick) >= self._room(tick, float(speed[tick]), behind=0)
+        slowed = -np.diff(speed[tick : self._end + 1]) * self._hz
+        if gave_way or self._end - tick > SOON * self._hz or not slowed.size:
+            return ""
+        is_hard = first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
+        return f"braked with up to {float(slowed.max()):.1f} m/s^2" if is_hard else ""
+
     def _strayed(self) -> Attribution:
-        """Without a lane change: by slow drift, or in lanes that come together."""
+        """Side by side without a lane change: by slow drift, or in lanes that come together."""
         tick, right = self._onset, self._side
-        ego, npc = (
-            self._lanes.over_line(vehicle, side, tick) for vehicle, side in ((0, right), (self._npc + 1, -right))
-        )
-        place = "side by side"
-        if self._gap(tick) > 0:
-            avoidable = self._leads(tick) and self._pursuit(by_ego=False).is_avoided(self._before, FOLLOWING)
-            if not ego or npc or not self._leads(tick) or avoidable:
-                return self._in_one_lane()
-            place = f"{self._gap(tick):.1f} m ahead, and {self._name} could not avoid it"
-        elif ego == npc:
-            drifts = self._frame.drift[0, tick], self._frame.drift[self._npc + 1, tick]
-            ego = right * drifts[0] >= -right * drifts[1] + DRIFTING
-            npc = not ego
-        if not ego or npc:
-            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, {place}")
-        reason = f"at {self._at(tick)} the ego came sideways into {self._name}'s way, {place}"
+        towards = right * self._frame.drift[0, tick], -right * self._frame.drift[self._npc + 1, tick]
+        ego, npc = (drift >= DRIFTING for drift in towards)
+        if ego == npc:
+            ego, npc = (self._lanes.over_line(each, side, tick) for each, side in ((0, right), (self._npc + 1, -right)))
+        if ego == npc:
+            ego = towards[0] >= towards[1] + DRIFTING
+        if not ego:
+            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, side by side")
+        reason = f"at {self._at(tick)} the ego came sideways into {self._name}, side by side"
         return self._blamed_unless_standing(tick, reason, "entered-lane")
 
     def _gives_way(self, change: LaneChange) -> bool:
-        return self._gap(change.tick) >= self._room(change)
+        """Whether the ego's lane change leaves the NPC room, and what 3 m/s^2 need once they are in one track."""
+        speed, entered = self._frame.speed, max(self._onset, change.tick)
+        faster = float(speed[self._npc + 1, [change.tick, entered]].min() - speed[0, entered])
+        return self._gap(change.tick) >= self._room(change.tick, self._lowest(change)) and self._gap(
+            entered
+        ) >= _braking_room(faster)
 
-    def _room(self, change: LaneChange) -> float:
-        """What a lane change ahead of another has to leave [m] (UN R79, 5.6.4.7)."""
-        mover, behind = (0, self._npc + 1) if change.vehicle == 0 else (self._npc + 1, 0)
-        speed = float(self._frame.speed[mover, change.tick])
-        faster = max(float(self._frame.speed[behind, change.tick]) - speed, 0.0)
-        needed = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration) + speed * HEADWAY
-        return max(needed, 0.0)
+    def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
+        """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
+        follower = self._frame.speed[self._npc + 1 if behind is None else behind, tick]
+        return max(_braking_room(float(follower) - speed) + speed * HEADWAY, 0.0)
+
+    def _lowest(self, change: LaneChange) -> float:
+        """Speed of the ego during its lane change [m/s]: who slows down in it asks more of the one behind."""
+        kept = self._lanes.kept_since(0, change.tick, self._end)
+        return float(self._frame.speed[0, change.tick : (self._end if kept is None else kept[1]) + 1].min())
 
     def _is_too_late(self, seen: int) -> bool:
         """Whether nobody can answer a cut-in that is seen at a tick, for its time to collision."""
@@ -292,30 +328,42 @@ class Conflict:
         began = " as the run began" if self._start == 0 else ""
         return self._excused(self._start, f"{close}{began}, and no response could avoid it")
 
-    def _npc_followed(self, duty: int, tick: int, reason: str) -> Attribution:
-        """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing."""
+    def _npc_followed(self, duty: int, tick: int, reason: str, moved_in: int = 0) -> Attribution:
+        """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing.
+
+        One that moved in behind an ego that did so is responsible, too.
+        """
         stop = hard_braking(self._trace, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
-        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1)):
+        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1), moved_in):
             peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
             braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
-            return self._needless(stop, duty, braked, "braked-for-nothing")
+            since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
+            return self._needless(stop, since, braked, "braked-for-nothing", moved_in=moved_in > 0)
         stop = long_stop(self._trace, self._end)
-        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.end + 1)):
+        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
             stood = (self._end - stop.end) / self._hz
             stopped = f"from {self._at(stop.begin)} the ego braked to a standstill with nothing in its way"
-            return self._needless(stop, duty, f"{stopped} and stood for {stood:.1f} s", "stopped-for-nothing")
+            stopped = f"{stopped} and stood for {stood:.1f} s"
+            return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in=moved_in > 0)
         return self._excused(tick, reason)
 
-    def _is_needless(self, stop: Stop, ticks: slice) -> bool:
-        """Whether the NPC was behind, the ego never regained its speed, and nothing was a reason to brake."""
-        speed = self._frame.speed[0]
-        if not self._leads(stop.begin) or speed[self._end] >= speed[stop.begin]:
+    def _is_needless(self, stop: Stop, ticks: slice, moved_in: int) -> bool:
+        """Whether the ego alone made it dangerous: nothing was a reason to brake, and it never regained its speed.
+
+        And the NPC was behind then, and did not move in, or speed up, once the braking was over.
+        """
+        ego, npc = self._frame.speed[0], self._frame.speed[self._npc + 1]
+        if not self._leads(stop.begin) or ego[self._end] >= ego[stop.begin]:
+            return False
+        late = moved_in > stop.end + AFTERMATH_SECONDS * self._hz
+        if late or npc[self._end] > npc[stop.end : self._end + 1].min() + SPED_UP:
             return False
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
 
-    def _needless(self, stop: Stop, duty: int, reason: str, fault: Fault) -> Attribution:
-        since = max(duty, min(self._before, stop.begin))  # braking is something to answer, however far away
+    def _needless(self, stop: Stop, since: int, reason: str, fault: Fault, *, moved_in: bool) -> Attribution:
+        if moved_in:
+            return self._attributed("both", stop.begin, f"{reason}, and {self._name} moved in behind it", fault)
         if self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
             return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(since)}", fault)
         return self._attributed("ego", stop.begin, f"{reason}, and {self._name} behind could not avoid it", fault)
@@ -350,6 +398,7 @@ class Conflict:
             faster = float(self._frame.speed[0, tick] - self._frame.speed[self._npc + 1, tick])
             faster = faster if change.vehicle == 0 else -faster
             pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}"
+            pace = "as fast" if abs(faster) < 0.05 else pace
             place = f"{gap:.1f} m {'ahead' if is_ahead else 'behind'}, {pace}"
         crossed = f"at {self._at(tick)} {mover} crossed the lane line towards {other}"
         return f"{crossed} ({change.drift:.1f} m/s sideways), {place}"
@@ -405,3 +454,9 @@ class Conflict:
             hz=self._hz,
             goes_on=goes_on,
         )
+
+
+def _braking_room(faster: float) -> float:
+    """What the one behind needs to slow down with 3 m/s^2 after 0.4 s [m]; 0 where it is not faster."""
+    faster = max(faster, 0.0)
+    return faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration)

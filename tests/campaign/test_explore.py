@@ -116,7 +116,7 @@ def test_a_find_that_a_search_for_preventable_failures_keeps_names_who_would_hav
     found = pafot.explore(constant_speed.make, **arguments).findings
     assert found
     for finding in found:
-        assert finding.expect.responsibility == "ego"
+        assert finding.expect.responsibility in ("ego", "both")
         assert finding.expect.preventable_by
     assert pafot.explore(constant_speed.make, **arguments).findings == ()
 

@@ -441,7 +441,7 @@ SITUATIONS = {
             "npc-drifts",
             "An NPC beside the ego drifts into it with 0.2 m/s.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 20.0)])),
-            "npc", None, "9", "NPC 0 came sideways into the ego",
+            "npc", None, "8", "NPC 0 came sideways into the ego",
         ),
         Situation(
             "npc-swerves-into-the-side",
@@ -517,7 +517,7 @@ SITUATIONS = {
             "brake-check-after-cutting-in",
             "The ego changes lanes 5 m ahead of one of equal speed and brakes with 9 m/s^2 as soon as it is there.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
-            "ego", "entered-lane", "4a", "where giving way takes 20.0 m",
+            "ego", "entered-lane", "4a", "where giving way takes 25.5 m",
         ),
         Situation(
             "follower-entered-later",
@@ -537,7 +537,7 @@ SITUATIONS = {
             "ego-drifts",
             "The ego drifts with 0.2 m/s into one beside it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 20.0)]), driven(1.0, LEFT)),
-            "ego", "entered-lane", "9", "the ego came sideways into NPC 0",
+            "ego", "entered-lane", "8", "the ego came sideways into NPC 0",
         ),
         Situation(
             "ego-enters-behind-a-slower-one",
