@@ -356,7 +356,8 @@ class Conflict:
         if not self._leads(stop.begin) or ego[self._end] >= ego[stop.begin]:
             return False
         late = moved_in > stop.end + AFTERMATH_SECONDS * self._hz
-        if late or npc[self._end] > npc[stop.end : self._end + 1].min() + SPED_UP:
+        since = max(stop.end, self._before)
+        if late or npc[self._end] > npc[since : self._end + 1].min() + SPED_UP:
             return False
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
