@@ -68,6 +68,8 @@ SOON = 5.0
 """Hard braking ahead up to so long after a lane change belongs to it [s]."""
 BRAKES = 0.5
 """What the sentences call braking, at least [m/s^2]."""
+DROVE_ON = 1.0
+"""An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
 SPED_UP = 0.3
 """What they call speeding up, at least [m/s]."""
 
@@ -357,7 +359,7 @@ class Conflict:
             return False
         late = moved_in > stop.end + AFTERMATH_SECONDS * self._hz
         since = max(stop.end, self._before)
-        if late or npc[self._end] > npc[since : self._end + 1].min() + SPED_UP:
+        if late or npc[self._end] > npc[since : self._end + 1].min() + DROVE_ON:
             return False
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()

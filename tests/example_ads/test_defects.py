@@ -186,7 +186,7 @@ def never_collides(run):
     ("name", "seed", "fault", "npcs"),
     [
         ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 3, "stopped-for-nothing", 1),
+        ("stops-in-its-lane", 11, "stopped-for-nothing", 1),
         ("trusts-any-gap-behind", 3, "entered-lane", 2),
     ],
 )
