@@ -49,9 +49,16 @@ class LanePlaces:
 
     def __init__(self, trace: Trace, frame: RoadFrame) -> None:
         self.trace, self.frame = trace, frame
+        self._offsets: dict[int, FloatArray] = {}
+        self._edges: dict[int, FloatArray] = {}
 
     def offset(self, vehicle: int) -> FloatArray:
         """From the centre of the lane that the vehicle's centre is in, or of the nearest one, to the right [m]."""
+        if vehicle not in self._offsets:
+            self._offsets[vehicle] = self._offset(vehicle)
+        return self._offsets[vehicle]
+
+    def _offset(self, vehicle: int) -> FloatArray:
         if self.trace.track is not None:
             return self.trace.track_of(vehicle)[:, OFFSET]
         across = self._across(vehicle)
@@ -114,7 +121,8 @@ class LanePlaces:
         The one behind had left the lane that they shared, so that their tracks overlapped all the time. None where
         nothing of the kind happened between the ticks, and on roads that bend.
         """
-        if self.trace.track is not None:
+        part = slice(first, last + 1)
+        if self.trace.track is not None or not any((self._edge(each)[part] > 0).any() for each in (0, npc + 1)):
             return None
         leads = self.frame.ahead[npc, first : last + 1] < 0
         pairs = product(((0, npc + 1, leads), (npc + 1, 0, ~leads)), (1.0, -1.0))
@@ -126,9 +134,11 @@ class LanePlaces:
     ) -> LaneChange | None:
         """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
         lanes, part = self.trace.states[first : last + 1, :, LANE], slice(first, last + 1)
-        offsets, half = side * self.offset(mover)[part], self._half_widths(mover)[part]
-        is_over = offsets + self.frame.half_across[mover, part] > half
-        reaches = side * self.offset(other)[part] + self.frame.half_across[other, part] > self._half_widths(other)[part]
+        offsets = side * self.offset(mover)[part]
+        is_over = (self._edge(mover)[part] > 0) & (offsets > 0)
+        if not is_over.any():
+            return None
+        reaches = (self._edge(other)[part] > 0) & (side * self.offset(other)[part] > 0)
         beyond = side * (lanes[:, other] - lanes[:, mover])
         was_there = is_ahead & ((beyond == 1) | ((beyond == 0) & reaches)) & (lanes[:, [mover, other]].min(axis=1) >= 0)
         crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
@@ -138,6 +148,13 @@ class LanePlaces:
         left = offsets[: tick + 1] > KEEPING
         drift = float(side * self.frame.drift[mover, first + tick])
         return LaneChange(vehicle=mover, seen=first + _run_start(left, tick), tick=first + tick, drift=drift)
+
+    def _edge(self, vehicle: int) -> FloatArray:
+        """How far the box is over the nearer line of the lane that its centre is in [m]."""
+        if vehicle not in self._edges:
+            edge = np.abs(self.offset(vehicle)) + self.frame.half_across[vehicle]
+            self._edges[vehicle] = edge - self._half_widths(vehicle)
+        return self._edges[vehicle]
 
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""

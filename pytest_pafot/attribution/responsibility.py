@@ -142,6 +142,7 @@ class Dangers:
         safe_along: what RSS asks for along the road [m].
         is_close, is_beside: where RSS would have more, along and across the road.
         is_dangerous: where both hold.
+        places: of the vehicles on the lanes.
     """
 
     def __init__(self, trace: Trace) -> None:
@@ -152,6 +153,7 @@ class Dangers:
         self.is_close = (self.along < self.safe_along) | (self.along <= 0)
         self.is_beside = self.across < self.frame.safe_across(DISTANCES)
         self.is_dangerous = self.is_close & self.is_beside
+        self.places = LanePlaces(trace, self.frame)
 
 
 class Conflict:
@@ -166,7 +168,7 @@ class Conflict:
         apart = np.flatnonzero(dangers.across[:end, npc] > 0)
         self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
         self._side = 1.0 if self._frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
-        self._lanes = LanePlaces(self._trace, self._frame)
+        self._lanes = dangers.places
 
     @cached_property
     def attribution(self) -> Attribution:
