@@ -161,11 +161,10 @@ def safe_across(a, b, tick):
     return 0.1 + max(0.0, closer)
 
 
-def giving_way(behind, ahead, tick):
-    """The gap that the one ahead must leave."""
-    v = ahead.speed[tick]
-    dv = max(0.0, behind.speed[tick] - v)
-    return dv * 0.4 + dv**2 / (2 * 3.0) + v * 1.0
+def giving_way(behind, ahead):
+    """The gap that is to be left, by the speeds of the one behind and of the one ahead."""
+    dv = max(0.0, behind - ahead)
+    return dv * 0.4 + dv**2 / (2 * 3.0) + ahead * 1.0
 
 
 def first_of_last_stretch(holds, last):
@@ -212,32 +211,60 @@ class Crash:
         return opinion
 
     def _by_the_first_rule_that_applies(self):
+        mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
+        over = self.came_over()
+        if over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs)):
+            return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
         if self.danger > self.joined or self.joined == 0:
             return self.one_follows_the_other()
-        mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
-        if mine is not None:
-            self.ticks["ego's moment"] = mine.moment
-        if theirs is not None:
-            self.ticks["npc's moment"] = theirs.moment
-        if mine is not None and theirs is not None:
-            if self.seconds(abs(mine.moment - theirs.moment)) <= 1.0:
-                return self.both_changed_lanes(mine, theirs)
+        if mine is not None and theirs is not None and self.seconds(abs(mine.moment - theirs.moment)) > 1.0:
             mine, theirs = (mine, None) if mine.moment > theirs.moment else (None, theirs)
-        if mine is not None:
-            return self.ego_changed_lanes(mine)
-        if theirs is not None:
-            return self.npc_changed_lanes(theirs)
-        return self.drift() or self.one_follows_the_other()
+        if mine is not None or theirs is not None:
+            return self.changed_lanes(mine, theirs)
+        if gap(self.ego, self.npc, self.joined) <= 0:
+            return self.drift()
+        return self.one_follows_the_other()
+
+    def changed_lanes(self, mine, theirs):
+        for name, change in (("ego's moment", mine), ("npc's moment", theirs)):
+            if change is not None:
+                self.ticks[name] = change.moment
+        if mine is not None and theirs is not None:
+            return self.both_changed_lanes(mine, theirs)
+        return self.npc_changed_lanes(theirs) if mine is None else self.ego_changed_lanes(mine)
+
+    # Rule 2, last paragraph
+
+    def came_over(self):
+        """Who did, and the lane change that it was; None if nobody did."""
+        if not self.ego.is_straight:
+            return None
+        for tick in range(self.impact, max(self.danger, self.joined, 1) - 1, -1):
+            is_ego_behind = is_behind(self.ego, self.npc, tick)
+            mover, other = (self.npc, self.ego) if is_ego_behind else (self.ego, self.npc)
+            for side in (-1, 1):
+                if comes_over(mover, other, tick, side):
+                    return mover, LaneChange(start_of_motion(mover, tick, side), tick, side)
+        return None
 
     # Rule 3
 
-    def gives_way(self, ahead, behind, tick):
-        apart = gap(ahead, behind, tick)
-        return apart > 0 and apart >= giving_way(behind, ahead, tick)
+    def ego_gives_way(self, at):
+        """In a lane change ahead of the NPC, with the lowest speed in it."""
+        kept = self.keeps_its_lane(self.ego, at)
+        end = self.impact if kept is None else kept[1]
+        slowest = min(self.ego.speed[at : end + 1])
+        apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
+        dv = max(0.0, min(self.npc.speed[then], self.npc.speed[at]) - self.ego.speed[then])
+        return (
+            apart > 0
+            and apart >= giving_way(self.npc.speed[at], slowest)
+            and gap(self.ego, self.npc, then) >= dv * 0.4 + dv**2 / (2 * 3.0)
+        )
 
     def both_changed_lanes(self, mine, theirs):
         at, later = mine.moment, max(mine.moment, theirs.moment)
-        if not is_behind(self.ego, self.npc, at) and self.gives_way(self.ego, self.npc, at):
+        if not is_behind(self.ego, self.npc, at) and self.ego_gives_way(at):
             return self.npc_follows(at, tick=at)
         ego_behind = is_behind(self.ego, self.npc, self.joined)
         ahead, behind = (self.npc, self.ego) if ego_behind else (self.ego, self.npc)
@@ -252,17 +279,22 @@ class Crash:
         at = change.moment
         if is_behind(self.ego, self.npc, at):
             return self.opinion("ego", "entered-lane", at)
-        if self.gives_way(self.ego, self.npc, at):
+        if self.ego_gives_way(at):
             return self.npc_follows(at, tick=at)
         passed = self.duty_passes(self.ego, self.npc, at)
         if passed is not None:
             return self.npc_follows(passed.due, tick=passed.kept)
+        due, apart = max(at, self.danger - 1), gap(self.ego, self.npc, at)
+        had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
+        if had_room and self.would_have_avoided(self.npc, self.ego, due):
+            self.ticks["answer"] = due
+            return self.opinion("both", "entered-lane", at)
         return self.opinion("ego", "entered-lane", at)
 
     def npc_changed_lanes(self, change):
         at = change.moment
         if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
-            return self.npc_follows(at, tick=at)
+            return self.npc_follows(at, tick=at, moved_in=at)
         if gap(self.ego, self.npc, at) <= 0 or self.trace.collision.side != "front":
             return self.opinion("npc", None, at)
         return self.cut_in(change)
@@ -303,15 +335,16 @@ class Crash:
             return self.opinion("npc")
         return self.npc_follows(0, tick=self.danger)
 
-    def npc_follows(self, since, *, tick):
-        """Since a tick that rule 3 or 4a names, or 0."""
+    def npc_follows(self, since, *, tick, moved_in=None):
+        """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
         due = self.ticks["answer"] = max(since, self.danger - 1, 0)
-        hard, stop = self.braked_for_nothing(), self.stopped_for_nothing()
+        hard, stop = self.braked_for_nothing(moved_in), self.stopped_for_nothing(moved_in)
         if hard is None and stop is None:
             return self.opinion("npc", None, tick)
         fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
-        due = self.ticks["answer"] = max(since, min(due, began))
-        could = self.would_have_avoided(self.npc, self.ego, due)
+        if hard is not None:
+            due = self.ticks["answer"] = max(since, min(due, hard))
+        could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
         return self.opinion("both" if could else "ego", fault, began)
 
     # Rule 5
@@ -325,11 +358,20 @@ class Crash:
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
         if not nobody_can and self.would_have_avoided_a_cut_in(seen):
-            return self.opinion("ego", "cut-in-unanswered", change.moment)
+            who = "both" if self.shares_its_cut_in(change.moment) else "ego"
+            return self.opinion(who, "cut-in-unanswered", change.moment)
         passed = self.duty_passes(self.npc, self.ego, change.moment)
         if passed is not None:
             return self.opinion("ego", "leader-unanswered", passed.kept)
         return self.opinion("npc", None, change.moment)
+
+    def shares_its_cut_in(self, at):
+        """Whether the NPC neither gave way nor kept from braking hard, soon before the impact."""
+        room = giving_way(self.ego.speed[at], self.npc.speed[at])
+        stretch = last_hard_braking(self.npc.deceleration_along, range(at + 1, self.impact + 1), self.hz)
+        is_soon = self.seconds(self.impact - at) <= 5.0
+        stands = abs(self.ego.speed[self.impact]) <= STANDS
+        return not stands and gap(self.ego, self.npc, at) < room and stretch is not None and is_soon
 
     def is_seen(self, tick, change):
         return change.side * self.npc.off_centre(tick) > OFF_CENTRE
@@ -342,47 +384,45 @@ class Crash:
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     def would_have_avoided_a_cut_in(self, seen):
-        drive = Response(self, self.ego, self.npc, seen, delay=1.4, perceived=0.4)
+        drive = Response(self, self.ego, self.npc, seen, delay=1.4, perceived=0.4, to_cut_in=True)
         return drive.avoids(Emergency(drive).deceleration, brakes_on=True)
 
     # Rule 7
 
-    def braked_for_nothing(self):
+    def braked_for_nothing(self, moved_in):
         """The tick at which such braking begins, or None."""
-        stretch = self.last_hard_braking()
+        stretch = self.hard_braking()
         if stretch is None or stretch[1] < self.danger - round(1.0 * self.hz):
             return None
         began = stretch[0] - 1
-        return began if self.counts(began, began) else None
+        return began if self.counts(began, began, stretch[1], moved_in) else None
 
-    def last_hard_braking(self):
-        found = first = None
-        for tick in range(1, self.impact + 1):
-            is_hard = self.ego.deceleration(tick) > 5.0
-            first = (first or tick) if is_hard else None
-            if is_hard and self.seconds(tick - first + 1) >= 0.4 - ROUNDING:
-                found = first, tick
-        return found
+    def hard_braking(self):
+        return last_hard_braking(self.ego.deceleration, range(1, self.impact + 1), self.hz)
 
-    def stopped_for_nothing(self):
+    def stopped_for_nothing(self, moved_in):
         """The tick at which the braking to a standstill begins, or None."""
         speed = self.ego.body_speed
         moving = [tick for tick in range(self.impact + 1) if speed[tick] > STANDS]
         if not moving:
             return None
-        stood = moving[-1] + 1
+        stood = self.ticks["stood"] = moving[-1] + 1
         if self.seconds(self.impact - stood) < 3.0 - ROUNDING:
             return None
         began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
-        self.ticks["stood"] = stood
-        return began if self.counts(began, stood) else None
+        return began if self.counts(began, stood, stood, moved_in) else None
 
-    def counts(self, began, end):
+    def counts(self, began, end, last, moved_in):
         """Whether braking may have been for nothing, with no reason from 1.6 s before it began to the end."""
-        if is_behind(self.ego, self.npc, began) or self.ego.speed[self.impact] >= self.ego.speed[began]:
+        ego, npc = self.ego, self.npc
+        if is_behind(ego, npc, began) or ego.speed[self.impact] >= ego.speed[began]:
+            return False
+        if moved_in is not None and self.seconds(moved_in - last) > 1.0:
+            return False
+        if npc.speed[self.impact] > min(npc.speed[last : self.impact + 1]) + 0.3:
             return False
         ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
-        return not any(self.is_reason(tick, self.ego.lane[end]) for tick in ticks)
+        return not any(self.is_reason(tick, ego.lane[end]) for tick in ticks)
 
     def is_reason(self, tick, lane):
         others = [vehicle for vehicle in self.vehicles if vehicle is not self.ego]
@@ -417,22 +457,29 @@ class Crash:
         place = self.ego.rows[tick][X], self.ego.rows[tick][Y]
         return math.dist(end, place) < 4.0 * self.ego.speed[tick]
 
-    # Rule 9
+    # Rule 8
 
     def drift(self):
-        """None where the rule says nothing."""
         at, side = self.joined, side_of(self.npc, self.ego, self.joined)
-        ego_strays = self.ego.is_over_its_line(at, side)
-        npc_strays = self.npc.is_over_its_line(at, -side)
-        if gap(self.ego, self.npc, at) > 0:
-            strays_ahead = ego_strays and not npc_strays and not is_behind(self.ego, self.npc, at)
-            if not strays_ahead or self.would_have_avoided(self.npc, self.ego, max(self.danger - 1, 0)):
-                return None
-            return self.opinion("ego", "entered-lane", at)
         self.ticks["drift"] = at
-        if ego_strays == npc_strays:
-            ego_strays = side * self.ego.sideways(at) - -side * self.npc.sideways(at) >= MOVES_SIDEWAYS
-        return self.opinion("ego", "entered-lane", at) if ego_strays else self.opinion("npc", None, at)
+        towards = side * self.ego.sideways(at), -side * self.npc.sideways(at)
+        ego, npc = (speed >= MOVES_SIDEWAYS for speed in towards)
+        if ego == npc:
+            ego, npc = self.ego.is_over_its_line(at, side), self.npc.is_over_its_line(at, -side)
+        if ego == npc:
+            ego = towards[0] - towards[1] >= MOVES_SIDEWAYS
+        return self.opinion("ego", "entered-lane", at) if ego else self.opinion("npc", None, at)
+
+
+def last_hard_braking(deceleration, ticks, hz):
+    """The first and the last tick of the last stretch with more than 5 m/s^2 for at least 0.4 s, or None."""
+    found = first = None
+    for tick in ticks:
+        is_hard = deceleration(tick) > 5.0
+        first = (first or tick) if is_hard else None
+        if is_hard and (tick - first + 1) / hz >= 0.4 - ROUNDING:
+            found = first, tick
+    return found
 
 
 def end_of(lane):
@@ -452,20 +499,43 @@ class LaneChange:
     @classmethod
     def of(cls, crash, mover, other):
         """The mover's into the other's track, or None."""
-        side, joined = side_of(other, mover, crash.joined - 1), crash.joined
-        moving = [tick for tick in range(joined + 1) if side * mover.sideways(tick) >= MOVES_SIDEWAYS]
-        if not moving or crash.seconds(joined - moving[-1]) >= 0.5 - ROUNDING:
+        joined = crash.joined
+        if joined == 0:
             return None
-        start = moving[-1]
-        for tick in reversed(moving):
-            if crash.seconds(start - tick - 1) >= 0.5 - ROUNDING:
-                break
-            start = tick
+        side = side_of(other, mover, joined - 1)
+        start = start_of_motion(mover, joined, side)
+        if start is None:
+            return None
         moment = last_crossing(mover, range(start, joined + 1), side)
         if moment is None and not mover.is_straight:
             line = side * other.centre[joined] - other.lane_width[joined] / 2
             moment = next((tick for tick in range(start, joined + 1) if mover.edge(tick, side) > line), None)
         return None if moment is None else cls(start, moment, side)
+
+
+def start_of_motion(mover, last, side):
+    """The first tick of the continuous motion to a side that is not over at the last one; None if there is none."""
+    moving = [tick for tick in range(last + 1) if side * mover.sideways(tick) >= MOVES_SIDEWAYS]
+    if not moving or (last - moving[-1]) / mover.hz >= 0.5 - ROUNDING:
+        return None
+    start = moving[-1]
+    for tick in reversed(moving):
+        if (start - tick - 1) / mover.hz >= 0.5 - ROUNDING:
+            break
+        start = tick
+    return start
+
+
+def comes_over(mover, other, tick, side):
+    """Into a lane in which the other already is."""
+    before = tick - 1
+    crosses = mover.is_over_its_line(tick, side) and not mover.is_over_its_line(before, side)
+    if not crosses or side * mover.sideways(tick) < MOVES_SIDEWAYS:
+        return False
+    if mover.rows[before][LANE] < 0 or other.rows[before][LANE] < 0:
+        return False
+    lanes = mover.lane[before], other.lane[before]
+    return lanes[1] == lanes[0] + side or (lanes[0] == lanes[1] and other.is_over_its_line(before, side))
 
 
 def last_crossing(mover, motion, side):
@@ -493,9 +563,9 @@ class Response:
 
     LONGEST = 12.0
 
-    def __init__(self, crash, responder, other, since, *, delay, perceived):
+    def __init__(self, crash, responder, other, since, *, delay, perceived, to_cut_in=False):
         self.crash, self.responder, self.other, self.since = crash, responder, other, since
-        self.hz, self.impact = crash.hz, crash.impact
+        self.hz, self.impact, self.to_cut_in = crash.hz, crash.impact, to_cut_in
         self.due = since + round(delay * self.hz)
         self.perceived = since + round(perceived * self.hz)
         self.speeds = {since: responder.speed[since]}
@@ -504,7 +574,7 @@ class Response:
 
     def avoids(self, deceleration, *, brakes_on=False):
         """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
-        if self.due >= self.impact:
+        if self.since >= self.impact:
             return False
         for tick in range(self.since, self.impact):
             self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
@@ -516,19 +586,22 @@ class Response:
         return self.is_free_after_the_impact(deceleration, brakes_on)
 
     def next_speed(self, tick, deceleration):
+        """After a step that begins at a tick."""
         own = self.speeds[tick]
         if tick + 1 >= self.due:
-            return self.slowed_down(tick, deceleration)
+            return max(0.0, own - deceleration / self.hz) if self.slows_down(tick) else own
+        if tick + 1 > self.impact:
+            return own
         recorded = self.responder.speed[tick + 1]
         return recorded if tick + 1 <= self.perceived else min(own, recorded)
 
-    def slowed_down(self, tick, deceleration):
-        """By a step that begins at a tick."""
-        own = self.speeds[tick]
-        return max(0.0, own - deceleration / self.hz) if own > self.others_speeds[tick] else own
+    def slows_down(self, tick):
+        own, other = self.speeds[tick], self.others_speeds[tick]
+        is_too_close = self.to_cut_in and self.straight_gap(tick) < own * 1.0 and other - own < 2.0
+        return own > other or is_too_close
 
     def has_answered(self):
-        ticks = range(self.due, self.impact + 1)
+        ticks = range(self.since, self.impact + 1)
         return all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
 
     def ahead_by(self, tick):
@@ -557,7 +630,7 @@ class Response:
             still_brakes = falls > 0 and other > 0
             if not still_brakes and (own <= other or (tick - self.since) / self.hz >= self.LONGEST):
                 return True
-            self.speeds[tick + 1] = self.slowed_down(tick, deceleration(tick))
+            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
             self.others_speeds[tick + 1] = max(0.0, other - falls / self.hz) if still_brakes else other
             self.lag -= own / self.hz
             self.others_way += other / self.hz

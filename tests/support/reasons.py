@@ -58,6 +58,15 @@ class Reading:
             self.towards(self.npc, self.ego, moments[1]),
         ]
 
+    def slowest(self):
+        """Of the ego, in its lane change."""
+        kept = self.crash.keeps_its_lane(self.ego, self.tick)
+        end = self.crash.impact if kept is None else kept[1]
+        return min(self.ego.speed[self.tick : end + 1])
+
+    def room(self):
+        return giving_way(self.npc.speed[self.tick], self.slowest())
+
     def due(self, delay):
         return self.crash.ticks["answer"] / self.crash.hz + delay
 
@@ -67,11 +76,14 @@ class Reading:
         first = next(tick for tick in ticks if self.ego.deceleration(tick) >= 0.5)
         return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in ticks)]
 
+    def npcs_peak(self):
+        return max(self.npc.deceleration_along(tick) for tick in range(self.tick + 1, self.crash.impact + 1))
+
     def speed_reached(self):
         return max(self.ego.speed[self.crash.ticks["answer"] : self.crash.impact + 1])
 
     def hard_braking(self):
-        first, last = self.crash.last_hard_braking()
+        first, last = self.crash.hard_braking()
         return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in range(first, last + 1))]
 
     def stood(self):
@@ -89,7 +101,7 @@ CLAUSES = {
     ),
     f", {NUMBER} m (?:ahead|behind), {NUMBER} m/s (?:faster|slower)": lambda reading, said: reading.place(said),
     f", (?:where giving way takes {NUMBER} m|more than the {NUMBER} m that giving way takes)": (
-        lambda reading, said: [giving_way(reading.npc, reading.ego, reading.tick)]
+        lambda reading, said: [reading.room()]
     ),
     f"at {NUMBER} s the ego and at {NUMBER} s NPC # crossed a lane line towards each other "
     f"\\({NUMBER} and {NUMBER} m/s sideways\\)": lambda reading, said: reading.both_crossed(),
@@ -102,6 +114,7 @@ CLAUSES = {
     f"from {NUMBER} s the ego braked to a standstill with nothing in its way and stood for {NUMBER} s": (
         lambda reading, said: reading.stood()
     ),
+    f", as it slowed down to {NUMBER} m/s": lambda reading, said: [reading.slowest()],
     f"the ego was standing \\({NUMBER} m/s\\) at the impact": (
         lambda reading, said: [abs(reading.ego.speed[reading.crash.impact])]
     ),
@@ -113,8 +126,9 @@ CLAUSES = {
     ),
     f"; braking with 3 to 6 m/s\\^2 from {NUMBER} s on would have avoided it": lambda reading, said: [reading.due(1.4)],
     f"; the ego braked from {NUMBER} s on with up to {NUMBER} m/s\\^2": lambda reading, said: reading.braking(),
+    f", and braked with up to {NUMBER} m/s\\^2": lambda reading, said: [reading.npcs_peak()],
     f"; the ego sped up to {NUMBER} m/s": lambda reading, said: [reading.speed_reached()],
-    ", side by side|, too late to avoid it|, and no response could avoid it|, and NPC # behind could not avoid it"
+    ", side by side|, and NPC # moved in behind it|, too late to avoid it|, and no response could avoid it|, and NPC # behind could not avoid it"
     "|, and NPC # could not avoid it any more when the ego kept the lane|; the ego did not brake": (
         lambda reading, said: []
     ),
