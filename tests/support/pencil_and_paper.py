@@ -185,6 +185,7 @@ class Crash:
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
         self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
+        self.sides = {}
         self.ticks = {"danger": self.danger, "joined": self.joined}
 
     def is_danger(self, tick):
@@ -228,7 +229,7 @@ class Crash:
     def changed_lanes(self, mine, theirs):
         for name, change in (("ego's moment", mine), ("npc's moment", theirs)):
             if change is not None:
-                self.ticks[name] = change.moment
+                self.ticks[name], self.sides[name] = change.moment, change.side
         if mine is not None and theirs is not None:
             return self.both_changed_lanes(mine, theirs)
         return self.npc_changed_lanes(theirs) if mine is None else self.ego_changed_lanes(mine)
@@ -239,12 +240,13 @@ class Crash:
         """Who did, and the lane change that it was; None if nobody did."""
         if not self.ego.is_straight:
             return None
-        for tick in range(self.impact, max(self.danger, self.joined, 1) - 1, -1):
+        first = max(self.danger, self.joined, 1)
+        for tick in range(self.impact, first - 1, -1):
             is_ego_behind = is_behind(self.ego, self.npc, tick)
             mover, other = (self.npc, self.ego) if is_ego_behind else (self.ego, self.npc)
             for side in (-1, 1):
                 if comes_over(mover, other, tick, side):
-                    return mover, LaneChange(start_of_motion(mover, tick, side), tick, side)
+                    return mover, LaneChange(first, tick, side)
         return None
 
     # Rule 3
@@ -419,7 +421,7 @@ class Crash:
             return False
         if moved_in is not None and self.seconds(moved_in - last) > 1.0:
             return False
-        if npc.speed[self.impact] > min(npc.speed[last : self.impact + 1]) + 0.3:
+        if npc.speed[self.impact] > min(npc.speed[max(last, self.danger - 1) : self.impact + 1]) + 0.3:
             return False
         ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
         return not any(self.is_reason(tick, ego.lane[end]) for tick in ticks)
@@ -602,7 +604,9 @@ class Response:
 
     def has_answered(self):
         ticks = range(self.since, self.impact + 1)
-        return all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
+        was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
+        is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
+        return was_never_faster or (is_as_slow and self.lag <= 1.0)
 
     def ahead_by(self, tick):
         """How far the other's centre is ahead of where the responder would be [m]."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from tests.support.pencil_and_paper import Crash, gap, giving_way, is_behind, safe_along, side_of
+from tests.support.pencil_and_paper import Crash, gap, giving_way, is_behind, safe_along
 
 NUMBER = r"(-?\d+\.\d)"
 
@@ -35,28 +35,32 @@ class Reading:
     def too_close(self):
         return [self.time(self.tick), self.apart(), safe_along(*self.behind_and_ahead(), self.tick)]
 
-    def crossed(self, mover, other):
+    def crossed(self, whose):
         """When and how fast sideways; what is told of the mover next is compared with the other."""
-        self.mover, self.other = mover, other
-        return [self.time(self.tick), self.towards(mover, other, self.tick)]
+        self.mover, self.other = (self.ego, self.npc) if whose == "ego's moment" else (self.npc, self.ego)
+        return [self.time(self.tick), self.towards(whose)]
 
-    def towards(self, mover, other, tick):
-        return mover.sideways(tick) * side_of(other, mover, max(self.crash.joined - 1, 0))
+    def towards(self, whose):
+        """Sideways, to the other."""
+        mover = self.ego if whose == "ego's moment" else self.npc
+        return self.crash.sides[whose] * mover.sideways(self.crash.ticks[whose])
 
     def place(self, words):
         """How far ahead or behind, and how much faster or slower, as the words say."""
         faster = self.mover.speed[self.tick] - self.other.speed[self.tick]
         ahead = self.mover.along[self.tick] > self.other.along[self.tick]
         assert ("ahead" in words) == ahead
+        if words.endswith("as fast"):
+            assert f"{abs(faster):.1f}" == "0.0"
+            return [self.apart()]
         return [self.apart(), faster if "faster" in words else -faster]
 
+    def came_in(self):
+        return [gap(self.ego, self.npc, self.crash.joined), self.time(self.crash.joined)]
+
     def both_crossed(self):
-        moments = self.crash.ticks["ego's moment"], self.crash.ticks["npc's moment"]
-        return [
-            *(self.time(moment) for moment in moments),
-            self.towards(self.ego, self.npc, moments[0]),
-            self.towards(self.npc, self.ego, moments[1]),
-        ]
+        both = "ego's moment", "npc's moment"
+        return [self.time(self.crash.ticks[whose]) for whose in both] + [self.towards(whose) for whose in both]
 
     def slowest(self):
         """Of the ego, in its lane change."""
@@ -94,12 +98,15 @@ CLAUSES = {
     f"from {NUMBER} s on (?:NPC # was {NUMBER} m behind the ego|the ego was {NUMBER} m behind NPC #), closer than the "
     f"{NUMBER} m that RSS demands": lambda reading, said: reading.too_close(),
     f"at {NUMBER} s NPC # crossed the lane line towards the ego \\({NUMBER} m/s sideways\\)": (
-        lambda reading, said: reading.crossed(reading.npc, reading.ego)
+        lambda reading, said: reading.crossed("npc's moment")
     ),
     f"at {NUMBER} s the ego crossed the lane line towards NPC # \\({NUMBER} m/s sideways\\)": (
-        lambda reading, said: reading.crossed(reading.ego, reading.npc)
+        lambda reading, said: reading.crossed("ego's moment")
     ),
-    f", {NUMBER} m (?:ahead|behind), {NUMBER} m/s (?:faster|slower)": lambda reading, said: reading.place(said),
+    f", {NUMBER} m (?:ahead|behind), (?:{NUMBER} m/s (?:faster|slower)|as fast)": lambda reading, said: reading.place(
+        said
+    ),
+    f", and came into its track only {NUMBER} m ahead at {NUMBER} s": lambda reading, said: reading.came_in(),
     f", (?:where giving way takes {NUMBER} m|more than the {NUMBER} m that giving way takes)": (
         lambda reading, said: [reading.room()]
     ),
@@ -128,7 +135,8 @@ CLAUSES = {
     f"; the ego braked from {NUMBER} s on with up to {NUMBER} m/s\\^2": lambda reading, said: reading.braking(),
     f", and braked with up to {NUMBER} m/s\\^2": lambda reading, said: [reading.npcs_peak()],
     f"; the ego sped up to {NUMBER} m/s": lambda reading, said: [reading.speed_reached()],
-    ", side by side|, and NPC # moved in behind it|, too late to avoid it|, and no response could avoid it|, and NPC # behind could not avoid it"
+    ", side by side|, and NPC # moved in behind it|, too late to avoid it"
+    "|, and no response could avoid it|, and NPC # behind could not avoid it"
     "|, and NPC # could not avoid it any more when the ego kept the lane|; the ego did not brake": (
         lambda reading, said: []
     ),
