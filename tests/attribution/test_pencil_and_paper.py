@@ -59,7 +59,7 @@ def test_the_collisions_are_of_every_kind(collisions):
         ("both", "entered-lane"),
         ("ego", "leader-unanswered"),
         ("ego", "cut-in-unanswered"),
-        ("ego", "braked-for-nothing"),
+        ("both", "cut-in-unanswered"),
         ("both", "braked-for-nothing"),
         ("both", "stopped-for-nothing"),
     }

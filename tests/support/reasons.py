@@ -72,7 +72,7 @@ class Reading:
         return giving_way(self.npc.speed[self.tick], self.slowest())
 
     def due(self, delay):
-        return self.crash.ticks["answer"] / self.crash.hz + delay
+        return self.time(self.crash.ticks["answer"] + round(delay * self.crash.hz))
 
     def braking(self):
         """Of the ego, since its answer counts: from when on and with how much at most."""
