@@ -421,7 +421,7 @@ class Crash:
             return False
         if moved_in is not None and self.seconds(moved_in - last) > 1.0:
             return False
-        if npc.speed[self.impact] > min(npc.speed[max(last, self.danger - 1) : self.impact + 1]) + 0.3:
+        if npc.speed[self.impact] > min(npc.speed[max(last, self.danger - 1) : self.impact + 1]) + 1.0:
             return False
         ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
         return not any(self.is_reason(tick, ego.lane[end]) for tick in ticks)

@@ -26,7 +26,8 @@ class Reading:
         return tick / self.crash.hz
 
     def apart(self):
-        return gap(self.ego, self.npc, self.tick)
+        """Told as 0 of two that are side by side."""
+        return max(0.0, gap(self.ego, self.npc, self.tick))
 
     def behind_and_ahead(self):
         pair = self.ego, self.npc
@@ -56,7 +57,7 @@ class Reading:
         return [self.apart(), faster if "faster" in words else -faster]
 
     def came_in(self):
-        return [gap(self.ego, self.npc, self.crash.joined), self.time(self.crash.joined)]
+        return [max(0.0, gap(self.ego, self.npc, self.crash.joined)), self.time(self.crash.joined)]
 
     def both_crossed(self):
         both = "ego's moment", "npc's moment"
