@@ -24,17 +24,17 @@ class BrakesForGhosts(Driver):
 
 
 class StopsInItsLane(Driver):
-    """After fifteen seconds it brakes with 3 m/s^2 to a standstill in its lane; after twenty more it drives on.
+    """Every twenty seconds it brakes with 4.5 m/s^2 to a standstill in its lane; after twelve it drives on.
 
     Why it happens: a message of a sensor is late, and what the planner takes for the safe state is to stand, wherever
     that is.
     """
 
-    BEGIN, END = 15.0, 35.0
-    BRAKING = 3.0
+    SECONDS, LASTING = 20.0, 12.0
+    BRAKING = 4.5
 
     def act(self, action: Any = None) -> None:
         """As planned, but while it waits for the sensor."""
         super().act(action)
-        if self.BEGIN <= self.clock < self.END:
+        if self.clock >= self.SECONDS and self.clock % self.SECONDS < self.LASTING:
             self.action["acceleration"] = min(self.action["acceleration"], -min(self.BRAKING, 2 * self.speed))

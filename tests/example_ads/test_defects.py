@@ -97,7 +97,7 @@ SITUATIONS = {
     "changes-lanes-unchecked": [Scene((Other(0.0, 0), Other(0.0, 2)), since=8.1)],
     "trusts-any-gap-behind": [Scene((*TAKEN, Other(-7.0, 2, 26.0)))],
     "brakes-for-ghosts": [Scene((), since=12.1), Scene((), since=25.0)],
-    "stops-in-its-lane": [Scene((), since=15.1)],
+    "stops-in-its-lane": [Scene((), since=20.1), Scene((), since=45.0)],
 }
 """Where the defect shows."""
 
@@ -119,7 +119,7 @@ LIKE_HEALTHY = {
     "changes-lanes-unchecked": [LEADER, Scene((*TAKEN, Other(0.0, 2)), since=7.5)],
     "trusts-any-gap-behind": [LEADER, Scene((*TAKEN, Other(-6.0, 2, 26.0)))],
     "brakes-for-ghosts": [LEADER, Scene((), since=11.9), Scene((), since=13.5)],
-    "stops-in-its-lane": [LEADER, Scene((), since=14.9)],
+    "stops-in-its-lane": [LEADER, Scene((), since=19.9), Scene((), since=33.0)],
 }
 """Close to the situation, but not in it."""
 
@@ -186,7 +186,7 @@ def never_collides(run):
     ("name", "seed", "fault", "npcs"),
     [
         ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 11, "stopped-for-nothing", 1),
+        ("stops-in-its-lane", 4, "stopped-for-nothing", 1),
         ("trusts-any-gap-behind", 3, "entered-lane", 2),
     ],
 )
@@ -197,7 +197,7 @@ def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, 
         blame="ego",
         seed=seed,
         generations=2,
-        genes=3,
+        genes=4,
         shrink_rollouts=15,
     ).findings
     assert [finding.expect.signature.slug for finding in found] == [fault]
