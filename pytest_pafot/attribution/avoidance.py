@@ -26,8 +26,8 @@ HORIZON = 12.0
 
 ALIKE = 0.1
 """Whoever drove at most so much faster than the reference answered as it does [m/s]."""
-MARGIN = 1.0
-"""Who is at most so much further ahead at the impact, and no faster, answered as well as it could [m]."""
+MARGIN = 0.2
+"""Who is at most so much further ahead at the impact, in seconds of its driving, and no faster, answered [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ class Pursuit:
         Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
         one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
         One that drove no faster than the reference has answered, whatever came of it; so has one that at the impact is
-        no faster, and not a metre further ahead.
+        no faster, and hardly further ahead.
         """
         end = len(self.ahead) - 1
         if since >= end:
@@ -102,7 +102,7 @@ class Pursuit:
         speeds, lost = self._driven(since, response, emergency)
         recorded = end - since + 1
         is_alike = self.speeds[0][since:] <= speeds[:recorded] + ALIKE
-        if is_alike.all() or (is_alike[-1] and lost[recorded - 1] <= MARGIN):
+        if is_alike.all() or (is_alike[-1] and lost[recorded - 1] <= MARGIN * self.speeds[0][-1]):
             return False
         if self._touches(slice(since, end + 1), lost[:recorded]):
             return False

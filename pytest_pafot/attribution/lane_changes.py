@@ -119,10 +119,10 @@ class LanePlaces:
         """How the one of ego and NPC that is ahead came over into the lane that the other was already in.
 
         The one behind had left the lane that they shared, so that their tracks overlapped all the time. None where
-        nothing of the kind happened between the ticks, and on roads that bend.
+        nothing of the kind happened between the ticks.
         """
         part = slice(first, last + 1)
-        if self.trace.track is not None or not any((self._edge(each)[part] > 0).any() for each in (0, npc + 1)):
+        if not any((self._edge(each)[part] > 0).any() for each in (0, npc + 1)):
             return None
         leads = self.frame.ahead[npc, first : last + 1] < 0
         pairs = product(((0, npc + 1, leads), (npc + 1, 0, ~leads)), (1.0, -1.0))
@@ -135,11 +135,12 @@ class LanePlaces:
         """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
         lanes, part = self.trace.states[first : last + 1, :, LANE], slice(first, last + 1)
         offsets = side * self.offset(mover)[part]
-        is_over = (self._edge(mover)[part] > 0) & (offsets > 0)
+        is_over = offsets + self.frame.half_across[mover, part] > self._half_widths(mover)[part]
         if not is_over.any():
             return None
-        reaches = (self._edge(other)[part] > 0) & (side * self.offset(other)[part] > 0)
-        beyond = side * (lanes[:, other] - lanes[:, mover])
+        reaches = side * self.offset(other)[part] + self.frame.half_across[other, part] > self._half_widths(other)[part]
+        centres = ((self._across(each) - self.offset(each))[part] for each in (mover, other))
+        beyond = np.round(side * -np.subtract(*centres) / (2 * self._half_widths(mover)[part]))
         was_there = is_ahead & ((beyond == 1) | ((beyond == 0) & reaches)) & (lanes[:, [mover, other]].min(axis=1) >= 0)
         crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
         if not crosses.any():

@@ -65,9 +65,19 @@ HEADWAY = 1.0
 TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
 SOON = 5.0
-"""Hard braking ahead up to so long after a lane change belongs to it [s]."""
+"""An NPC that is hit up to so long after its lane change goes on braking [s]."""
+BLOCKED = 0.3
+AT_ONCE = 2.0
+"""Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
+[s]."""
 BRAKES = 0.5
 """What the sentences call braking, at least [m/s^2]."""
+ROLLED = 0.5
+"""An ego that drove so shortly before its front touched does not stand [s]."""
+LATER = 3.0
+"""An NPC that runs into a driving ego so long after its braking has had the time to adapt [s]."""
+CRAWLING = 3.0
+"""An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
 SPED_UP = 0.3
@@ -217,7 +227,8 @@ class Conflict:
         kept = self._lanes.kept_since(0, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
-        if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])):
+        entered = max(self._onset, tick)
+        if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])) and self._gap(entered) > 0:
             since = max(tick, self._before)  # there was room at first
             if pursuit.is_avoided(since, FOLLOWING):
                 reason = f"{crossed}; {self._name}'s {self._would(since)}"
@@ -242,8 +253,8 @@ class Conflict:
         reason = f"from {self._at(kept[0])} on {who} kept the lane ahead"
         if change.vehicle == 0:
             return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
-        reason = f"{reason}; {self._would(since)}; {self._answer(since)}"
-        return self._blamed_unless_standing(kept[0], reason, "leader-unanswered")
+        reason = f"{reason}#; {self._would(since)}; {self._answer(since)}"
+        return self._shared(change, reason, "leader-unanswered", kept[0])
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
@@ -256,29 +267,41 @@ class Conflict:
             return self._npc_followed(tick, tick, crossed, moved_in=tick)
         if self._gap(tick) <= 0 or not self._by_ego_front:
             return self._excused(tick, crossed)
-        seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=True)
-        if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
+        seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
+        is_blocked = self._gap(tick) < BLOCKED * self._frame.speed[0, tick] and self._brakes_at_once(tick)
+        if not is_blocked and not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
             due = seen + round(CUT_OFF.delay * self._hz)
             demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
             would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
-            checked = self._brake_check(change)
-            if checked and not self._stands:
-                return self._attributed("both", tick, f"{crossed}, and {checked}; {would}", "cut-in-unanswered")
-            return self._blamed_unless_standing(tick, f"{crossed}; {would}", "cut-in-unanswered")
-        kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
+            return self._shared(change, f"{crossed}#; {would}", "cut-in-unanswered")
+        kept = None if is_blocked else self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
         return self._excused(tick, f"{crossed}, too late to avoid it")
 
-    def _brake_check(self, change: LaneChange) -> str:
-        """That an NPC that did not give way braked hard soon afterwards; empty where it did not."""
+    def _brake_check(self, change: LaneChange) -> float:
+        """How hard an NPC that did not give way braked afterwards [m/s^2]; 0 where it did not brake hard."""
         tick, speed = change.tick, self._frame.speed[self._npc + 1]
         gave_way = self._gap(tick) >= self._room(tick, float(speed[tick]), behind=0)
+        if gave_way or self._end - tick > SOON * self._hz:
+            return 0.0
         slowed = -np.diff(speed[tick : self._end + 1]) * self._hz
-        if gave_way or self._end - tick > SOON * self._hz or not slowed.size:
-            return ""
         is_hard = first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
-        return f"braked with up to {float(slowed.max()):.1f} m/s^2" if is_hard else ""
+        return float(slowed.max()) if is_hard else 0.0
+
+    def _shared(self, change: LaneChange, reason: str, fault: Fault, tick: int | None = None) -> Attribution:
+        """The ego's, shared with an NPC that did not give way and braked hard, which is told in the place of ``#``."""
+        tick, peak = change.tick if tick is None else tick, self._brake_check(change)
+        if not peak or self._stands:
+            return self._blamed_unless_standing(tick, reason.replace("#", ""), fault)
+        return self._attributed("both", tick, reason.replace("#", f", and braked with up to {peak:.1f} m/s^2"), fault)
+
+    def _brakes_at_once(self, tick: int) -> bool:
+        """Whether the NPC begins to brake hard within two seconds of its lane change."""
+        ticks = math.ceil(HARD_SECONDS * self._hz)
+        last = min(tick + round(AT_ONCE * self._hz) + ticks, self._end)
+        slowed = -np.diff(self._frame.speed[self._npc + 1, tick : last + 1]) * self._hz
+        return first_lasting(slowed > HARD_BRAKING, ticks) is not None
 
     def _strayed(self) -> Attribution:
         """Side by side without a lane change: by slow drift, or in lanes that come together."""
@@ -297,10 +320,9 @@ class Conflict:
     def _gives_way(self, change: LaneChange) -> bool:
         """Whether the ego's lane change leaves the NPC room, and what 3 m/s^2 need once they are in one track."""
         speed, entered = self._frame.speed, max(self._onset, change.tick)
-        faster = float(speed[self._npc + 1, [change.tick, entered]].min() - speed[0, entered])
-        return self._gap(change.tick) >= self._room(change.tick, self._lowest(change)) and self._gap(
-            entered
-        ) >= _braking_room(faster)
+        if self._gap(change.tick) < self._room(change.tick, self._lowest(change)):
+            return False
+        return self._gap(entered) >= _braking_room(float(speed[self._npc + 1, entered] - speed[0, entered]))
 
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
         """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
@@ -309,8 +331,8 @@ class Conflict:
 
     def _lowest(self, change: LaneChange) -> float:
         """Speed of the ego during its lane change [m/s]: who slows down in it asks more of the one behind."""
-        kept = self._lanes.kept_since(0, change.tick, self._end)
-        return float(self._frame.speed[0, change.tick : (self._end if kept is None else kept[1]) + 1].min())
+        over = max(self._onset, change.tick) + round(HEADWAY * self._hz)
+        return float(self._frame.speed[0, change.tick : min(over, self._end) + 1].min())
 
     def _is_too_late(self, seen: int) -> bool:
         """Whether nobody can answer a cut-in that is seen at a tick, for its time to collision."""
@@ -338,13 +360,18 @@ class Conflict:
         One that moved in behind an ego that did so is responsible, too.
         """
         stop = hard_braking(self._trace, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
-        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.begin + 1), moved_in):
+        if (
+            stop is not None
+            and stop.end >= duty
+            and self._is_needless(stop, slice(stop.begin, stop.begin + 1 + round(HARD_SECONDS * self._hz)), moved_in)
+        ):
             peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
             braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
             since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
             return self._needless(stop, since, braked, "braked-for-nothing", moved_in=moved_in > 0)
         stop = long_stop(self._trace, self._end)
-        if stop is not None and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
+        is_slow = self._frame.speed[self._npc + 1, self._start] <= CRAWLING
+        if stop is not None and not is_slow and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
             stood = (self._end - stop.end) / self._hz
             stopped = f"from {self._at(stop.begin)} the ego braked to a standstill with nothing in its way"
             stopped = f"{stopped} and stood for {stood:.1f} s"
@@ -359,6 +386,11 @@ class Conflict:
         ego, npc = self._frame.speed[0], self._frame.speed[self._npc + 1]
         if not self._leads(stop.begin) or ego[self._end] >= ego[stop.begin]:
             return False
+        closing = npc[stop.begin] - ego[stop.begin]
+        if self._end - stop.end > LATER * self._hz and ego[self._end] > STANDING_SPEED:
+            return False  # it could have adapted to the ego's new speed
+        if self._gap(stop.begin) < EMERGENCY.time_to_contact * closing:
+            return False  # it would have hit the ego anyway
         late = moved_in > stop.end + AFTERMATH_SECONDS * self._hz
         since = max(stop.end, self._before)
         if late or npc[self._end] > npc[since : self._end + 1].min() + DROVE_ON:
@@ -381,6 +413,10 @@ class Conflict:
         return Attribution(responsibility=responsibility, tick=tick, time=tick / self._hz, reason=reason, fault=fault)
 
     def _blamed_unless_standing(self, tick: int, reason: str, fault: Fault) -> Attribution:
+        """An ego that rolls until it touches does not stand."""
+        rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
+        if self._by_ego_front and rolled.size and rolled.max() > STANDING_SPEED:
+            return self._attributed("ego", tick, reason, fault)
         return self._excused(tick, reason) if self._stands else self._attributed("ego", tick, reason, fault)
 
     def _excused(self, tick: int, reason: str) -> Attribution:

@@ -517,7 +517,7 @@ SITUATIONS = {
             "brake-check-after-cutting-in",
             "The ego changes lanes 5 m ahead of one of equal speed and brakes with 9 m/s^2 as soon as it is there.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
-            "ego", "entered-lane", "4a", "where giving way takes 25.5 m",
+            "ego", "entered-lane", "4a", "where giving way takes 20.0 m",
         ),
         Situation(
             "follower-entered-later",
