@@ -42,7 +42,10 @@ def compared(policy: str, number: int, seed: int) -> Compared:
     first, second = rss_rule(found.trace), pencil_and_paper.judge(found.trace)
     mine = (second.responsibility, second.fault, second.tick)
     theirs = (first.responsibility, first.fault, first.tick)
-    said, true = numbers(found.trace, first)
+    try:
+        said, true = numbers(found.trace, first)
+    except (LookupError, StopIteration, ValueError) as error:  # the reason tells of what did not happen
+        said, true = [first.reason], [repr(error)]
     text = (
         f"collision({policy!r}, {number}, {seed}) in {found.world!r}\n"
         f"    impact at tick {found.trace.collision.tick}, {found.trace.collision!r}\n"

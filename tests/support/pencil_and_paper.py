@@ -662,7 +662,8 @@ class Emergency:
         return 6.0 if acts else 3.0
 
     def is_one(self, tick, closing):
-        falls = self.drive.other.deceleration_along(tick) if tick <= self.drive.impact else 0.0
+        speeds = self.drive.others_speeds
+        falls = (speeds[tick - 1] - speeds[tick]) * self.drive.hz if tick else 0.0
         return (closing > 0 and self.drive.straight_gap(tick) / closing < 2.0) or falls > 5.0
 
 
