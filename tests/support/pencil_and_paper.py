@@ -205,11 +205,17 @@ class Crash:
     def verdict(self):
         """The rules in their order, and the excuse for an ego that stands."""
         opinion = self._by_the_first_rule_that_applies()
-        stands = abs(self.ego.speed[self.impact]) <= STANDS
         is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or "drift" in self.ticks
-        if stands and is_excused and opinion.responsibility == "ego":
+        if is_excused and opinion.responsibility == "ego" and self.stands() and not self.rolled_into_it():
             return self.opinion("npc", None, opinion.tick)
         return opinion
+
+    def stands(self):
+        return abs(self.ego.speed[self.impact]) <= STANDS
+
+    def rolled_into_it(self):
+        just_before = range(max(0, self.impact - int(0.5 * self.hz)), self.impact + 1)
+        return self.trace.collision.side == "front" and any(self.ego.speed[tick] > STANDS for tick in just_before)
 
     def _by_the_first_rule_that_applies(self):
         mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
@@ -238,10 +244,8 @@ class Crash:
 
     def came_over(self):
         """Who did, and the lane change that it was; None if nobody did."""
-        if not self.ego.is_straight:
-            return None
-        first = max(self.danger, self.joined, 1)
-        for tick in range(self.impact, first - 1, -1):
+        first = max(self.danger, self.joined)
+        for tick in range(self.impact, first, -1):
             is_ego_behind = is_behind(self.ego, self.npc, tick)
             mover, other = (self.npc, self.ego) if is_ego_behind else (self.ego, self.npc)
             for side in (-1, 1):
@@ -253,16 +257,18 @@ class Crash:
 
     def ego_gives_way(self, at):
         """In a lane change ahead of the NPC, with the lowest speed in it."""
-        kept = self.keeps_its_lane(self.ego, at)
-        end = self.impact if kept is None else kept[1]
-        slowest = min(self.ego.speed[at : end + 1])
         apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
-        dv = max(0.0, min(self.npc.speed[then], self.npc.speed[at]) - self.ego.speed[then])
+        dv = max(0.0, self.npc.speed[then] - self.ego.speed[then])
         return (
             apart > 0
-            and apart >= giving_way(self.npc.speed[at], slowest)
+            and apart >= giving_way(self.npc.speed[at], self.slowest_in_change(at))
             and gap(self.ego, self.npc, then) >= dv * 0.4 + dv**2 / (2 * 3.0)
         )
+
+    def slowest_in_change(self, at):
+        """The ego's lowest speed in a lane change ahead."""
+        end = min(self.impact, max(at, self.joined) + round(1.0 * self.hz))
+        return min(self.ego.speed[at : end + 1])
 
     def both_changed_lanes(self, mine, theirs):
         at, later = mine.moment, max(mine.moment, theirs.moment)
@@ -272,7 +278,7 @@ class Crash:
         ahead, behind = (self.npc, self.ego) if ego_behind else (self.ego, self.npc)
         passed = self.duty_passes(ahead, behind, later)
         if passed is not None and ego_behind:
-            return self.opinion("ego", "leader-unanswered", passed.kept)
+            return self.opinion(self.ego_or_both(theirs.moment), "leader-unanswered", passed.kept)
         if passed is not None:
             return self.npc_follows(passed.due, tick=passed.kept)
         return self.opinion("both", "entered-lane", at)
@@ -288,7 +294,8 @@ class Crash:
             return self.npc_follows(passed.due, tick=passed.kept)
         due, apart = max(at, self.danger - 1), gap(self.ego, self.npc, at)
         had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
-        if had_room and self.would_have_avoided(self.npc, self.ego, due):
+        is_ahead = gap(self.ego, self.npc, self.joined) > 0
+        if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
             self.ticks["answer"] = due
             return self.opinion("both", "entered-lane", at)
         return self.opinion("ego", "entered-lane", at)
@@ -340,7 +347,7 @@ class Crash:
     def npc_follows(self, since, *, tick, moved_in=None):
         """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
         due = self.ticks["answer"] = max(since, self.danger - 1, 0)
-        hard, stop = self.braked_for_nothing(moved_in), self.stopped_for_nothing(moved_in)
+        hard, stop = self.braked_for_nothing(since, moved_in), self.stopped_for_nothing(moved_in)
         if hard is None and stop is None:
             return self.opinion("npc", None, tick)
         fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
@@ -352,28 +359,37 @@ class Crash:
     # Rule 5
 
     def cut_in(self, change):
-        self.is_cut_in = True
-        seen = change.moment
-        while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(change.moment, change):
+        at = change.moment
+        self.is_cut_in = self.seconds(self.impact - at) <= 5.0
+        if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
+            return self.opinion("npc", None, at)
+        seen = at
+        while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
         self.ticks["answer"] = seen
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
         if not nobody_can and self.would_have_avoided_a_cut_in(seen):
-            who = "both" if self.shares_its_cut_in(change.moment) else "ego"
-            return self.opinion(who, "cut-in-unanswered", change.moment)
-        passed = self.duty_passes(self.npc, self.ego, change.moment)
+            return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
+        passed = self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
-            return self.opinion("ego", "leader-unanswered", passed.kept)
-        return self.opinion("npc", None, change.moment)
+            return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
+        return self.opinion("npc", None, at)
 
-    def shares_its_cut_in(self, at):
-        """Whether the NPC neither gave way nor kept from braking hard, soon before the impact."""
-        room = giving_way(self.ego.speed[at], self.npc.speed[at])
-        stretch = last_hard_braking(self.npc.deceleration_along, range(at + 1, self.impact + 1), self.hz)
+    def npc_brakes_hard(self, at, *, within=math.inf):
+        """Whether it begins to, for at least 0.4 s, in a time after a tick."""
+        length = round(0.4 * self.hz)
+        return any(
+            all(self.npc.deceleration_along(tick + ticks) > 5.0 for ticks in range(1, length + 1))
+            for tick in range(at, self.impact - length + 1)
+            if self.seconds(tick - at) <= within
+        )
+
+    def ego_or_both(self, at):
+        """After the NPC's lane change: both where it neither gave way nor kept from braking hard."""
+        gave_way = gap(self.ego, self.npc, at) >= giving_way(self.ego.speed[at], self.npc.speed[at])
         is_soon = self.seconds(self.impact - at) <= 5.0
-        stands = abs(self.ego.speed[self.impact]) <= STANDS
-        return not stands and gap(self.ego, self.npc, at) < room and stretch is not None and is_soon
+        return "both" if not self.stands() and not gave_way and is_soon and self.npc_brakes_hard(at) else "ego"
 
     def is_seen(self, tick, change):
         return change.side * self.npc.off_centre(tick) > OFF_CENTRE
@@ -387,17 +403,18 @@ class Crash:
 
     def would_have_avoided_a_cut_in(self, seen):
         drive = Response(self, self.ego, self.npc, seen, delay=1.4, perceived=0.4, to_cut_in=True)
-        return drive.avoids(Emergency(drive).deceleration, brakes_on=True)
+        return drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
 
     # Rule 7
 
-    def braked_for_nothing(self, moved_in):
+    def braked_for_nothing(self, since, moved_in):
         """The tick at which such braking begins, or None."""
         stretch = self.hard_braking()
-        if stretch is None or stretch[1] < self.danger - round(1.0 * self.hz):
+        if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
             return None
         began = stretch[0] - 1
-        return began if self.counts(began, began, stretch[1], moved_in) else None
+        end = min(self.impact, began + round(0.4 * self.hz))
+        return began if self.counts(began, end, stretch[1], moved_in) else None
 
     def hard_braking(self):
         return last_hard_braking(self.ego.deceleration, range(1, self.impact + 1), self.hz)
@@ -409,15 +426,19 @@ class Crash:
         if not moving:
             return None
         stood = self.ticks["stood"] = moving[-1] + 1
-        if self.seconds(self.impact - stood) < 3.0 - ROUNDING:
+        if self.seconds(self.impact - stood) < 3.0 - ROUNDING or self.npc.speed[self.danger] <= 3.0:
             return None
         began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
         return began if self.counts(began, stood, stood, moved_in) else None
 
     def counts(self, began, end, last, moved_in):
-        """Whether braking may have been for nothing, with no reason from 1.6 s before it began to the end."""
+        """Whether braking was for nothing: also with no reason from 1.6 s before it began to an end."""
         ego, npc = self.ego, self.npc
         if is_behind(ego, npc, began) or ego.speed[self.impact] >= ego.speed[began]:
+            return False
+        if gap(ego, npc, began) < 2.0 * (npc.speed[began] - ego.speed[began]):
+            return False
+        if ego.speed[self.impact] > STANDS and self.seconds(self.impact - last) > 3.0:
             return False
         if moved_in is not None and self.seconds(moved_in - last) > 1.0:
             return False
@@ -536,8 +557,8 @@ def comes_over(mover, other, tick, side):
         return False
     if mover.rows[before][LANE] < 0 or other.rows[before][LANE] < 0:
         return False
-    lanes = mover.lane[before], other.lane[before]
-    return lanes[1] == lanes[0] + side or (lanes[0] == lanes[1] and other.is_over_its_line(before, side))
+    lanes = side * (other.centre[before] - mover.centre[before]) / mover.lane_width[before]
+    return 0.5 <= lanes <= 1.5 or (abs(lanes) < 0.5 and other.is_over_its_line(before, side))
 
 
 def last_crossing(mover, motion, side):
@@ -606,7 +627,7 @@ class Response:
         ticks = range(self.since, self.impact + 1)
         was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
         is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
-        return was_never_faster or (is_as_slow and self.lag <= 1.0)
+        return was_never_faster or (is_as_slow and self.lag <= 0.2 * self.responder.speed[self.impact])
 
     def ahead_by(self, tick):
         """How far the other's centre is ahead of where the responder would be [m]."""

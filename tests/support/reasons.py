@@ -65,9 +65,7 @@ class Reading:
 
     def slowest(self):
         """Of the ego, in its lane change."""
-        kept = self.crash.keeps_its_lane(self.ego, self.tick)
-        end = self.crash.impact if kept is None else kept[1]
-        return min(self.ego.speed[self.tick : end + 1])
+        return self.crash.slowest_in_change(self.tick)
 
     def room(self):
         return giving_way(self.npc.speed[self.tick], self.slowest())
