@@ -151,7 +151,7 @@ def _check_faults(world: Any, scenario: Scenario, healthy: Trace, ads: Ads) -> N
     faults: list[tuple[str, Callable[[], Any], Outcome]] = [
         ("raises", lambda: 1 / 0, Outcome.ADS_ERROR),
         ("returns None", lambda: None, Outcome.ADS_ERROR),
-        ("hangs", lambda: time.sleep(20 * limit), Outcome.HANG),
+        ("hangs", lambda: time.sleep(6 * limit), Outcome.HANG),
     ]
     for name, fault, outcome in faults if limit <= 1.0 else faults[:-1]:
         trace = _rollout(world, scenario, partial(_failing_ads, ads, fault))
