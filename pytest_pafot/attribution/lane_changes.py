@@ -138,10 +138,9 @@ class LanePlaces:
         is_over = offsets + self.frame.half_across[mover, part] > self._half_widths(mover)[part]
         if not is_over.any():
             return None
-        reaches = side * self.offset(other)[part] + self.frame.half_across[other, part] > self._half_widths(other)[part]
         centres = ((self._across(each) - self.offset(each))[part] for each in (mover, other))
         beyond = np.round(side * -np.subtract(*centres) / (2 * self._half_widths(mover)[part]))
-        was_there = is_ahead & ((beyond == 1) | ((beyond == 0) & reaches)) & (lanes[:, [mover, other]].min(axis=1) >= 0)
+        was_there = is_ahead & (beyond == 1) & (lanes[:, [mover, other]].min(axis=1) >= 0)
         crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
         if not crosses.any():
             return None

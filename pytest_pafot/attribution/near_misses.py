@@ -42,7 +42,7 @@ def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
     """The worst near-miss of each fault, in the order of the faults' names.
 
     A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
-    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego's front had touched the NPC when the
+    :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego had touched the NPC when the
     danger was most severe. The danger that ended in the impact of the run is none of these.
     """
     by_severity = sorted(_all(trace), key=lambda each: (each.fault, -each.severity))  # stable: of equals the first
@@ -62,6 +62,6 @@ def _all(trace: Trace) -> Iterator[NearMiss]:
             if trace.collision is not None and trace.collision.npc == npc and end == len(severity):
                 continue  # the impact itself
             tick = start + int(np.argmax(severity[start:end, npc]))
-            fault = Conflict(dangers, npc, start, tick, by_ego_front=True).attribution.fault
+            fault = Conflict(dangers, npc, start, tick).attribution.fault
             if fault is not None:
                 yield NearMiss(fault=fault, npc=npc, tick=tick, severity=float(severity[tick, npc]))

@@ -24,6 +24,8 @@ STANDING_SPEED = 0.1
 """Up to this speed the ego counts as standing [m/s]."""
 STANDING_SECONDS = 3.0
 """A stop that lasts so long at least is one of its own [s]."""
+STANDSTILL_GAP = 5.0
+"""Behind whoever stands, a stop within that is no needless one [m]."""
 NEAR_SECONDS = 4.0
 """Time to collision below which a vehicle ahead is a reason to brake; and how far ahead one that is entering is, in
 seconds of the ego's driving [s]."""
@@ -89,7 +91,11 @@ def reasons(trace: Trace, frame: RoadFrame, safe_along: FloatArray, ticks: slice
     closing = speed - frame.speed[1:, ticks]
     is_near = along <= NEAR_SECONDS * speed
     slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
-    is_close = (along < safe_along.T[:, ticks]) | (along < NEAR_SECONDS * closing) | (is_near & (slowed > HARD_BRAKING))
+    is_close = (
+        (along < np.maximum(safe_along.T[:, ticks], STANDSTILL_GAP))
+        | (along < NEAR_SECONDS * closing)
+        | (is_near & (slowed > HARD_BRAKING))
+    )
     sideways = np.sign(frame.right[:, ticks]) * (frame.drift[:1, ticks] - frame.drift[1:, ticks])
     lane = trace.lanes[max(int(trace.ego[ticks.stop - 1, LANE]), 0)]
     is_beside = frame.gap_across.T[:, ticks] < lane.width

@@ -73,7 +73,7 @@ AT_ONCE = 2.0
 BRAKES = 0.5
 """What the sentences call braking, at least [m/s^2]."""
 ROLLED = 0.5
-"""An ego that drove so shortly before its front touched does not stand [s]."""
+"""An ego that drove so shortly before they touched does not stand for what it owed an answer to [s]."""
 LATER = 3.0
 """An NPC that runs into a driving ego so long after its braking has had the time to adapt [s]."""
 CRAWLING = 3.0
@@ -120,10 +120,10 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
-    dangers, collision = Dangers(trace), trace.collision
-    safe = np.flatnonzero(~dangers.is_dangerous[:-1, collision.npc])
+    dangers, npc = Dangers(trace), trace.collision.npc
+    safe = np.flatnonzero(~dangers.is_dangerous[:-1, npc])
     start = int(safe[-1]) + 1 if safe.size else 0
-    return Conflict(dangers, collision.npc, start, trace.ticks, by_ego_front=collision.side == "front").attribution
+    return Conflict(dangers, npc, start, trace.ticks).attribution
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -169,11 +169,10 @@ class Dangers:
 class Conflict:
     """A danger between the ego and one NPC, from its first tick to its end: an impact, or what almost was one."""
 
-    def __init__(self, dangers: Dangers, npc: int, start: int, end: int, *, by_ego_front: bool) -> None:
-        """``by_ego_front`` is whether it was, or would have been, the ego's front that hit."""
+    def __init__(self, dangers: Dangers, npc: int, start: int, end: int) -> None:
         self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
         self._frame, self._trace, self._hz = dangers.frame, dangers.trace, dangers.trace.physics_hz
-        self._by_ego_front, self._name = by_ego_front, f"NPC {npc}"
+        self._name = f"NPC {npc}"
         self._before = max(start - 1, 0)  # the last safe tick, from which on a response counts
         apart = np.flatnonzero(dangers.across[:end, npc] > 0)
         self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
@@ -265,7 +264,7 @@ class Conflict:
         crossed, tick = self._crossed(change), change.tick
         if self._gap(tick) > 0 and self._leads(tick):
             return self._npc_followed(tick, tick, crossed, moved_in=tick)
-        if self._gap(tick) <= 0 or not self._by_ego_front:
+        if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused(tick, crossed)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         is_blocked = self._gap(tick) < BLOCKED * self._frame.speed[0, tick] and self._brakes_at_once(tick)
@@ -318,11 +317,11 @@ class Conflict:
         return self._blamed_unless_standing(tick, reason, "entered-lane")
 
     def _gives_way(self, change: LaneChange) -> bool:
-        """Whether the ego's lane change leaves the NPC room, and what 3 m/s^2 need once they are in one track."""
-        speed, entered = self._frame.speed, max(self._onset, change.tick)
-        if self._gap(change.tick) < self._room(change.tick, self._lowest(change)):
-            return False
-        return self._gap(entered) >= _braking_room(float(speed[self._npc + 1, entered] - speed[0, entered]))
+        """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
+        entered = max(self._onset, change.tick)
+        return self._gap(change.tick) >= self._room(change.tick, self._lowest(change)) and self._gap(
+            entered
+        ) >= self._room(entered, float(self._frame.speed[0, entered]))
 
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
         """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
@@ -415,7 +414,7 @@ class Conflict:
     def _blamed_unless_standing(self, tick: int, reason: str, fault: Fault) -> Attribution:
         """An ego that rolls until it touches does not stand."""
         rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
-        if self._by_ego_front and rolled.size and rolled.max() > STANDING_SPEED:
+        if rolled.size and rolled.max() > STANDING_SPEED:
             return self._attributed("ego", tick, reason, fault)
         return self._excused(tick, reason) if self._stands else self._attributed("ego", tick, reason, fault)
 
