@@ -164,7 +164,7 @@ def safe_across(a, b, tick):
 def giving_way(behind, ahead):
     """The gap that is to be left, by the speeds of the one behind and of the one ahead."""
     dv = max(0.0, behind - ahead)
-    return dv * 0.4 + dv**2 / (2 * 3.0) + ahead * 1.0
+    return max(0.0, dv * 0.4 + dv**2 / (2 * 3.0) + ahead * 1.0)
 
 
 def first_of_last_stretch(holds, last):
@@ -215,7 +215,7 @@ class Crash:
 
     def rolled_into_it(self):
         just_before = range(max(0, self.impact - int(0.5 * self.hz)), self.impact + 1)
-        return self.trace.collision.side == "front" and any(self.ego.speed[tick] > STANDS for tick in just_before)
+        return any(self.ego.speed[tick] > STANDS for tick in just_before)
 
     def _by_the_first_rule_that_applies(self):
         mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
@@ -258,11 +258,10 @@ class Crash:
     def ego_gives_way(self, at):
         """In a lane change ahead of the NPC, with the lowest speed in it."""
         apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
-        dv = max(0.0, self.npc.speed[then] - self.ego.speed[then])
         return (
             apart > 0
             and apart >= giving_way(self.npc.speed[at], self.slowest_in_change(at))
-            and gap(self.ego, self.npc, then) >= dv * 0.4 + dv**2 / (2 * 3.0)
+            and gap(self.ego, self.npc, then) >= giving_way(self.npc.speed[then], self.ego.speed[then])
         )
 
     def slowest_in_change(self, at):
@@ -304,7 +303,7 @@ class Crash:
         at = change.moment
         if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
             return self.npc_follows(at, tick=at, moved_in=at)
-        if gap(self.ego, self.npc, at) <= 0 or self.trace.collision.side != "front":
+        if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
             return self.opinion("npc", None, at)
         return self.cut_in(change)
 
@@ -460,7 +459,7 @@ class Crash:
             return False
         apart, closing = gap(self.ego, other, tick), self.ego.speed[tick] - other.speed[tick]
         is_braking = other.deceleration_along(tick) > 5.0 and apart <= 4.0 * self.ego.speed[tick]
-        return apart < safe_along(self.ego, other, tick) or apart < 4.0 * closing or is_braking
+        return apart < max(safe_along(self.ego, other, tick), 5.0, 4.0 * closing) or is_braking
 
     def is_entering(self, other, tick):
         if not self.is_ahead_or_side_by_side(other, tick) or in_one_track(self.ego, other, tick):
@@ -558,7 +557,7 @@ def comes_over(mover, other, tick, side):
     if mover.rows[before][LANE] < 0 or other.rows[before][LANE] < 0:
         return False
     lanes = side * (other.centre[before] - mover.centre[before]) / mover.lane_width[before]
-    return 0.5 <= lanes <= 1.5 or (abs(lanes) < 0.5 and other.is_over_its_line(before, side))
+    return 0.5 <= lanes <= 1.5
 
 
 def last_crossing(mover, motion, side):
@@ -653,7 +652,7 @@ class Response:
         while True:
             own, other = self.speeds[tick], self.others_speeds[tick]
             still_brakes = falls > 0 and other > 0
-            if not still_brakes and (own <= other or (tick - self.since) / self.hz >= self.LONGEST):
+            if not still_brakes and (own <= other or (tick - self.impact) / self.hz >= self.LONGEST):
                 return True
             self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
             self.others_speeds[tick + 1] = max(0.0, other - falls / self.hz) if still_brakes else other
