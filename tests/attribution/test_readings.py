@@ -1,0 +1,21 @@
+"""Do readers of the trace alone come to the same verdicts? 481 collisions, each read before its verdict was shown."""
+
+from pytest_pafot.attribution.responsibility import rss_rule
+from tests.support.readings import load, packed, unpacked
+
+NOT_DEFENDED = {78, 144, 164, 168, 178, 242, 283, 286, 287, 289, 297, 332, 363, 371, 445, 464, 479}
+"""Collisions of which the reader would not defend the verdict; ``python -m tests.benchmarks.readings`` tells why."""
+
+
+def test_readers_defend_the_verdicts_but_for_those_that_are_listed():
+    reads = load()
+    assert len(reads) == 481
+    disputed = {read.number for read in reads if not read.accepts(rss_rule(read.trace).responsibility)}
+    assert disputed == NOT_DEFENDED
+
+
+def test_what_is_packed_comes_back():
+    trace = load()[0].trace
+    again = unpacked({**packed(trace, trace.ticks), "sizes": trace.sizes.tolist()})
+    assert abs(again.states - trace.states)[..., 1:].max() < 1e-9
+    assert rss_rule(again) == rss_rule(trace)

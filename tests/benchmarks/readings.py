@@ -1,0 +1,35 @@
+"""Which verdicts would a reader of the trace call false? The collisions of ``tests.support.readings``.
+
+    python -m tests.benchmarks.readings [--sets 1 2 3]
+
+Prints by set how many verdicts the reader would not defend, against the ego and for it, and each of those with what
+the reader answered.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+from pytest_pafot import Run
+from tests.support.readings import load
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", nargs="+", type=int, default=[1, 2, 3])
+    arguments = parser.parse_args()
+    for number in arguments.sets:
+        counts: Counter[str] = Counter()
+        for read in (each for each in load() if each.read_in == number):
+            run = Run(read.trace)
+            side = "excused" if run.responsibility == "npc" else "blamed"
+            counts[side] += 1
+            if not read.accepts(run.responsibility):
+                counts[f"{side}, not defended"] += 1
+                print(f"{read.number}: readers {read.answers}\n{run.explain()}", flush=True)
+        print(f"set {number}: {dict(counts)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
