@@ -243,7 +243,11 @@ class Conflict:
             entered = max(self._onset, tick)
             gap = f"{max(self._gap(entered), 0.0):.1f} m"
             return f"{crossed}, and came into its track only {gap} ahead at {self._at(entered)}"
-        slowed = f", as it slowed down to {lowest:.1f} m/s" if lowest < self._frame.speed[0, tick] - SPED_UP else ""
+        slowed = (
+            f", as it slowed down to {round(lowest, 1) + 0.0:.1f} m/s"
+            if lowest < self._frame.speed[0, tick] - SPED_UP
+            else ""
+        )
         return f"{crossed}, where giving way takes {room:.1f} m{slowed}"
 
     def _duty_passed(self, change: LaneChange, kept: tuple[int, int]) -> Attribution:

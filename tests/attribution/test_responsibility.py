@@ -98,6 +98,29 @@ class TestInOneLane:
         assert (rss_longitudinal(trace, DISTANCES) < 2 * speed).all()
 
 
+class TestStanding:
+    """Whoever stands is excused; not who has only just rolled there, and not who stops for nothing."""
+
+    @pytest.mark.parametrize(("last", "responsible"), [(0.0, "npc"), (0.4, "ego")])
+    def test_an_ego_that_rolls_into_a_standing_vehicle_does_not_stand(self, last, responsible):
+        """It creeps up with 0.4 m/s, and has 0.05 m/s when they touch: at once, or after a second with that."""
+        speed = np.concatenate((np.full(150, 0.4), np.full(30, 0.05 if last == 0 else last), [0.05]))
+        along = np.concatenate(([0.0], np.cumsum(speed[:-1]) / 15))
+        ego = vehicle(along, OWN, speed=speed)
+        npc = vehicle(np.full(181, along[-1] + 5.0), OWN)
+        collision = collision_at(180, ego_speed=0.05, npc_speed=0.0)
+        found = rss_rule(trace_of(ego, npc, outcome=Outcome.COLLISION, collision=collision))
+        assert found.responsibility == responsible
+
+    @pytest.mark.parametrize(("gap", "responsible"), [(4.0, "npc"), (14.0, "both")])
+    def test_a_stop_within_five_metres_of_whoever_stands_is_none_for_nothing(self, gap, responsible):
+        """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so that nothing else is a reason to."""
+        ego = driven(0.0, speed=0.6, brakes=[(1.0, 0.2, 0.0)], seconds=30.0)
+        ahead, behind = driven(5.0 + 1.5 + gap, speed=0.0, seconds=30.0), driven(-100.0, speed=5.0, seconds=30.0)
+        found = rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR))
+        assert found.responsibility == responsible
+
+
 class TestCutIn:
     """Who moves sideways into the other's way owes an answer; who is cut off has to make the best of it."""
 
