@@ -106,14 +106,14 @@ class Pursuit:
             return False
         if self._touches(slice(since, end + 1), lost[:recorded]):
             return False
-        return bool((self.gaps[-1] + lost[recorded:] > 0).all())  # here lost also counts what the other gained
+        return bool((self._gaps[-1] + lost[recorded:] > 0).all())  # here lost also counts what the other gained
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.
 
         Until its answer is due it drives as recorded, but never speeds up once it has perceived the danger.
         """
-        hz, recorded, other = self.hz, self._lists[0][since:], self._lists[1][since:]
+        hz, gaps, recorded, other = self.hz, self._gaps[since:], self._lists[0][since:], self._lists[1][since:]
         end, perceives, due = len(recorded) - 1, round(response.perception * hz), round(response.delay * hz)
         alarm = None if emergency is None else Alarm(self, since, emergency)
         slowing = max(other[-2] - other[-1], 0.0) if self.goes_on else 0.0
@@ -124,11 +124,10 @@ class Pursuit:
             if tick >= end and speed <= leader and not (slowing and leader):
                 break
             deceleration = response.deceleration if tick + 1 >= due else 0.0
-            if alarm is not None and alarm.acts(tick, speed, leader, back):
+            gap = gaps[min(tick, end)] + back
+            if alarm is not None and alarm.acts(tick, speed - leader, gap):
                 deceleration = alarm.deceleration
-            is_near = (
-                self.gaps[since + min(tick, end)] + back < response.headway * speed and leader < speed + DRAWS_AWAY
-            )
+            is_near = gap < response.headway * speed and leader < speed + DRAWS_AWAY
             back += ((recorded[tick] if is_recorded else leader) - speed) / hz
             wanted = max(speed - deceleration / hz, 0.0) if speed > leader or is_near else speed
             if is_recorded and tick + 1 < due:
@@ -139,7 +138,7 @@ class Pursuit:
         return np.array(speeds), np.array(lost)
 
     @cached_property
-    def gaps(self) -> list[float]:
+    def _gaps(self) -> list[float]:
         """Between the boxes as if they were straight [m]."""
         gaps: list[float] = (self.ahead - (self.sizes[0][0] + self.sizes[1][0]) / 2).tolist()
         return gaps
@@ -177,18 +176,16 @@ class Alarm:
         self.deceleration = emergency.braking.deceleration
         self._emergency = emergency
         self._lasting, self._delay = math.ceil(emergency.perception * hz), round(emergency.braking.delay * hz)
-        self._gaps = pursuit.gaps[since:]
         other = pursuit.speeds[1]
         self._brakings = (-np.diff(other, prepend=other[:1])[since:] * hz).tolist()
         self._later = self._brakings[-1] if pursuit.goes_on else 0.0
         self._held, self._from = 0, math.inf
 
-    def acts(self, tick: int, speed: float, leader: float, back: float) -> bool:
-        """Whether the emergency's braking acts in the step from a tick, for a responder so many metres further back."""
-        last, emergency = len(self._gaps) - 1, self._emergency
-        gap, closing = self._gaps[min(tick, last)] + back, speed - leader
+    def acts(self, tick: int, closing: float, gap: float) -> bool:
+        """Whether the emergency's braking acts in the step from a tick, at a closing speed [m/s] and a gap [m]."""
+        emergency = self._emergency
         is_near = closing > 0 and gap < emergency.time_to_contact * closing
-        braking = self._brakings[tick] if tick <= last else self._later
+        braking = self._brakings[tick] if tick < len(self._brakings) else self._later
         is_critical = is_near or braking > emergency.leader_braking
         self._held = self._held + 1 if is_critical else 0
         if self._held >= self._lasting:

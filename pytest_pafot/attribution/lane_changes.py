@@ -100,8 +100,7 @@ class LanePlaces:
         offset, half = side * self.offset(vehicle), self.frame.half_across[vehicle]
         over = offset[began : onset + 1] + half[began : onset + 1] > self._half_widths(vehicle)[began : onset + 1]
         if over.any():
-            last = int(np.flatnonzero(over)[-1])
-            moment = began + _run_start(over, last)
+            moment = began + _run_start(over, int(np.flatnonzero(over)[-1]))
         elif self.trace.track is not None:  # a lane itself may lead into the other's
             line = (side * (self._across(other) - self.offset(other)) - self._half_widths(other))[onset]
             beyond = (side * self._across(vehicle) + half)[began : onset + 1] > line
@@ -110,10 +109,7 @@ class LanePlaces:
             moment = began + int(beyond.argmax())
         else:
             return None
-        left = offset[began : moment + 1] > KEEPING
-        seen = began + _run_start(left, moment - began) if left[-1] else moment
-        drift = side * float(self.frame.drift[vehicle, moment])
-        return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
+        return self._made(vehicle, side, began, moment)
 
     def moved_over(self, npc: int, first: int, last: int) -> LaneChange | None:
         """How the one of ego and NPC that is ahead came over into the lane that the other was already in.
@@ -124,7 +120,7 @@ class LanePlaces:
         part = slice(first, last + 1)
         if not any((self._edge(each)[part] > 0).any() for each in (0, npc + 1)):
             return None
-        leads = self.frame.ahead[npc, first : last + 1] < 0
+        leads = self.frame.ahead[npc, part] < 0
         pairs = product(((0, npc + 1, leads), (npc + 1, 0, ~leads)), (1.0, -1.0))
         crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
         return max((each for each in crossings if each is not None), key=lambda each: each.tick, default=None)
@@ -133,9 +129,9 @@ class LanePlaces:
         self, mover: int, other: int, is_ahead: npt.NDArray[np.bool_], side: float, first: int, last: int
     ) -> LaneChange | None:
         """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
-        lanes, part = self.trace.states[first : last + 1, :, LANE], slice(first, last + 1)
-        offsets = side * self.offset(mover)[part]
-        is_over = offsets + self.frame.half_across[mover, part] > self._half_widths(mover)[part]
+        part = slice(first, last + 1)
+        lanes = self.trace.states[part, :, LANE]
+        is_over = side * self.offset(mover)[part] + self.frame.half_across[mover, part] > self._half_widths(mover)[part]
         if not is_over.any():
             return None
         centres = ((self._across(each) - self.offset(each))[part] for each in (mover, other))
@@ -144,10 +140,14 @@ class LanePlaces:
         crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
         if not crosses.any():
             return None
-        tick = int(np.flatnonzero(crosses)[-1]) + 1
-        left = offsets[: tick + 1] > KEEPING
-        drift = float(side * self.frame.drift[mover, first + tick])
-        return LaneChange(vehicle=mover, seen=first + _run_start(left, tick), tick=first + tick, drift=drift)
+        return self._made(mover, side, first, first + int(np.flatnonzero(crosses)[-1]) + 1)
+
+    def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
+        """A lane change at a moment, and since when it could be seen, at the earliest when it began."""
+        left = side * self.offset(vehicle)[began : moment + 1] > KEEPING
+        seen = began + _run_start(left, moment - began) if left[-1] else moment
+        drift = side * float(self.frame.drift[vehicle, moment])
+        return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
 
     def _edge(self, vehicle: int) -> FloatArray:
         """How far the box is over the nearer line of the lane that its centre is in [m]."""

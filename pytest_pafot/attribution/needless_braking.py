@@ -86,7 +86,7 @@ def reasons(trace: Trace, frame: RoadFrame, safe_along: FloatArray, ticks: slice
     """
     speed = frame.speed[:1, ticks]
     along = np.abs(frame.ahead[:, ticks]) - frame.half_along[:1, ticks] - frame.half_along[1:, ticks]
-    in_track = frame.gap_across.T[:, ticks] <= 0
+    across = frame.gap_across.T[:, ticks]
     is_ahead = (frame.ahead[:, ticks] > 0) | (along <= 0)
     closing = speed - frame.speed[1:, ticks]
     is_near = along <= NEAR_SECONDS * speed
@@ -98,9 +98,8 @@ def reasons(trace: Trace, frame: RoadFrame, safe_along: FloatArray, ticks: slice
     )
     sideways = np.sign(frame.right[:, ticks]) * (frame.drift[:1, ticks] - frame.drift[1:, ticks])
     lane = trace.lanes[max(int(trace.ego[ticks.stop - 1, LANE]), 0)]
-    is_beside = frame.gap_across.T[:, ticks] < lane.width
-    is_entering = ~in_track & is_beside & (sideways >= DRIFTING) & is_near
-    found = (is_ahead & ((in_track & is_close) | is_entering)).any(axis=0)
+    is_entering = (across > 0) & (across < lane.width) & (sideways >= DRIFTING) & is_near
+    found = (is_ahead & (((across <= 0) & is_close) | is_entering)).any(axis=0)
     return np.asarray(found | _is_near_end(trace, lane, ticks))
 
 

@@ -1,7 +1,7 @@
 """Who caused a collision, by written rules over the trace.
 
 :func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/verdicts.md tells the rules clause by
-clause, with their sources; the numbers in comments are its sections.
+clause, with their sources.
 """
 
 from __future__ import annotations
@@ -65,13 +65,11 @@ HEADWAY = 1.0
 TOGETHER = 1.0
 """Two that crossed into one lane within that time both did [s]."""
 SOON = 5.0
-"""An NPC that is hit up to so long after its lane change goes on braking [s]."""
+"""Braking of an NPC that is hit up to so long after its lane change belongs to it, and would have gone on [s]."""
 BLOCKED = 0.3
 AT_ONCE = 2.0
 """Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
 [s]."""
-BRAKES = 0.5
-"""What the sentences call braking, at least [m/s^2]."""
 ROLLED = 0.5
 """An ego that drove so shortly before they touched does not stand for what it owed an answer to [s]."""
 LATER = 3.0
@@ -80,8 +78,10 @@ CRAWLING = 3.0
 """An NPC that is no faster when the danger begins can stop behind whatever stands there [m/s]."""
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
+BRAKES = 0.5
+"""What the sentences call braking, at least [m/s^2]."""
 SPED_UP = 0.3
-"""What they call speeding up, at least [m/s]."""
+"""What they call speeding up, or slowing down in a lane change, at least [m/s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,21 +148,19 @@ class Dangers:
     """Where in a run the ego and each NPC were closer than RSS allows; arrays have the shape [ticks + 1, NPCs].
 
     Attributes:
-        along, across: gaps between the boxes [m].
+        across: gap between the boxes across the road [m].
         safe_along: what RSS asks for along the road [m].
-        is_close, is_beside: where RSS would have more, along and across the road.
-        is_dangerous: where both hold.
+        is_dangerous: where RSS would have more, along and across the road.
         places: of the vehicles on the lanes.
     """
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
         self.frame = RoadFrame(trace)
-        self.along, self.across = self.frame.gap_along, self.frame.gap_across
+        along, self.across = self.frame.gap_along, self.frame.gap_across
         self.safe_along = self.frame.safe_along(DISTANCES)
-        self.is_close = (self.along < self.safe_along) | (self.along <= 0)
-        self.is_beside = self.across < self.frame.safe_across(DISTANCES)
-        self.is_dangerous = self.is_close & self.is_beside
+        is_close = (along < self.safe_along) | (along <= 0)
+        self.is_dangerous = is_close & (self.across < self.frame.safe_across(DISTANCES))
         self.places = LanePlaces(trace, self.frame)
 
 
@@ -256,8 +254,8 @@ class Conflict:
         reason = f"from {self._at(kept[0])} on {who} kept the lane ahead"
         if change.vehicle == 0:
             return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
-        reason = f"{reason}#; {self._would(since)}; {self._answer(since)}"
-        return self._shared(change, reason, "leader-unanswered", kept[0])
+        would = f"{self._would(since)}; {self._answer(since)}"
+        return self._shared(change, kept[0], (reason, would), "leader-unanswered")
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
@@ -271,40 +269,41 @@ class Conflict:
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused(tick, crossed)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
-        is_blocked = self._gap(tick) < BLOCKED * self._frame.speed[0, tick] and self._brakes_at_once(tick)
-        if not is_blocked and not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
+        if self._is_blocked(tick):
+            return self._excused(tick, f"{crossed}, too late to avoid it")
+        if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
             due = seen + round(CUT_OFF.delay * self._hz)
             demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
             would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
-            return self._shared(change, f"{crossed}#; {would}", "cut-in-unanswered")
-        kept = None if is_blocked else self._lanes.kept_since(self._npc + 1, tick, self._end)
+            return self._shared(change, tick, (crossed, would), "cut-in-unanswered")
+        kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
         return self._excused(tick, f"{crossed}, too late to avoid it")
 
-    def _brake_check(self, change: LaneChange) -> float:
-        """How hard an NPC that did not give way braked afterwards [m/s^2]; 0 where it did not brake hard."""
-        tick, speed = change.tick, self._frame.speed[self._npc + 1]
-        gave_way = self._gap(tick) >= self._room(tick, float(speed[tick]), behind=0)
-        if gave_way or self._end - tick > SOON * self._hz:
-            return 0.0
-        slowed = -np.diff(speed[tick : self._end + 1]) * self._hz
+    def _shared(self, change: LaneChange, tick: int, reason: tuple[str, str], fault: Fault) -> Attribution:
+        """The ego's; shared with an NPC that did not give way and braked hard, which is told within the reason."""
+        moment = change.tick
+        gave_way = self._gap(moment) >= self._room(moment, float(self._frame.speed[self._npc + 1, moment]), behind=0)
+        is_soon = self._end - moment <= SOON * self._hz
+        peak = self._npc_braked_hard(moment, self._end) if is_soon and not gave_way and not self._stands else 0.0
+        if not peak:
+            return self._blamed_unless_standing(tick, "; ".join(reason), fault)
+        return self._attributed(
+            "both", tick, f"{reason[0]}, and braked with up to {peak:.1f} m/s^2; {reason[1]}", fault
+        )
+
+    def _npc_braked_hard(self, first: int, last: int) -> float:
+        """How hard the NPC braked between two ticks [m/s^2]; 0 where it did not, or not for long enough."""
+        slowed = -np.diff(self._frame.speed[self._npc + 1, first : last + 1]) * self._hz
         is_hard = first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
         return float(slowed.max()) if is_hard else 0.0
 
-    def _shared(self, change: LaneChange, reason: str, fault: Fault, tick: int | None = None) -> Attribution:
-        """The ego's, shared with an NPC that did not give way and braked hard, which is told in the place of ``#``."""
-        tick, peak = change.tick if tick is None else tick, self._brake_check(change)
-        if not peak or self._stands:
-            return self._blamed_unless_standing(tick, reason.replace("#", ""), fault)
-        return self._attributed("both", tick, reason.replace("#", f", and braked with up to {peak:.1f} m/s^2"), fault)
-
-    def _brakes_at_once(self, tick: int) -> bool:
-        """Whether the NPC begins to brake hard within two seconds of its lane change."""
-        ticks = math.ceil(HARD_SECONDS * self._hz)
-        last = min(tick + round(AT_ONCE * self._hz) + ticks, self._end)
-        slowed = -np.diff(self._frame.speed[self._npc + 1, tick : last + 1]) * self._hz
-        return first_lasting(slowed > HARD_BRAKING, ticks) is not None
+    def _is_blocked(self, tick: int) -> bool:
+        """Whether an NPC moved in with next to no headway and began to brake hard at once."""
+        last = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
+        is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
+        return bool(is_close and self._npc_braked_hard(tick, min(last, self._end)))
 
     def _strayed(self) -> Attribution:
         """Side by side without a lane change: by slow drift, or in lanes that come together."""
@@ -323,9 +322,8 @@ class Conflict:
     def _gives_way(self, change: LaneChange) -> bool:
         """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
         entered = max(self._onset, change.tick)
-        return self._gap(change.tick) >= self._room(change.tick, self._lowest(change)) and self._gap(
-            entered
-        ) >= self._room(entered, float(self._frame.speed[0, entered]))
+        asked = (change.tick, self._lowest(change)), (entered, float(self._frame.speed[0, entered]))
+        return all(self._gap(tick) >= self._room(tick, speed) for tick, speed in asked)
 
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
         """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
@@ -418,9 +416,9 @@ class Conflict:
     def _blamed_unless_standing(self, tick: int, reason: str, fault: Fault) -> Attribution:
         """An ego that rolls until it touches does not stand."""
         rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
-        if rolled.size and rolled.max() > STANDING_SPEED:
-            return self._attributed("ego", tick, reason, fault)
-        return self._excused(tick, reason) if self._stands else self._attributed("ego", tick, reason, fault)
+        if self._stands and not (rolled > STANDING_SPEED).any():
+            return self._excused(tick, reason)
+        return self._attributed("ego", tick, reason, fault)
 
     def _excused(self, tick: int, reason: str) -> Attribution:
         if self._stands:
