@@ -1,4 +1,4 @@
-"""Whether the ego braked, or stopped, with nothing in its way.
+"""Whether a vehicle braked, or stopped, with nothing in its way.
 
 Sources: Vienna Convention on Road Traffic, Art. 17 (1), no abrupt braking unless needed for safety; UN R157 for what is
 hard: more than 5 m/s^2 is an emergency manoeuvre's.
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.attribution.lane_changes import DRIFTING
-from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.trace import LANE, SPEED, FloatArray, Lane, Trace, X, Y
 
 HARD_BRAKING = 5.0
@@ -38,7 +38,7 @@ AFTERMATH_SECONDS = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
-    """A braking of the ego.
+    """A braking.
 
     Attributes:
         begin: the last tick before it began to act.
@@ -49,15 +49,18 @@ class Stop:
     end: int
 
 
-def braking(trace: Trace) -> FloatArray:
-    """How much the ego slows down in the step to each tick [m/s^2], shape [ticks + 1]; negative where it speeds up."""
-    speed = trace.ego[:, SPEED]
+def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
+    """How much a vehicle slows down in the step to each tick [m/s^2], shape [ticks + 1]; negative where it speeds up.
+
+    Vehicle 0 is the ego.
+    """
+    speed = trace.states[:, vehicle, SPEED]
     return -np.diff(speed, prepend=speed[:1]) * trace.physics_hz
 
 
-def hard_braking(trace: Trace, first: int, last: int) -> Stop | None:
-    """The last hard braking that acted at some tick from the first to the last; None if there was none."""
-    hard = np.concatenate(([False], braking(trace)[: last + 1] > HARD_BRAKING, [False]))
+def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
+    """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
+    hard = np.concatenate(([False], braking(trace, vehicle)[: last + 1] > HARD_BRAKING, [False]))
     edges = np.flatnonzero(np.diff(hard.astype(np.int8)))
     for begin, end in zip(edges[-2::-2].tolist(), edges[::-2].tolist(), strict=True):
         if end - 1 < first:
@@ -78,37 +81,44 @@ def long_stop(trace: Trace, end: int) -> Stop | None:
     return Stop(begin=int(steady[-1]) + 1 if steady.size else 0, end=stopped)
 
 
-def reasons(trace: Trace, frame: RoadFrame, safe_along: FloatArray, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Whether anything ahead gave the ego a reason to brake, at each of the ticks.
+def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks: slice) -> npt.NDArray[np.bool_]:
+    """Whether anything ahead gave a vehicle a reason to brake, at each of the ticks; vehicle 0 is the ego.
 
-    A vehicle in its track, closer than RSS allows or less than four seconds to a collision; one that brakes hard there,
-    or is coming into it, no farther than the ego drives in that time; the end of its lane, as if a vehicle stood there.
+    Another in its track, closer than RSS allows or less than four seconds to a collision; one that brakes hard there,
+    or is coming into it, no farther than it drives in that time; the end of its lane, as if a vehicle stood there.
     """
-    speed = frame.speed[:1, ticks]
-    along = np.abs(frame.ahead[:, ticks]) - frame.half_along[:1, ticks] - frame.half_along[1:, ticks]
-    across = frame.gap_across.T[:, ticks]
-    is_ahead = (frame.ahead[:, ticks] > 0) | (along <= 0)
-    closing = speed - frame.speed[1:, ticks]
+    speeds, drifts = frame.speed[:, ticks], frame.drift[:, ticks]
+    speed, drift = speeds[vehicle], drifts[vehicle]
+    ahead, right = (_from(vehicle, places[:, ticks]) for places in (frame.ahead, frame.right))
+    along = np.abs(ahead) - frame.half_along[vehicle, ticks] - frame.half_along[:, ticks]
+    across = np.abs(right) - frame.half_across[vehicle, ticks] - frame.half_across[:, ticks]
+    is_ahead = (ahead > 0) | (along <= 0)
+    is_ahead[vehicle] = False
     is_near = along <= NEAR_SECONDS * speed
-    slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
+    slowed = -np.diff(frame.speed, prepend=frame.speed[:, :1])[:, ticks] * trace.physics_hz
+    safe = np.where(ahead >= 0, rules.safe_along(speed, speeds), rules.safe_along(speeds, speed))
     is_close = (
-        (along < np.maximum(safe_along.T[:, ticks], STANDSTILL_GAP))
-        | (along < NEAR_SECONDS * closing)
+        (along < np.maximum(safe, STANDSTILL_GAP))
+        | (along < NEAR_SECONDS * (speed - speeds))
         | (is_near & (slowed > HARD_BRAKING))
     )
-    sideways = np.sign(frame.right[:, ticks]) * (frame.drift[:1, ticks] - frame.drift[1:, ticks])
-    lane = trace.lanes[max(int(trace.ego[ticks.stop - 1, LANE]), 0)]
-    is_entering = (across > 0) & (across < lane.width) & (sideways >= DRIFTING) & is_near
+    lane = trace.lanes[max(int(trace.states[ticks.stop - 1, vehicle, LANE]), 0)]
+    is_entering = (across > 0) & (across < lane.width) & (np.sign(right) * (drift - drifts) >= DRIFTING) & is_near
     found = (is_ahead & (((across <= 0) & is_close) | is_entering)).any(axis=0)
-    return np.asarray(found | _is_near_end(trace, lane, ticks))
+    return np.asarray(found | _is_near_end(trace.states[ticks, vehicle], trace.lanes, lane))
 
 
-def _is_near_end(trace: Trace, lane: Lane, ticks: slice) -> npt.NDArray[np.bool_]:
-    """Whether the ego's lane ends, and no other goes on from there, within four seconds."""
+def _from(vehicle: int, places: FloatArray) -> FloatArray:
+    """Places of all vehicles from one of them, by those of the NPCs from the ego, shape [vehicles, ticks]."""
+    every = np.concatenate((np.zeros_like(places[:1]), places))
+    return np.asarray(every - every[vehicle])
+
+
+def _is_near_end(states: FloatArray, lanes: tuple[Lane, ...], lane: Lane) -> npt.NDArray[np.bool_]:
+    """Whether a vehicle's lane ends, and no other goes on from there, within four seconds."""
     end = (lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading))
     end = lane.points[-1] if lane.points else end
-    starts = [each.points[0] if each.points else (each.x, each.y) for each in trace.lanes]
-    states = trace.ego[ticks]
+    starts = [each.points[0] if each.points else (each.x, each.y) for each in lanes]
     if any(math.dist(end, start) < 1.0 for start in starts):
         return np.zeros(len(states), dtype=np.bool_)
     left = np.hypot(end[0] - states[:, X], end[1] - states[:, Y])

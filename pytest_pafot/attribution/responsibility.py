@@ -58,6 +58,9 @@ EMERGENCY = Emergency(
 )
 """When the one that was cut off has to brake hard: the careful and competent driver's criteria."""
 
+HELD = Braking(delay=0.0, deceleration=6.0)
+"""What is left to one that brakes already: to go on."""
+
 GIVING_WAY = Braking(delay=0.4, deceleration=3.0)
 """What a lane change may ask of the one behind in the other lane (UN R79, 5.6.4.7)."""
 HEADWAY = 1.0
@@ -70,6 +73,10 @@ BLOCKED = 0.3
 AT_ONCE = 2.0
 """Nobody can answer an NPC that moves in with less headway than the first, and begins to brake hard within the second
 [s]."""
+AMPLE = 1.0
+"""Who is further behind, in seconds of its driving, has all that it needs to answer a hard braking [s]."""
+LET_GO = 0.4
+"""Braking that pauses so long is over [s]."""
 ROLLED = 0.5
 """An ego that drove so shortly before they touched does not stand for what it owed an answer to [s]."""
 LATER = 3.0
@@ -231,6 +238,9 @@ class Conflict:
                 reason = f"{crossed}; {self._name}'s {self._would(since)}"
                 return self._attributed("both", tick, reason, "entered-lane")
         late = f", and {self._name} could not avoid it any more when the ego kept the lane" if kept is not None else ""
+        chance = self._second_chance(tick, by_ego=False)
+        if chance is not None:
+            return self._attributed("both", tick, f"{crossed}{late}; but {chance}", "entered-lane")
         return self._attributed("ego", tick, f"{crossed}{late}", "entered-lane")
 
     def _without_room(self, change: LaneChange) -> str:
@@ -255,7 +265,7 @@ class Conflict:
         if change.vehicle == 0:
             return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
         would = f"{self._would(since)}; {self._answer(since)}"
-        return self._shared(change, kept[0], (reason, would), "leader-unanswered")
+        return self._unanswered(kept[0], (reason, would), "leader-unanswered", change)
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
@@ -267,31 +277,24 @@ class Conflict:
         if self._gap(tick) > 0 and self._leads(tick):
             return self._npc_followed(tick, tick, crossed, moved_in=tick)
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
-            return self._excused(tick, crossed)
+            return self._excused_behind(tick, crossed, change)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         if self._is_blocked(tick):
-            return self._excused(tick, f"{crossed}, too late to avoid it")
+            return self._excused_behind(tick, f"{crossed}, too late to avoid it", change)
         if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
-            due = seen + round(CUT_OFF.delay * self._hz)
-            demanded = f"braking with {CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
-            would = f"{demanded} from {self._at(due)} on would have avoided it; {self._answer(seen)}"
-            return self._shared(change, tick, (crossed, would), "cut-in-unanswered")
+            would = f"{self._demanded(seen)}; {self._answer(seen)}"
+            return self._unanswered(tick, (crossed, would), "cut-in-unanswered", change)
         kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
-        return self._excused(tick, f"{crossed}, too late to avoid it")
+        return self._excused_behind(tick, f"{crossed}, too late to avoid it", change)
 
-    def _shared(self, change: LaneChange, tick: int, reason: tuple[str, str], fault: Fault) -> Attribution:
-        """The ego's; shared with an NPC that did not give way and braked hard, which is told within the reason."""
-        moment = change.tick
-        gave_way = self._gap(moment) >= self._room(moment, float(self._frame.speed[self._npc + 1, moment]), behind=0)
-        is_soon = self._end - moment <= SOON * self._hz
-        peak = self._npc_braked_hard(moment, self._end) if is_soon and not gave_way and not self._stands else 0.0
-        if not peak:
-            return self._blamed_unless_standing(tick, "; ".join(reason), fault)
-        return self._attributed(
-            "both", tick, f"{reason[0]}, and braked with up to {peak:.1f} m/s^2; {reason[1]}", fault
-        )
+    def _pushed_in(self, change: LaneChange | None) -> bool:
+        """Whether an NPC changed lanes ahead of a driving ego, not long ago, and did not give way."""
+        if change is None or self._stands or self._end - change.tick > SOON * self._hz:
+            return False
+        speed = float(self._frame.speed[self._npc + 1, change.tick])
+        return self._gap(change.tick) < self._room(change.tick, speed, behind=0)
 
     def _npc_braked_hard(self, first: int, last: int) -> float:
         """How hard the NPC braked between two ticks [m/s^2]; 0 where it did not, or not for long enough."""
@@ -350,22 +353,64 @@ class Conflict:
             return self._npc_followed(0, self._start, reason)
         since, close = self._before, self._close_behind("the ego", self._name)
         if self._pursuit(by_ego=True).is_avoided(since, FOLLOWING):
-            reason = f"{close}; {self._would(since)}; {self._answer(since)}"
-            return self._blamed_unless_standing(self._start, reason, "leader-unanswered")
+            would = f"{self._would(since)}; {self._answer(since)}"
+            return self._unanswered(self._start, (close, would), "leader-unanswered")
         began = " as the run began" if self._start == 0 else ""
-        return self._excused(self._start, f"{close}{began}, and no response could avoid it")
+        return self._excused_behind(self._start, f"{close}{began}, and no response could avoid it")
+
+    def _unanswered(
+        self, tick: int, reason: tuple[str, str], fault: Fault, change: LaneChange | None = None
+    ) -> Attribution:
+        """The ego's, behind; shared with an NPC that braked hard after it had pushed in, or with nothing in its way."""
+        npc = self._npc + 1
+        stop = None if self._stands else self._needless_braking(npc)
+        if stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]:
+            began, peak = self._at(stop.begin), braking(self._trace, npc)[stop.begin : stop.end + 1].max()
+            braked = f"from {began} {self._name} braked with up to {peak:.1f} m/s^2 with nothing in its way"
+            return self._attributed("both", tick, f"{reason[0]}; {braked}; {reason[1]}", fault)
+        peak = self._npc_braked_hard(change.tick, self._end) if change and self._pushed_in(change) else 0.0
+        if peak:
+            braked = f", and braked with up to {peak:.1f} m/s^2"
+            return self._attributed("both", tick, f"{reason[0]}{braked}; {reason[1]}", fault)
+        return self._blamed_unless_standing(tick, "; ".join(reason), fault)
+
+    def _excused_behind(self, tick: int, reason: str, change: LaneChange | None = None) -> Attribution:
+        """The NPC's, ahead; but not where the ego had mastered it, and ran into the NPC nevertheless."""
+        chance = self._second_chance(tick, by_ego=True)
+        if chance is None:
+            return self._excused(tick, reason)
+        reason = f"{reason}; but {chance}"
+        if self._pushed_in(change):
+            return self._attributed("both", tick, reason, "leader-unanswered")
+        return self._blamed_unless_standing(tick, reason, "leader-unanswered")
+
+    def _second_chance(self, tick: int, *, by_ego: bool) -> str | None:
+        """How the one behind gave away what it had gained since a tick; None where it did not."""
+        behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
+        who, speed = self._name if behind else "the ego", self._frame.speed
+        closing = speed[behind] - speed[ahead]
+        first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
+        ticks = [at for at in range(first, self._end) if self._gap(at) > 0 and self._leads(at) != by_ego]
+        pursuit = self._pursuit(by_ego=by_ego)
+        over = max((at for at in ticks if closing[at] <= 0), default=None)
+        if over is not None and pursuit.is_avoided(over, CUT_OFF, EMERGENCY):
+            answer = f"; {self._answer(over)}" if by_ego else ""
+            return f"until {self._at(over)} {who} was no faster, and {self._demanded(over)}{answer}"
+        pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
+        for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
+            has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
+            if has_let_go and pursuit.is_avoided(at, HELD):
+                held = f"braking on with {HELD.deceleration:.0f} m/s^2 would have avoided it"
+                return f"{who} let the brakes go at {self._at(at)}, where {held}"
+        return None
 
     def _npc_followed(self, duty: int, tick: int, reason: str, moved_in: int = 0) -> Attribution:
         """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing.
 
         One that moved in behind an ego that did so is responsible, too.
         """
-        stop = hard_braking(self._trace, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
-        if (
-            stop is not None
-            and stop.end >= duty
-            and self._is_needless(stop, slice(stop.begin, stop.begin + 1 + round(HARD_SECONDS * self._hz)), moved_in)
-        ):
+        stop = self._needless_braking(0, moved_in)
+        if stop is not None and stop.end >= duty:
             peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
             braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
             since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
@@ -379,25 +424,33 @@ class Conflict:
             return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in=moved_in > 0)
         return self._excused(tick, reason)
 
-    def _is_needless(self, stop: Stop, ticks: slice, moved_in: int) -> bool:
-        """Whether the ego alone made it dangerous: nothing was a reason to brake, and it never regained its speed.
+    def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
+        """The hard braking of the vehicle ahead with nothing in its way, about when the danger began."""
+        stop = hard_braking(self._trace, leader, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
+        if stop is None:
+            return None
+        ticks = slice(stop.begin, stop.begin + 1 + round(HARD_SECONDS * self._hz))
+        return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
-        And the NPC was behind then, and did not move in, or speed up, once the braking was over.
+    def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
+        """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained its speed.
+
+        And the other was behind then, and did not move in, or speed up, once the braking was over.
         """
-        ego, npc = self._frame.speed[0], self._frame.speed[self._npc + 1]
-        if not self._leads(stop.begin) or ego[self._end] >= ego[stop.begin]:
+        ahead, behind = self._frame.speed[leader], self._frame.speed[0 if leader else self._npc + 1]
+        if self._leads(stop.begin) == bool(leader) or ahead[self._end] >= ahead[stop.begin]:
             return False
-        closing = npc[stop.begin] - ego[stop.begin]
-        if self._end - stop.end > LATER * self._hz and ego[self._end] > STANDING_SPEED:
-            return False  # it could have adapted to the ego's new speed
+        closing = behind[stop.begin] - ahead[stop.begin]
+        if self._end - stop.end > LATER * self._hz and ahead[self._end] > STANDING_SPEED:
+            return False  # it could have adapted to the new speed
         if self._gap(stop.begin) < EMERGENCY.time_to_contact * closing:
-            return False  # it would have hit the ego anyway
+            return False  # it would have hit the one ahead anyway
         late = moved_in > stop.end + AFTERMATH_SECONDS * self._hz
         since = max(stop.end, self._before)
-        if late or npc[self._end] > npc[since : self._end + 1].min() + DROVE_ON:
+        if late or behind[self._end] > behind[since : self._end + 1].min() + DROVE_ON:
             return False
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
-        return not reasons(self._trace, self._frame, self._dangers.safe_along, ticks).any()
+        return not reasons(self._trace, self._frame, DISTANCES, leader, ticks).any()
 
     def _needless(self, stop: Stop, since: int, reason: str, fault: Fault, *, moved_in: bool) -> Attribution:
         if moved_in:
@@ -453,6 +506,12 @@ class Conflict:
     def _would(self, since: int) -> str:
         due = self._at(since + round(FOLLOWING.delay * self._hz))
         return f"braking with {FOLLOWING.deceleration:.0f} m/s^2 from {due} on would have avoided it"
+
+    def _demanded(self, since: int) -> str:
+        """As :meth:`_would`, of a cut-in."""
+        due = self._at(since + round(CUT_OFF.delay * self._hz))
+        demanded = f"{CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
+        return f"braking with {demanded} from {due} on would have avoided it"
 
     def _answer(self, since: int) -> str:
         """What the ego did since a tick, in words."""

@@ -52,6 +52,12 @@ class RssRules:
                 bound = "more than 0" if divides else "at least 0"
                 raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
 
+    def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray = 1.0) -> FloatArray:
+        """What a follower has to keep at speeds along the road [m]; equation in :func:`rss_longitudinal`."""
+        fastest = follower + response * self.acceleration
+        travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
+        return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
+
 
 def rss_longitudinal(trace: Trace, rules: RssRules | None = None) -> FloatArray:
     """Longitudinal distance that the follower has to keep by RSS [m], shape [ticks + 1, NPCs]; at least 0.
@@ -145,9 +151,7 @@ class RoadFrame:
         follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
         leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
         response = np.where(ego_follows, rules.ego_response, rules.npc_response)
-        fastest = follower + response * rules.acceleration
-        travelled = (follower + fastest) / 2 * response + _stopping(fastest, rules.least_braking)
-        return np.maximum(travelled - _stopping(leader, rules.hardest_braking), 0.0).T
+        return rules.safe_along(follower, leader, response).T
 
     def safe_across(self, rules: RssRules) -> FloatArray:
         """Lateral distance that ego and NPC have to keep [m], at least mu; told in :func:`rss_lateral`."""
