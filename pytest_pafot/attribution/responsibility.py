@@ -433,7 +433,7 @@ class Conflict:
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
-        """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained its speed.
+        """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained speed.
 
         And the other was behind then, and did not move in, or speed up, once the braking was over.
         """

@@ -3,14 +3,14 @@ from time import perf_counter
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.responsibility import DISTANCES, position_rule, rss_rule
 from pytest_pafot.criticality import rss_longitudinal
 from pytest_pafot.grid import Cell
-from pytest_pafot.trace import HEADING, STEERING, Outcome, Y
-from tests.support.drives import crash, driven
+from pytest_pafot.trace import HEADING, SPEED, STEERING, Outcome, X, Y
+from tests.support.drives import HZ, crash, driven
 from tests.support.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
 
 LEFT, OWN = 0.0, 4.0
@@ -44,9 +44,16 @@ class TestInOneLane:
         assert (found.responsibility, found.tick) == ("npc", 0)
         assert found.reason.endswith("as the run began, and no response could avoid it")
 
-    def test_an_ego_that_was_too_close_from_the_start_and_had_time_is_responsible(self):
-        found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, 8.0, 0.0)])))
-        assert (found.responsibility, found.tick) == ("ego", 0)
+    @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
+    def test_an_ego_that_was_too_close_from_the_start_and_had_time_is_responsible(self, brakes, responsible):
+        """It shares with one that brakes hard for nothing."""
+        found = rss_rule(crash(driven(0.0), driven(25.0, brakes=[(8.0, brakes, 0.0)])))
+        assert (found.responsibility, found.tick) == (responsible, 0)
+
+    @pytest.mark.parametrize(("gap", "responsible"), [(19.9, "both"), (20.1, "ego")])
+    def test_one_second_of_driving_is_all_that_it_needs_to_answer_hard_braking_for_nothing(self, gap, responsible):
+        found = rss_rule(crash(driven(0.0), driven(5.0 + gap, brakes=[(5.0, 8.0, 0.0)])))
+        assert (found.responsibility, found.fault) == (responsible, "leader-unanswered")
 
     def test_an_npc_that_runs_into_the_ego_from_behind_is_responsible(self):
         found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
@@ -92,6 +99,18 @@ class TestInOneLane:
         assert (found.responsibility, found.fault, found.time) == ("both", "stopped-for-nothing", 1.0)
         assert "the ego braked to a standstill with nothing in its way and stood for 7.6 s" in found.reason
 
+    @given(gap=st.floats(2, 25), own=st.floats(15, 30), speeds=st.lists(st.floats(0, 25), min_size=4, max_size=4))
+    def test_whoever_drives_as_the_reference_does_is_not_responsible(self, gap, own, speeds):
+        """Not for a second chance either, however often the one ahead brakes and speeds up again."""
+        brakes = [(2.0 * each, 8.0 if speed < 12 else -4.0, speed) for each, speed in enumerate(speeds)]
+        npc, ego = driven(5.0 + gap, brakes=brakes), driven(0.0, speed=own)
+        for tick in range(HZ, len(ego)):
+            slower = ego[tick - 1, SPEED] - 6.0 / HZ * (ego[tick - 1, SPEED] > npc[tick - 1, SPEED])
+            ego[tick, SPEED] = max(slower, 0.0)
+        ego[1:, X] = np.cumsum(ego[:-1, SPEED]) / HZ
+        assume((npc[:, X] - ego[:, X] <= 5.0).any())
+        assert rss_rule(crash(ego, npc)).responsibility == "npc"
+
     @pytest.mark.parametrize("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
     def test_two_seconds_behind_a_leader_of_equal_speed_are_safe_at_any_speed(self, speed):
         trace = trace_of(vehicle(0.0, speed=speed, ticks=2), vehicle(2 * speed + 5.0, speed=speed, ticks=2))
@@ -134,10 +153,12 @@ class TestCutIn:
             "0.1 m/s slower, too late to avoid it"
         )
 
-    def test_an_ego_that_does_not_brake_for_seconds_after_a_cut_in_is_responsible(self):
-        npc = driven(25.0, LEFT, brakes=[(9.0, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)])
+    @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
+    def test_an_ego_that_does_not_brake_for_seconds_after_a_cut_in_is_responsible(self, brakes, responsible):
+        """It shares with one that brakes hard for nothing."""
+        npc = driven(25.0, LEFT, brakes=[(9.0, brakes, 0.0)], shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0), npc))
-        assert found.responsibility == "ego"
+        assert found.responsibility == responsible
         would = "braking with 3 to 6 m/s^2 from 3.6 s on would have avoided it; the ego did not brake"
         assert found.reason.endswith(would)
 
@@ -173,6 +194,26 @@ class TestCutIn:
     def test_an_ego_that_changes_lanes_into_a_slower_vehicle_ahead_is_responsible(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         assert rss_rule(crash(ego, driven(32.0, speed=12.0))).responsibility == "ego"
+
+
+class TestASecondChance:
+    """Who has mastered what it could not be asked to avoid must not run into the other nevertheless."""
+
+    @staticmethod
+    def behind_the_ego(*brakes):
+        """An NPC, 8 m/s faster, 10 m ahead of which the ego crosses the line at tick 36."""
+        ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-34.2, speed=28.0, brakes=brakes)
+        return rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR))
+
+    @pytest.mark.parametrize(("ticks", "responsible"), [(10, "ego"), (11, "both")])
+    def test_what_it_gave_away_within_a_second_of_the_moment_does_not_count(self, ticks, responsible):
+        found = self.behind_the_ego((40 / HZ, 8.0, 28.0 - 8.0 * ticks / HZ))
+        assert (found.responsibility, found.fault, found.tick) == (responsible, "entered-lane", 36)
+
+    @pytest.mark.parametrize(("ticks", "responsible"), [(5, "ego"), (6, "both")])
+    def test_brakes_are_let_go_once_they_have_not_acted_for_six_ticks(self, ticks, responsible):
+        found = self.behind_the_ego((43 / HZ, 8.0, 22.0), ((55 + ticks) / HZ, 0.6, 0.0))
+        assert (found.responsibility, found.fault) == (responsible, "entered-lane")
 
 
 class TestSideBySide:

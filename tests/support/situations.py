@@ -264,6 +264,28 @@ SITUATIONS = {
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 17.6)]), driven(-34.0)),
             "npc", None, "7", "behind the ego, closer than the ",
         ),
+        Situation(
+            "leader-brakes-for-nothing-half-a-second-ahead",
+            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 on a free road; the ego brakes with 6 m/s^2 a "
+            "second later.",
+            lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
+            "both", "leader-unanswered", "5", "from 5.0 s NPC 0 braked with up to 8.0 m/s^2 with nothing in its way",
+        ),
+        Situation(
+            "leader-brakes-for-nothing-1.8-s-ahead",
+            "So again 1.8 s ahead, and the ego brakes two seconds later, with 4 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "with up to 4.0 m/s^2",
+        ),
+        Situation(
+            "leader-brakes-for-a-standing-vehicle",
+            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 for a vehicle that stands in its lane; the ego "
+            "brakes with 6 m/s^2 a second later.",
+            lambda: hit(
+                driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
+            ),
+            "ego", "leader-unanswered", "4b", "the ego braked from 6.0 s on",
+        ),
     ),
     "Standing": (
         Situation(
@@ -449,6 +471,46 @@ SITUATIONS = {
             lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
             "npc", None, "3", "side by side",
         ),
+        Situation(
+            "sped-up-after-it-had-survived-a-cut-in",
+            "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes to less than its speed, and a "
+            "second later speeds up into it.",
+            lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
+            "both", "leader-unanswered", "4c", "the ego was no faster",
+        ),
+        Situation(
+            "let-the-brakes-go-behind-a-cut-in",
+            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
+            "faster, 9 m behind, and brakes no more.",
+            lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
+            "both", "leader-unanswered", "4c", "the ego let the brakes go at",
+        ),
+        Situation(
+            "creeps-into-one-that-had-cut-in",
+            "So again, and the ego brakes until it is 0.5 m/s faster, and creeps into it 15 s later.",
+            lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
+            "ego", "leader-unanswered", "4a", "kept the lane ahead",
+        ),
+        Situation(
+            "creeps-into-one-that-stands-half-in-its-lane",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. "
+            "The ego brakes to 1.5 m/s, lets go 7 m behind it and creeps into it.",
+            lambda: hit(
+                driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
+                driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
+            ),
+            "ego", "leader-unanswered", "4b", "closer than the 1.7 m that RSS demands",
+        ),
+        Situation(
+            "speeds-up-behind-one-half-in-its-lane",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays so. The ego brakes to "
+            "its speed, follows it for 4 s and speeds up into it.",
+            lambda: hit(
+                driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
+                driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
+            ),
+            "ego", "leader-unanswered", "4c", "the ego was no faster",
+        ),
     ),
     "The ego changes lanes": (
         Situation(
@@ -468,6 +530,13 @@ SITUATIONS = {
             "The ego changes lanes 10 m ahead of one that is 8 m/s faster.",
             lambda: lane_change(10.0, faster=8.0),
             "ego", "entered-lane", "3", "where giving way takes 33.9 m",
+        ),
+        Situation(
+            "follower-lets-the-brakes-go",
+            "The ego changes lanes 10 m ahead of one that is 8 m/s faster. That one brakes with 8 m/s^2 until it is "
+            "2 m/s faster, 2 m behind, and brakes no more.",
+            lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
+            "both", "entered-lane", "4c", "NPC 0 let the brakes go at",
         ),
         Situation(
             "lane-change-28-m-ahead",
