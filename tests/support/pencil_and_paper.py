@@ -16,6 +16,7 @@ from tests.support.polygons import corners, point_to_segment, polygon_distance
 STANDS = 0.1
 MOVES_SIDEWAYS = 0.3
 OFF_CENTRE = 0.375
+BRAKES = 0.5
 ROUNDING = 1e-9
 
 
@@ -297,14 +298,15 @@ class Crash:
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
             self.ticks["answer"] = due
             return self.opinion("both", "entered-lane", at)
-        return self.opinion("ego", "entered-lane", at)
+        has_chance = self.has_second_chance(self.npc, self.ego, at)
+        return self.opinion("both" if has_chance else "ego", "entered-lane", at)
 
     def npc_changed_lanes(self, change):
         at = change.moment
         if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
             return self.npc_follows(at, tick=at, moved_in=at)
         if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
-            return self.opinion("npc", None, at)
+            return self.npc_unless_second_chance(at, moment=at)
         return self.cut_in(change)
 
     # Rule 4a
@@ -339,14 +341,14 @@ class Crash:
         if is_behind(self.ego, self.npc, self.danger):
             due = self.ticks["answer"] = max(self.danger - 1, 0)
             if self.would_have_avoided(self.ego, self.npc, due):
-                return self.opinion("ego", "leader-unanswered")
-            return self.opinion("npc")
+                return self.opinion(self.ego_or_both(), "leader-unanswered")
+            return self.npc_unless_second_chance(self.danger)
         return self.npc_follows(0, tick=self.danger)
 
     def npc_follows(self, since, *, tick, moved_in=None):
         """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
         due = self.ticks["answer"] = max(since, self.danger - 1, 0)
-        hard, stop = self.braked_for_nothing(since, moved_in), self.stopped_for_nothing(moved_in)
+        hard, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
         if hard is None and stop is None:
             return self.opinion("npc", None, tick)
         fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
@@ -355,25 +357,62 @@ class Crash:
         could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
         return self.opinion("both" if could else "ego", fault, began)
 
+    # Rule 4c
+
+    def has_second_chance(self, behind, ahead, named):
+        """Whether the one behind had one, by the tick that the reason names first."""
+        first = max(named, self.danger - 1) + round(1.0 * self.hz)
+        looked_at = [
+            tick
+            for tick in range(first, self.impact)
+            if behind.along[tick] < ahead.along[tick] and gap(behind, ahead, tick) > 0
+        ]
+        no_faster = [tick for tick in looked_at if behind.speed[tick] <= ahead.speed[tick]]
+        if no_faster and self.would_have_avoided_a_cut_in(behind, ahead, no_faster[-1]):
+            self.ticks["no faster"] = self.ticks["answer"] = no_faster[-1]
+            return True
+        for tick in looked_at:
+            if self.lets_the_brakes_go(behind, ahead, tick) and self.could_have_braked_on(behind, ahead, tick):
+                self.ticks["brakes let go"] = self.ticks["answer"] = tick
+                return True
+        return False
+
+    def lets_the_brakes_go(self, behind, ahead, tick):
+        """Though it is faster, and for 0.4 s, which are over at the impact at the latest."""
+        end = tick + round(0.4 * self.hz)
+        return (
+            end <= self.impact
+            and behind.speed[tick] > ahead.speed[tick]
+            and behind.deceleration(tick) >= BRAKES
+            and all(behind.deceleration(later) < BRAKES for later in range(tick + 1, end + 1))
+        )
+
+    def npc_unless_second_chance(self, named, moment=None):
+        """For an ego behind that is excused, by the NPC's lane change if its moment is given."""
+        if not self.has_second_chance(self.ego, self.npc, named):
+            return self.opinion("npc", None, named)
+        is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
+        return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
+
     # Rule 5
 
     def cut_in(self, change):
         at = change.moment
         self.is_cut_in = self.seconds(self.impact - at) <= 5.0
         if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
-            return self.opinion("npc", None, at)
+            return self.npc_unless_second_chance(at, moment=at)
         seen = at
         while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
         self.ticks["answer"] = seen
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
-        if not nobody_can and self.would_have_avoided_a_cut_in(seen):
+        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen):
             return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
         passed = self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
             return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
-        return self.opinion("npc", None, at)
+        return self.npc_unless_second_chance(at, moment=at)
 
     def npc_brakes_hard(self, at, *, within=math.inf):
         """Whether it begins to, for at least 0.4 s, in a time after a tick."""
@@ -384,11 +423,21 @@ class Crash:
             if self.seconds(tick - at) <= within
         )
 
-    def ego_or_both(self, at):
-        """After the NPC's lane change: both where it neither gave way nor kept from braking hard."""
+    def ego_or_both(self, moment=None):
+        """Sharing; the moment is that of the NPC's lane change, if there was one."""
+        if self.stands():
+            return "ego"
+        cut_in_and_braked = moment is not None and self.cuts_in_soon_before(moment) and self.npc_brakes_hard(moment)
+        return "both" if cut_in_and_braked or self.npc_braked_close_for_nothing() else "ego"
+
+    def npc_braked_close_for_nothing(self):
+        began = self.braked_for_nothing(self.npc, self.ego)
+        return began is not None and gap(self.ego, self.npc, began) <= 1.0 * self.ego.speed[began]
+
+    def cuts_in_soon_before(self, at):
+        """Whether the NPC's lane change did not give way, at most 5 s before the impact."""
         gave_way = gap(self.ego, self.npc, at) >= giving_way(self.ego.speed[at], self.npc.speed[at])
-        is_soon = self.seconds(self.impact - at) <= 5.0
-        return "both" if not self.stands() and not gave_way and is_soon and self.npc_brakes_hard(at) else "ego"
+        return not gave_way and self.seconds(self.impact - at) <= 5.0
 
     def is_seen(self, tick, change):
         return change.side * self.npc.off_centre(tick) > OFF_CENTRE
@@ -400,23 +449,28 @@ class Crash:
         drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
-    def would_have_avoided_a_cut_in(self, seen):
-        drive = Response(self, self.ego, self.npc, seen, delay=1.4, perceived=0.4, to_cut_in=True)
+    def would_have_avoided_a_cut_in(self, responder, other, seen):
+        drive = Response(self, responder, other, seen, delay=1.4, perceived=0.4, to_cut_in=True)
         return drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
+
+    def could_have_braked_on(self, responder, other, since):
+        """At once, 6 m/s^2."""
+        drive = Response(self, responder, other, since, delay=0.0, perceived=0.0)
+        return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     # Rule 7
 
-    def braked_for_nothing(self, since, moved_in):
+    def braked_for_nothing(self, braker, follower, since=0, moved_in=None):
         """The tick at which such braking begins, or None."""
-        stretch = self.hard_braking()
+        stretch = self.hard_braking(braker)
         if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
             return None
         began = stretch[0] - 1
         end = min(self.impact, began + round(0.4 * self.hz))
-        return began if self.counts(began, end, stretch[1], moved_in) else None
+        return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
 
-    def hard_braking(self):
-        return last_hard_braking(self.ego.deceleration, range(1, self.impact + 1), self.hz)
+    def hard_braking(self, braker):
+        return last_hard_braking(braker.deceleration, range(1, self.impact + 1), self.hz)
 
     def stopped_for_nothing(self, moved_in):
         """The tick at which the braking to a standstill begins, or None."""
@@ -428,56 +482,57 @@ class Crash:
         if self.seconds(self.impact - stood) < 3.0 - ROUNDING or self.npc.speed[self.danger] <= 3.0:
             return None
         began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
-        return began if self.counts(began, stood, stood, moved_in) else None
+        return began if self.counts(self.ego, self.npc, began, stood, stood, moved_in) else None
 
-    def counts(self, began, end, last, moved_in):
+    def counts(self, braker, follower, began, end, last, moved_in):
         """Whether braking was for nothing: also with no reason from 1.6 s before it began to an end."""
-        ego, npc = self.ego, self.npc
-        if is_behind(ego, npc, began) or ego.speed[self.impact] >= ego.speed[began]:
+        is_ahead = is_behind(self.ego, self.npc, began) == (follower is self.ego)
+        if not is_ahead or braker.speed[self.impact] >= braker.speed[began]:
             return False
-        if gap(ego, npc, began) < 2.0 * (npc.speed[began] - ego.speed[began]):
+        if gap(braker, follower, began) < 2.0 * (follower.speed[began] - braker.speed[began]):
             return False
-        if ego.speed[self.impact] > STANDS and self.seconds(self.impact - last) > 3.0:
+        if braker.speed[self.impact] > STANDS and self.seconds(self.impact - last) > 3.0:
             return False
         if moved_in is not None and self.seconds(moved_in - last) > 1.0:
             return False
-        if npc.speed[self.impact] > min(npc.speed[max(last, self.danger - 1) : self.impact + 1]) + 1.0:
+        if follower.speed[self.impact] > min(follower.speed[max(last, self.danger - 1) : self.impact + 1]) + 1.0:
             return False
         ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
-        return not any(self.is_reason(tick, ego.lane[end]) for tick in ticks)
+        return not any(self.is_reason(braker, tick, braker.lane[end]) for tick in ticks)
 
-    def is_reason(self, tick, lane):
-        others = [vehicle for vehicle in self.vehicles if vehicle is not self.ego]
-        is_any = any(self.is_leader_a_reason(other, tick) or self.is_entering(other, tick) for other in others)
-        return is_any or self.is_end_of_lane_near(tick, lane)
+    def is_reason(self, braker, tick, lane):
+        others = [vehicle for vehicle in self.vehicles if vehicle is not braker]
+        is_leader = any(self.is_leader_a_reason(braker, other, tick) for other in others)
+        is_entered = any(self.is_entering(braker, other, tick) for other in others)
+        return is_leader or is_entered or self.is_end_of_lane_near(braker, tick, lane)
 
-    def is_ahead_or_side_by_side(self, other, tick):
-        return other.along[tick] > self.ego.along[tick] or gap(self.ego, other, tick) <= 0
+    def is_ahead_or_side_by_side(self, braker, other, tick):
+        return other.along[tick] > braker.along[tick] or gap(braker, other, tick) <= 0
 
-    def is_leader_a_reason(self, other, tick):
-        if not self.is_ahead_or_side_by_side(other, tick) or not in_one_track(self.ego, other, tick):
+    def is_leader_a_reason(self, braker, other, tick):
+        if not self.is_ahead_or_side_by_side(braker, other, tick) or not in_one_track(braker, other, tick):
             return False
-        apart, closing = gap(self.ego, other, tick), self.ego.speed[tick] - other.speed[tick]
-        is_braking = other.deceleration_along(tick) > 5.0 and apart <= 4.0 * self.ego.speed[tick]
-        return apart < max(safe_along(self.ego, other, tick), 5.0, 4.0 * closing) or is_braking
+        apart, closing = gap(braker, other, tick), braker.speed[tick] - other.speed[tick]
+        is_braking = other.deceleration_along(tick) > 5.0 and apart <= 4.0 * braker.speed[tick]
+        return apart < max(safe_along(braker, other, tick), 5.0, 4.0 * closing) or is_braking
 
-    def is_entering(self, other, tick):
-        if not self.is_ahead_or_side_by_side(other, tick) or in_one_track(self.ego, other, tick):
+    def is_entering(self, braker, other, tick):
+        if not self.is_ahead_or_side_by_side(braker, other, tick) or in_one_track(braker, other, tick):
             return False
-        side = side_of(other, self.ego, tick)
-        closing = side * (self.ego.sideways(tick) - other.sideways(tick))
+        side = side_of(other, braker, tick)
+        closing = side * (braker.sideways(tick) - other.sideways(tick))
         return (
-            beside(self.ego, other, tick) < self.ego.lane_width[tick]
-            and gap(self.ego, other, tick) <= 4.0 * self.ego.speed[tick]
+            beside(braker, other, tick) < braker.lane_width[tick]
+            and gap(braker, other, tick) <= 4.0 * braker.speed[tick]
             and closing >= MOVES_SIDEWAYS
         )
 
-    def is_end_of_lane_near(self, tick, lane):
+    def is_end_of_lane_near(self, braker, tick, lane):
         end = end_of(self.trace.lanes[lane])
         if any(math.dist(end, (other.x, other.y)) <= 1.0 for other in self.trace.lanes):
             return False
-        place = self.ego.rows[tick][X], self.ego.rows[tick][Y]
-        return math.dist(end, place) < 4.0 * self.ego.speed[tick]
+        place = braker.rows[tick][X], braker.rows[tick][Y]
+        return math.dist(end, place) < 4.0 * braker.speed[tick]
 
     # Rule 8
 

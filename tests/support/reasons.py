@@ -85,9 +85,13 @@ class Reading:
     def speed_reached(self):
         return max(self.ego.speed[self.crash.ticks["answer"] : self.crash.impact + 1])
 
-    def hard_braking(self):
-        first, last = self.crash.hard_braking()
-        return [self.time(first - 1), max(self.ego.deceleration(tick) for tick in range(first, last + 1))]
+    def hard_braking(self, braker):
+        first, last = self.crash.hard_braking(braker)
+        return [self.time(first - 1), max(braker.deceleration(tick) for tick in range(first, last + 1))]
+
+    def no_faster(self):
+        """Until when, and from when on the one behind would brake."""
+        return [self.time(self.crash.ticks["no faster"]), self.due(1.4)]
 
     def stood(self):
         return [self.time(self.tick), self.time(self.crash.impact - self.crash.ticks["stood"])]
@@ -115,7 +119,15 @@ CLAUSES = {
         lambda reading, said: [reading.time(reading.tick)]
     ),
     f"from {NUMBER} s the ego braked with up to {NUMBER} m/s\\^2 with nothing in its way": (
-        lambda reading, said: reading.hard_braking()
+        lambda reading, said: reading.hard_braking(reading.ego)
+    ),
+    f"; from {NUMBER} s NPC # braked with up to {NUMBER} m/s\\^2 with nothing in its way": (
+        lambda reading, said: reading.hard_braking(reading.npc)
+    ),
+    f"; but until {NUMBER} s (?:the ego|NPC #) was no faster, and braking with 3 to 6 m/s\\^2 from {NUMBER} s on "
+    "would have avoided it": lambda reading, said: reading.no_faster(),
+    f"; but (?:the ego|NPC #) let the brakes go at {NUMBER} s, where braking on with 6 m/s\\^2 would have avoided it": (
+        lambda reading, said: [reading.time(reading.crash.ticks["brakes let go"])]
     ),
     f"from {NUMBER} s the ego braked to a standstill with nothing in its way and stood for {NUMBER} s": (
         lambda reading, said: reading.stood()
