@@ -238,7 +238,7 @@ class Conflict:
                 reason = f"{crossed}; {self._name}'s {self._would(since)}"
                 return self._attributed("both", tick, reason, "entered-lane")
         late = f", and {self._name} could not avoid it any more when the ego kept the lane" if kept is not None else ""
-        chance = self._second_chance(tick, by_ego=False)
+        chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is not None:
             return self._attributed("both", tick, f"{crossed}{late}; but {chance}", "entered-lane")
         return self._attributed("ego", tick, f"{crossed}{late}", "entered-lane")
@@ -276,18 +276,18 @@ class Conflict:
         crossed, tick = self._crossed(change), change.tick
         if self._gap(tick) > 0 and self._leads(tick):
             return self._npc_followed(tick, tick, crossed, moved_in=tick)
-        if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
-            return self._excused_behind(tick, crossed, change)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
+        if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
+            return self._excused_behind(tick, crossed, pursuit, change)
         if self._is_blocked(tick):
-            return self._excused_behind(tick, f"{crossed}, too late to avoid it", change)
+            return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
         if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
             would = f"{self._demanded(seen)}; {self._answer(seen)}"
             return self._unanswered(tick, (crossed, would), "cut-in-unanswered", change)
         kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
         if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
             return self._duty_passed(change, kept)
-        return self._excused_behind(tick, f"{crossed}, too late to avoid it", change)
+        return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
         """Whether an NPC changed lanes ahead of a driving ego, not long ago, and did not give way."""
@@ -351,12 +351,12 @@ class Conflict:
         if self._leads(self._start):
             reason = self._close_behind(self._name, "the ego")
             return self._npc_followed(0, self._start, reason)
-        since, close = self._before, self._close_behind("the ego", self._name)
-        if self._pursuit(by_ego=True).is_avoided(since, FOLLOWING):
+        since, close, pursuit = self._before, self._close_behind("the ego", self._name), self._pursuit(by_ego=True)
+        if pursuit.is_avoided(since, FOLLOWING):
             would = f"{self._would(since)}; {self._answer(since)}"
             return self._unanswered(self._start, (close, would), "leader-unanswered")
         began = " as the run began" if self._start == 0 else ""
-        return self._excused_behind(self._start, f"{close}{began}, and no response could avoid it")
+        return self._excused_behind(self._start, f"{close}{began}, and no response could avoid it", pursuit)
 
     def _unanswered(
         self, tick: int, reason: tuple[str, str], fault: Fault, change: LaneChange | None = None
@@ -374,9 +374,11 @@ class Conflict:
             return self._attributed("both", tick, f"{reason[0]}{braked}; {reason[1]}", fault)
         return self._blamed_unless_standing(tick, "; ".join(reason), fault)
 
-    def _excused_behind(self, tick: int, reason: str, change: LaneChange | None = None) -> Attribution:
+    def _excused_behind(
+        self, tick: int, reason: str, pursuit: Pursuit, change: LaneChange | None = None
+    ) -> Attribution:
         """The NPC's, ahead; but not where the ego had mastered it, and ran into the NPC nevertheless."""
-        chance = self._second_chance(tick, by_ego=True)
+        chance = self._second_chance(tick, pursuit, by_ego=True)
         if chance is None:
             return self._excused(tick, reason)
         reason = f"{reason}; but {chance}"
@@ -384,14 +386,13 @@ class Conflict:
             return self._attributed("both", tick, reason, "leader-unanswered")
         return self._blamed_unless_standing(tick, reason, "leader-unanswered")
 
-    def _second_chance(self, tick: int, *, by_ego: bool) -> str | None:
+    def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> str | None:
         """How the one behind gave away what it had gained since a tick; None where it did not."""
         behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
         who, speed = self._name if behind else "the ego", self._frame.speed
         closing = speed[behind] - speed[ahead]
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
         ticks = [at for at in range(first, self._end) if self._gap(at) > 0 and self._leads(at) != by_ego]
-        pursuit = self._pursuit(by_ego=by_ego)
         over = max((at for at in ticks if closing[at] <= 0), default=None)
         if over is not None and pursuit.is_avoided(over, CUT_OFF, EMERGENCY):
             answer = f"; {self._answer(over)}" if by_ego else ""

@@ -25,7 +25,7 @@ COLUMNS, SCALES = (X, Y, HEADING, SPEED, LANE), np.array([1e3, 1e3, 1e4, 1e3, 1.
 
 @dataclass(frozen=True)
 class Read:
-    """A collision, the set that it was read in, 1 to 4, the rules having been changed after each but the last, and each reader's answers."""
+    """A collision, the set that it was read in, 1 to 4 (the rules were made with the first three), and the answers."""
 
     number: int
     trace: Trace
