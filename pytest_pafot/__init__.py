@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.explore import Exploration as Exploration
     from pytest_pafot.campaign.explore import explore as explore
     from pytest_pafot.corpus.reader import load as load
+    from pytest_pafot.criticality.signals import Measure as Measure
+    from pytest_pafot.criticality.signals import Signal as Signal
     from pytest_pafot.grid import Cell as Cell
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.rejection import reject as reject
@@ -45,6 +47,7 @@ _HOMES = {
     "Highway": "world",
     "LaneInstruction": "scenario",
     "LastChance": "attribution.last_chance",
+    "Measure": "criticality.signals",
     "NpcLimits": "world",
     "Observation": "world",
     "Outcome": "trace",
@@ -52,6 +55,7 @@ _HOMES = {
     "Run": "run",
     "Scenario": "scenario",
     "ScenarioError": "scenario",
+    "Signal": "criticality.signals",
     "Trace": "trace",
     "Weights": "searching.fitness",
     "World": "world",

@@ -10,14 +10,29 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
 from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
+from pytest_pafot.criticality.signals import (
+    BY_NAME,
+    EgoLaneChange,
+    EgoSignals,
+    Measure,
+    NpcSignals,
+    Signal,
+    Signals,
+    ego_lane_changes,
+    leader,
+)
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.text import ascii_text
 from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LINE_LENGTH = 99
 """Of an explanation."""
@@ -189,6 +204,58 @@ class Run:
         """The ego's largest deceleration [m/s^2], positive; higher is worse, 0 if it never slowed down."""
         return criticality.hardest_brake(self.trace)
 
+    # What happened at each tick.
+
+    @property
+    def ego(self) -> EgoSignals:
+        """Signals of the ego, such as ``run.ego.speed``."""
+        return self._signals.ego
+
+    @property
+    def npcs(self) -> tuple[NpcSignals, ...]:
+        """Signals of each NPC, such as ``run.npcs[0].gap``."""
+        return self._signals.npcs
+
+    @property
+    def headway(self) -> Signal:
+        """Gap along the lane to the leader over the ego's speed [s]; lower is worse, inf without a leader."""
+        return self.signal(BY_NAME["headway"])
+
+    @cached_property
+    def leader(self) -> npt.NDArray[np.intp]:
+        """Index of the NPC ahead of the ego in its lane at each tick, -1 without one."""
+        return leader(self.trace)
+
+    @cached_property
+    def lane_changes(self) -> tuple[EgoLaneChange, ...]:
+        """The ego's lane changes: when, from and to which lane, and the gaps ahead and behind there."""
+        return ego_lane_changes(self.trace)
+
+    def signal(self, measure: Measure, npc: int | None = None) -> Signal:
+        """A measure of your own as a signal; of one NPC where it gives a value of each.
+
+        Raises:
+            ValueError: for a measure that gives an array of another shape, or whose ``npc`` is missing.
+        """
+        return self._signals.of(measure, npc)
+
+    def to_pandas(self) -> DataFrame:
+        """All signals as a data frame, a row a tick, by names such as ``npcs[0].gap``; needs pandas.
+
+        The index is the time [s].
+
+        Raises:
+            ModuleNotFoundError: where pandas is not installed.
+        """
+        try:
+            import pandas as pd  # noqa: PLC0415
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "run.to_pandas(): expected pandas to be installed; pip install 'pytest-pafot[compare]' brings it"
+            ) from error
+        columns = {signal.name: np.asarray(signal) for signal in self._signals.all()}
+        return pd.DataFrame({**columns, "leader": self.leader}, index=pd.Index(self.trace.times, name="time"))
+
     # Who caused the collision, and who would have prevented it.
 
     @cached_property
@@ -310,6 +377,10 @@ class Run:
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
+
+    @cached_property
+    def _signals(self) -> Signals:
+        return Signals(self.trace)
 
     @cached_property
     def _encounters(self) -> criticality.Encounters:

@@ -25,7 +25,7 @@ HOMES = {
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},
-    "pandas": {"comparison"},
+    "pandas": {"comparison", "run"},
     "scipy": {"comparison"},
     "matplotlib": {"comparison"},
     "pymoo": {"searching"},

@@ -21,6 +21,7 @@ from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
@@ -101,6 +102,9 @@ def sections() -> dict[str, str]:
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
+        "signals": _signals_table(),
+        "measure": _fields_table(Measure),
+        "lane-change": _fields_table(EgoLaneChange),
         "last-chance": _properties_table(LastChance),
         "moment": _fields_table(Moment),
         "collision": _fields_table(Collision),
@@ -316,6 +320,14 @@ def _measures_table() -> str:
     functions = [getattr(criticality, name) for name in criticality.__all__]
     measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
     return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _first_paragraph(each.__doc__)] for each in measures])
+
+
+def _signals_table() -> str:
+    rows = [
+        [f"`run.{each.name.replace('npcs', 'npcs[i]')}`", each.unit, each.worse, _capital(each.source) + "."]
+        for each in MEASURES
+    ]
+    return _table(["Signal", "Unit", "Worse", "Meaning"], rows)
 
 
 def _parameters(function: Callable[..., Any]) -> Iterable[str]:

@@ -1,0 +1,264 @@
+"""Signals against oracles written another way: motions whose formulas are known, and loops over ticks and NPCs."""
+
+import copy
+import math
+import pickle
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot import criticality
+from pytest_pafot.criticality.signals import MEASURES, EgoSignals, Measure, NpcSignals, Signal
+from pytest_pafot.run import Run
+from pytest_pafot.trace import LANE, SPEED, Outcome, X
+from pytest_pafot.world import Highway
+from tests.support.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
+
+SPEED_OF_ALL = Signal([1.0, 2.0, 4.0], hz=10, start=5, name="ego.speed", unit="m/s")
+
+
+def described(signal):
+    return signal.hz, signal.start, signal.name, signal.unit
+
+
+def run_of(*vehicles, **fields):
+    return Run(trace_of(*vehicles, **fields))
+
+
+def random_run(seed, *, rows=12, vehicles=4):
+    states = random_states(np.random.default_rng(seed), rows, vehicles)
+    return run_of(*states.transpose(1, 0, 2))
+
+
+class TestSignal:
+    def test_a_signal_is_an_array_that_knows_its_ticks_its_name_and_its_unit(self):
+        assert SPEED_OF_ALL.tolist() == [1.0, 2.0, 4.0]
+        assert described(SPEED_OF_ALL) == (10, 5, "ego.speed", "m/s")
+
+    def test_it_is_read_only_and_has_its_values_to_itself(self):
+        values = np.array([1.0, 2.0])
+        signal = Signal(values)
+        values[0] = 7.0
+        assert signal[0] == 1.0
+        with pytest.raises(ValueError, match="read-only"):
+            signal[0] = 3.0
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            SPEED_OF_ALL * 3.6,
+            3.6 * SPEED_OF_ALL,
+            -SPEED_OF_ALL,
+            SPEED_OF_ALL - Signal([0.0, 0.0, 0.0], hz=20, start=9, name="other"),
+            np.array([1.0, 1.0, 1.0]) + SPEED_OF_ALL,
+            np.maximum(2.0, SPEED_OF_ALL),
+            np.where(np.array([True, False, True]), SPEED_OF_ALL, 0.0),
+            np.cumsum(SPEED_OF_ALL),
+            np.gradient(SPEED_OF_ALL),
+            SPEED_OF_ALL.clip(1.5, 3.0),
+        ],
+    )
+    def test_what_is_computed_value_by_value_is_over_the_same_ticks_without_name_and_unit(self, changed):
+        assert isinstance(changed, Signal)
+        assert described(changed) == (10, 5, "", "")
+
+    def test_a_stretch_begins_as_many_ticks_later(self):
+        assert described(SPEED_OF_ALL[1:]) == (10, 6, "ego.speed", "m/s")
+        assert described(SPEED_OF_ALL[-1:]) == (10, 7, "ego.speed", "m/s")
+        assert described(np.diff(SPEED_OF_ALL)) == (10, 6, "", "")
+
+    @pytest.mark.parametrize("key", [slice(None, None, 2), slice(None, None, -1), [0, 2], SPEED_OF_ALL > 1.0])
+    def test_any_other_selection_is_over_no_known_ticks(self, key):
+        assert described(SPEED_OF_ALL[key])[:2] == (None, 0)
+
+    def test_comparisons_and_sums_are_plain(self):
+        assert type(SPEED_OF_ALL > 1.0) is np.ndarray
+        for number in (SPEED_OF_ALL.max(), SPEED_OF_ALL.mean(), np.median(SPEED_OF_ALL), SPEED_OF_ALL[0]):
+            assert type(number) is np.float64
+        assert SPEED_OF_ALL.std() == pytest.approx(math.sqrt(14 / 9))
+
+    def test_what_is_changed_in_place_is_no_longer_what_it_was_called(self):
+        speed = SPEED_OF_ALL.copy()
+        speed *= 3.6
+        assert described(speed) == (10, 5, "", "")
+
+    @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+    def test_a_copy_is_the_same_signal(self, again):
+        there = again(SPEED_OF_ALL)
+        assert there.tolist() == SPEED_OF_ALL.tolist()
+        assert described(there) == described(SPEED_OF_ALL)
+
+    def test_what_was_read_only_is_so_in_another_process(self):
+        assert not pickle.loads(pickle.dumps(SPEED_OF_ALL)).flags.writeable
+
+    def test_more_than_one_value_a_tick_is_refused(self):
+        with pytest.raises(ValueError, match=r"expected one value a tick, received an array of shape \(1, 2\)"):
+            Signal([[1.0, 2.0]])
+
+
+class TestVehicles:
+    def test_every_measure_of_a_vehicle_is_an_attribute_that_type_checkers_know(self):
+        names = {measure.name for measure in MEASURES}
+        of_the_ego, of_npcs = EgoSignals.__annotations__, NpcSignals.__annotations__
+        assert names == {"headway", *(f"ego.{name}" for name in of_the_ego), *(f"npcs.{name}" for name in of_npcs)}
+
+    def test_they_are_what_the_trace_has(self):
+        run = random_run(1)
+        assert run.ego.speed.tolist() == run.trace.ego[:, SPEED].tolist()
+        assert run.npcs[2].lane.tolist() == run.trace.npcs[:, 2, LANE].tolist()
+        assert run.npcs[1].gap.tolist() == criticality.gap(run.trace)[:, 1].tolist()
+        assert run.npcs[1].ttc.tolist() == criticality.ttc(run.trace)[:, 1].tolist()
+
+    def test_they_have_names_units_and_ticks(self):
+        run = random_run(2)
+        assert described(run.ego.jerk) == (15, 0, "ego.jerk", "m/s^3")
+        assert described(run.npcs[1].gap) == (15, 0, "npcs[1].gap", "m")
+        assert described(run.headway) == (15, 0, "headway", "s")
+
+    def test_a_name_that_there_is_not_is_told_with_those_that_there_are(self):
+        with pytest.raises(AttributeError, match=r"ego\.sped: expected one of acceleration, jerk"):
+            random_run(3).ego.sped  # noqa: B018
+
+    def test_there_are_as_many_as_the_run_has_npcs(self):
+        assert len(random_run(4).npcs) == 3
+
+
+class TestJerkAndLateralAcceleration:
+    def test_the_jerk_is_the_third_derivative_of_the_way(self):
+        seconds = np.arange(31) / 15
+        run = run_of(vehicle(seconds**3 / 6 * 2.5, speed=seconds**2 / 2 * 2.5, acceleration=seconds * 2.5))
+        np.testing.assert_allclose(run.ego.jerk[1:], 2.5)
+
+    def test_the_jerk_of_the_first_tick_is_zero(self):
+        assert run_of(vehicle(np.zeros(3), acceleration=np.array([-4.0, -4.0, -1.0]))).ego.jerk.tolist() == [0, 0, 45]
+
+    def test_the_lateral_acceleration_in_a_circle_is_speed_squared_over_its_radius(self):
+        speed, radius = 12.0, 40.0
+        angle = np.arange(90) / 15 * speed / radius + 2.0
+        wrapped = (angle + math.pi) % (2 * math.pi) - math.pi
+        right = run_of(vehicle(np.zeros(90), heading=wrapped, speed=speed))
+        left = run_of(vehicle(np.zeros(90), heading=-wrapped, speed=speed))
+        np.testing.assert_allclose(right.ego.lateral_acceleration[1:], speed**2 / radius)
+        np.testing.assert_allclose(left.ego.lateral_acceleration[1:], -(speed**2) / radius)
+        assert right.ego.lateral_acceleration[0] == 0
+
+    def test_the_acceleration_is_how_the_speed_changes_in_a_run_of_the_kernel(self, braking_run):
+        changes = np.diff(braking_run.ego.speed) * 15
+        np.testing.assert_allclose(braking_run.ego.acceleration[1:], changes, atol=1e-9)
+        np.testing.assert_allclose(braking_run.ego.jerk[2:], np.diff(changes) * 15, atol=1e-7)
+        assert braking_run.ego.acceleration.min() < -3
+
+
+@pytest.fixture(scope="module")
+def braking_run():
+    def brakes_after_a_second(seen):
+        return (2.0, 0.0) if seen.time < 1 else (-4.0, 0.01)
+
+    return Run(Highway(duration=4.0).rollout(scenario_of(1), lambda: brakes_after_a_second))
+
+
+def nearest_ahead(run, tick):
+    """The leader and the way to its rear, by a loop over the NPCs."""
+    ego = run.trace.ego[tick]
+    best, leader = math.inf, -1
+    for index, npc in enumerate(run.trace.npcs[tick]):
+        way = npc[X] - ego[X]
+        if npc[LANE] == ego[LANE] >= 0 and 0 <= way < best:
+            best, leader = way, index
+    return leader, best
+
+
+class TestHeadway:
+    @given(st.integers(0, 2**32 - 1))
+    def test_the_leader_is_the_nearest_npc_ahead_in_the_ego_s_lane(self, seed):
+        run = random_run(seed, rows=6)
+        assert run.leader.tolist() == [nearest_ahead(run, tick)[0] for tick in range(6)]
+
+    def test_it_is_the_time_to_the_place_of_the_leader_s_rear(self):
+        run = run_of(vehicle([0.0, 0.0], speed=10.0), vehicle([60.0, 20.0]), vehicle([40.0, 90.0]))
+        assert run.leader.tolist() == [1, 0]
+        assert run.headway.tolist() == [(40 - LENGTH) / 10, (20 - LENGTH) / 10]
+
+    def test_without_a_leader_and_in_standing_it_is_infinite(self):
+        ego = vehicle([0.0, 0.0, 0.0], [0.0, 4.0, 0.0], speed=np.array([10.0, 10.0, 0.0]))
+        run = run_of(ego, vehicle([-20.0, 20.0, 20.0]))
+        assert run.leader.tolist() == [-1, -1, 0]
+        assert run.headway.tolist() == [math.inf] * 3
+
+    def test_what_is_no_number_stays_none(self):
+        run = run_of(vehicle([0.0, 0.0], speed=10.0), vehicle([np.nan, 30.0], lane=0))
+        assert np.isnan(run.headway).tolist() == [True, False]
+
+
+class TestLaneChanges:
+    def test_a_lane_change_has_its_time_its_lanes_and_the_gaps_where_it_goes(self):
+        ego = vehicle(np.zeros(31), np.repeat([4.0, 8.0], [15, 16]))
+        ahead, behind = vehicle(17.0, 8.0), vehicle(-30.0, 8.0)
+        run = run_of(ego, ahead, behind, vehicle(9.0, 4.0), vehicle(60.0, 8.0))
+        (change,) = run.lane_changes
+        assert (change.tick, change.time, change.from_lane, change.to_lane) == (15, 1.0, 1, 2)
+        assert (change.gap_ahead, change.gap_behind) == (17 - LENGTH, 30 - LENGTH)
+
+    def test_where_nobody_is_the_gaps_are_infinite_and_one_abreast_leaves_none(self):
+        ego = vehicle(np.zeros(3), np.array([4.0, 0.0, 4.0]))
+        first, second = run_of(ego, vehicle(-1.0, 4.0)).lane_changes
+        assert (first.gap_ahead, first.gap_behind) == (math.inf, math.inf)
+        assert (second.gap_ahead, second.gap_behind) == (math.inf, 0)
+
+    def test_to_leave_the_road_and_come_back_is_no_lane_change(self):
+        ego = vehicle(np.zeros(4), 0.0, lane=np.array([0.0, -1.0, -1.0, 0.0]))
+        assert run_of(ego, vehicle(50.0)).lane_changes == ()
+
+
+class TestOwnMeasures:
+    def test_a_measure_of_one_s_own_is_a_signal_of_the_run(self):
+        room = Measure("room", "m", "low", "mine", lambda trace: 10.0 - trace.ego[:, X])
+        run = run_of(vehicle([0.0, 3.0]), vehicle(30.0))
+        assert run.signal(room).tolist() == [10.0, 7.0]
+        assert described(run.signal(room)) == (15, 0, "room", "m")
+
+    def test_one_of_each_npc_is_asked_for_by_npc(self):
+        far = Measure("far", "m", "low", "mine", lambda trace: trace.npcs[:, :, X].T)
+        run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
+        assert described(run.signal(far, npc=1)) == (15, 0, "npcs[1].far", "m")
+        with pytest.raises(ValueError, match="'far': expected npc=0 and so on, as it is of each NPC"):
+            run.signal(far)
+
+    def test_it_is_computed_once(self):
+        asked = []
+        room = Measure("room", "m", "low", "mine", lambda trace: asked.append(trace) or trace.times)
+        run = random_run(5)
+        assert run.signal(room).tolist() == run.signal(room).tolist()
+        assert len(asked) == 1
+
+    def test_an_array_of_another_shape_is_refused(self):
+        room = Measure("room", "m", "low", "mine", lambda trace: trace.times[1:])
+        with pytest.raises(ValueError, match=r"'room': expected one value a tick, shape \(12,\), or of each"):
+            random_run(6).signal(room)
+
+
+class TestFrame:
+    def test_a_frame_has_a_row_a_tick_and_a_column_for_each_signal(self):
+        pytest.importorskip("pandas")
+        run = random_run(7)
+        frame = run.to_pandas()
+        assert frame.index.tolist() == run.trace.times.tolist()
+        assert frame["ego.speed"].tolist() == run.ego.speed.tolist()
+        assert frame["npcs[2].gap"].tolist() == run.npcs[2].gap.tolist()
+        assert frame["leader"].tolist() == run.leader.tolist()
+        assert len(frame.columns) == 6 + 3 * 7 + 1
+
+    def test_without_pandas_it_says_how_to_get_it(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "pandas", None)
+        with pytest.raises(ModuleNotFoundError, match=r"pip install 'pytest-pafot\[compare\]'"):
+            random_run(8).to_pandas()
+
+
+def test_every_measure_is_a_number_a_tick_of_a_run_that_collides_too():
+    run = run_of(vehicle([0.0, 3.0], speed=20.0), vehicle([9.0, 7.0]), outcome=Outcome.COLLISION)
+    for measure in MEASURES:
+        assert measure.values(run.trace).shape[-1] == 2, measure.name
+        assert pickle.loads(pickle.dumps(measure)).values(run.trace).tolist() == measure.values(run.trace).tolist()
