@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.reader import load as load
     from pytest_pafot.criticality.signals import Measure as Measure
     from pytest_pafot.criticality.signals import Signal as Signal
+    from pytest_pafot.criticality.temporal import above as above
+    from pytest_pafot.criticality.temporal import always as always
+    from pytest_pafot.criticality.temporal import below as below
+    from pytest_pafot.criticality.temporal import eventually as eventually
+    from pytest_pafot.criticality.temporal import until as until
     from pytest_pafot.grid import Cell as Cell
     from pytest_pafot.plugin.marks import search as search
     from pytest_pafot.rejection import reject as reject
@@ -61,10 +66,15 @@ _HOMES = {
     "World": "world",
     "WorldError": "world",
     "WorldLike": "world",
+    "above": "criticality.temporal",
+    "always": "criticality.temporal",
+    "below": "criticality.temporal",
+    "eventually": "criticality.temporal",
     "explore": "campaign.explore",
     "load": "corpus.reader",
     "reject": "rejection",
     "search": "plugin.marks",
+    "until": "criticality.temporal",
 }
 
 __all__ = sorted([*_HOMES, "strategies"])  # noqa: PLE0605

@@ -1,0 +1,199 @@
+"""Temporal logic against its definition, written as loops over ticks, and against another implementation of it."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot.criticality.temporal import Margin
+from tests.support.traces import random_states, trace_of
+
+HZ = 4
+BOUND = 0.5
+
+numbers = st.integers(-9, 9).map(float)
+windows = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(sorted).map(tuple) | st.none()
+formulas = st.recursive(
+    st.tuples(st.sampled_from(["above", "below"]), st.sampled_from("xy")),
+    lambda inner: (
+        st.tuples(st.just("not"), inner)
+        | st.tuples(st.sampled_from(["and", "or"]), inner, inner)
+        | st.tuples(st.sampled_from(["always", "eventually"]), windows, inner)
+        | st.tuples(st.just("until"), windows, inner, inner)
+    ),
+    max_leaves=6,
+)
+
+
+def pairs_of_signals(least):
+    """Two lists of one length, of so many ticks at least."""
+    lengths = st.integers(least, 12)
+    return lengths.flatmap(lambda ticks: st.tuples(*[st.lists(numbers, min_size=ticks, max_size=ticks)] * 2))
+
+
+def by_definition(formula, values, tick):
+    """The robustness of a formula at a tick, as the papers write it; windows are in ticks."""
+    kind, *rest = formula
+    ticks = len(values["x"])
+    if kind in ("above", "below"):
+        return (values[rest[0]][tick] - BOUND) * (1 if kind == "above" else -1)
+    if kind == "not":
+        return -by_definition(rest[0], values, tick)
+    if kind in ("and", "or"):
+        return (min if kind == "and" else max)(by_definition(each, values, tick) for each in rest)
+    first, last = rest[0] or (0, ticks)
+    there = [at for at in range(tick + first, tick + last + 1) if at < ticks]
+    if kind == "until":
+        return max(
+            (
+                min([by_definition(rest[2], values, at), *(by_definition(rest[1], values, k) for k in range(tick, at))])
+                for at in there
+            ),
+            default=-math.inf,
+        )
+    inner = [by_definition(rest[1], values, at) for at in there]
+    return min(inner, default=math.inf) if kind == "always" else max(inner, default=-math.inf)
+
+
+def margin_of(formula, values):
+    kind, *rest = formula
+    if kind in ("above", "below"):
+        return getattr(pafot, kind)(pafot.Signal(values[rest[0]], hz=HZ), BOUND)
+    if kind == "not":
+        return ~margin_of(rest[0], values)
+    if kind in ("and", "or"):
+        left, right = (margin_of(each, values) for each in rest)
+        return left & right if kind == "and" else left | right
+    within = rest[0] and (rest[0][0] / HZ, rest[0][1] / HZ)
+    return getattr(pafot, kind)(*(margin_of(each, values) for each in rest[1:]), within=within)
+
+
+def text_of(formula):
+    """As rtamt reads it, with windows in ticks of a second."""
+    kind, *rest = formula
+    if kind in ("above", "below"):
+        return f"({rest[0]} {'>=' if kind == 'above' else '<='} {BOUND})"
+    if kind in ("not", "and", "or"):
+        *left, right = map(text_of, rest)
+        return f"({' '.join(left)} {kind} {right})"
+    window = f"[{rest[0][0]},{rest[0][1]}]" if rest[0] else ""
+    *left, right = map(text_of, rest[1:])
+    return f"({' '.join(left)} {kind}{window} {right})"
+
+
+@settings(max_examples=1000)
+@given(formulas, pairs_of_signals(1))
+def test_a_formula_has_the_robustness_that_its_definition_gives_at_every_tick(formula, both):
+    values = dict(zip("xy", both, strict=True))
+    expected = [by_definition(formula, values, tick) for tick in range(len(values["x"]))]
+    assert margin_of(formula, values).tolist() == expected
+
+
+@settings(max_examples=1000, deadline=None)
+@given(formulas, pairs_of_signals(2))
+def test_a_formula_has_the_robustness_that_rtamt_gives_at_every_tick(formula, both):
+    rtamt = pytest.importorskip("rtamt")
+    values = dict(zip("xy", both, strict=True))
+    spec = rtamt.StlDiscreteTimeSpecification()
+    for name in "xy":
+        spec.declare_var(name, "float")
+    spec.spec = text_of(formula)
+    spec.parse()
+    ticks = len(values["x"])
+    told = spec.evaluate({"time": list(range(ticks)), **{name: list(each) for name, each in values.items()}})
+    assert margin_of(formula, values).tolist() == [robustness for _, robustness in told]
+
+
+SPEED = pafot.Signal([3.0, 1.0, 2.0], hz=2, start=4, name="ego.speed", unit="m/s")
+
+
+class TestMargin:
+    def test_it_is_over_the_ticks_of_its_signal_and_in_its_unit(self):
+        for margin in (pafot.above(SPEED, 2.0), pafot.always(~pafot.below(SPEED, 2.0), within=(0, 1))):
+            assert (margin.hz, margin.start, margin.unit) == (2, 4, "m/s")
+
+    def test_a_bound_may_be_one_for_each_tick(self):
+        assert pafot.above(SPEED, [3.0, 3.0, 3.0]).tolist() == [0.0, -2.0, -1.0]
+
+    def test_margins_in_different_units_have_none_together(self):
+        gap = pafot.Signal([5.0, 5.0, 5.0], hz=2, start=4, unit="m")
+        assert (pafot.above(SPEED, 2.0) & pafot.above(gap, 1.0)).unit == ""
+
+    def test_only_what_looks_ahead_in_time_is_a_formula(self):
+        plain = pafot.above(SPEED, 2.0)
+        assert not (plain & ~plain | plain).is_formula
+        for formula in (pafot.always(plain), pafot.eventually(plain), pafot.until(plain, plain)):
+            assert (formula.is_formula, (~formula).is_formula, (plain & formula).is_formula) == (True, True, True)
+
+    def test_it_stays_a_margin_in_another_scale_and_in_another_process(self):
+        formula = pafot.always(pafot.above(SPEED, 2.0))
+        for same in (formula / 10, pickle.loads(pickle.dumps(formula)), formula[1:]):
+            assert isinstance(same, Margin)
+            assert same.is_formula
+
+    def test_what_is_no_number_makes_all_that_look_at_it_none(self):
+        margin = pafot.above(pafot.Signal([1.0, math.nan, 3.0], hz=2), 2.0)
+        assert np.isnan(pafot.eventually(margin)).tolist() == [True, True, False]
+        assert np.isnan(margin | ~margin).tolist() == [False, True, False]
+
+
+class TestWindow:
+    def test_it_has_the_ticks_whose_times_lie_in_it_both_ends_included(self):
+        margin = pafot.above(pafot.Signal([1.0, 2.0, 3.0, 4.0, 5.0], hz=10), 0.0)
+        assert pafot.eventually(margin, within=(0.0, 0.3))[0] == 4.0
+        assert pafot.eventually(margin, within=(0.0, 0.29))[0] == 3.0
+        assert pafot.always(margin, within=(0.11, 0.3))[0] == 3.0
+        assert pafot.always(margin, within=(0.2, math.inf))[0] == 3.0
+
+    def test_beyond_the_end_always_holds_and_eventually_fails(self):
+        margin = pafot.above(SPEED, 2.0)
+        assert pafot.always(margin, within=(1e9, 2e9)).tolist() == [math.inf] * 3
+        assert pafot.eventually(margin, within=(1.5, 2)).tolist() == [-math.inf] * 3
+
+    @pytest.mark.parametrize("within", [(1, 0), (-1, 2), 5, (math.nan, 1), (math.inf, math.inf)])
+    def test_what_is_no_window_is_refused(self, within):
+        with pytest.raises(ValueError, match=r"expected seconds \(from, to\) with 0 <= from <= to, received"):
+            pafot.always(pafot.above(SPEED, 2.0), within=within)
+
+    def test_a_window_between_two_ticks_is_refused_as_anything_would_hold_in_it(self):
+        with pytest.raises(ValueError, match="expected a window with a tick in it, of 2 a second"):
+            pafot.always(pafot.above(SPEED, 2.0), within=(0.1, 0.4))
+
+    def test_seconds_need_a_signal_that_knows_its_ticks(self):
+        margin = pafot.above(np.array([1.0, 2.0]), 0.0)
+        assert pafot.always(margin).tolist() == [1.0, 2.0]
+        with pytest.raises(ValueError, match=r"pafot\.Signal\(values, hz=run\.trace\.physics_hz\)"):
+            pafot.always(margin, within=(0, 1))
+
+
+class TestMistakes:
+    @pytest.mark.parametrize("wrong", [SPEED > 2.0, SPEED, 1.0])
+    def test_a_comparison_of_arrays_is_no_margin(self, wrong):
+        margin = pafot.above(SPEED, 2.0)
+        for use in (pafot.always, lambda each: margin & each, lambda each: pafot.until(margin, each)):
+            with pytest.raises(TypeError, match="does not say by how much it holds"):
+                use(wrong)
+
+    @pytest.mark.parametrize("other", [np.diff(SPEED), pafot.Signal(SPEED, hz=3, start=4), pafot.Signal(SPEED, hz=2)])
+    def test_margins_over_different_ticks_do_not_go_together(self, other):
+        with pytest.raises(ValueError, match="expected margins over the same ticks, received 3 from tick 4 on at 2"):
+            pafot.above(SPEED, 2.0) & pafot.above(other, 0.0)
+
+    def test_an_array_of_one_s_own_goes_with_any_signal_of_its_length(self):
+        joined = pafot.above(np.zeros(3), 1.0) | pafot.above(SPEED, 2.0)
+        assert (joined.tolist(), joined.hz, joined.start) == ([1.0, -1.0, 0.0], 2, 4)
+
+
+def test_a_property_of_a_run_is_written_as_it_is_said():
+    states = random_states(np.random.default_rng(3), 40, 3)
+    run = pafot.Run(trace_of(*states.transpose(1, 0, 2)))
+    slows_down = pafot.below(run.ego.acceleration, -1.0)
+    formula = pafot.always(pafot.above(run.npcs[0].ttc, 2.0) | pafot.eventually(slows_down, within=(0, 1)))
+    expected = min(
+        max(run.npcs[0].ttc[tick] - 2.0, *(-1.0 - run.ego.acceleration[tick : tick + 16])) for tick in range(40)
+    )
+    assert formula[0] == pytest.approx(expected)
