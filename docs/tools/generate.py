@@ -22,6 +22,7 @@ from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
+from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
@@ -44,9 +45,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot_world` gives.",
     "ads": "The name of the fixture that gives the ADS factory, or the factory itself.",
     "arg": "The parameter of the test function that receives the run.",
-    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, `pafot.Weights(...)`, a function `Trace -> float`, higher is '
-    "worse, or its `module:function`. Without one, each algorithm's own: `av-fuzzer` has one, all others take the "
-    "default.",
+    "fitness": '`"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or `pafot.Measure(...)`, '
+    "`pafot.Weights(...)`, a function `Trace -> float`, higher is worse, or its `module:function`. Without one, each "
+    "algorithm's own: `av-fuzzer` has one, all others take the default.",
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
     'or where there is none; or `"preventable"`: likewise, and what it asserts then is a failure only where a '
     "reference driver would have prevented it.",
@@ -103,6 +104,7 @@ def sections() -> dict[str, str]:
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
         "signals": _signals_table(),
+        "temporal": _temporal_table(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "last-chance": _properties_table(LastChance),
@@ -345,6 +347,15 @@ def _command_table() -> str:
         text = (action.help or "") % vars(action)
         rows.append([f"`{action.option_strings[0]}{value}`", _capital(text) + "."])
     return _table(["Option", "Meaning"], rows)
+
+
+def _temporal_table() -> str:
+    functions = (above, below, always, eventually, until)
+    rows = [
+        [f"`pafot.{each.__name__}({', '.join(_parameters(each))})`", _first_paragraph(each.__doc__)]
+        for each in functions
+    ]
+    return _table(["Function", "Margin"], rows)
 
 
 def _strategies_table() -> str:

@@ -131,8 +131,8 @@ def _problems(request: Request) -> Mapping[str, object]:
         and not _is_positive(limit)
         and f"expected seconds, more than 0, received {limit!r}",
         "fitness=...": not (isinstance(fitness, (str, Weights)) or callable(fitness))
-        and "expected default, paper, av-fuzzer, pafot.Weights(...) or a function of a Trace that returns a float, "
-        f"received {fitness!r}",
+        and "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
+        f"Trace that returns a float, received {fitness!r}",
     }
 
 

@@ -57,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "reference driver is not at fault (default: %(default)s, as the paper)",
     )
     parser.add_argument(
-        "--fitness", help="of all algorithms: default, paper, av-fuzzer or module:function (default: each one's own)"
+        "--fitness",
+        help="of all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
+        "(default: each one's own)",
     )
     parser.add_argument("--population", type=int, metavar="N", help="scenarios of a generation (default: 4)")
     _add_world_arguments(parser)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -99,7 +100,7 @@ class Signal(_Array):
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """Something to measure at each tick of a run, of the ego or of each NPC.
+    """Something to measure at each tick of a run, of the ego or of each NPC; called with a trace it is a fitness.
 
     Attributes:
         name: such as ``headway``, ``ego.jerk``, or ``npcs.ttc`` for one of each NPC.
@@ -130,17 +131,17 @@ class Measure:
             )
         return values
 
-    def worst(self, trace: Trace) -> float:
-        """The worst value of a run, of all ticks and NPCs, with a sign so that higher is worse for the ego.
+    def __call__(self, trace: Trace) -> float:
+        """As a fitness: the worst value v of all ticks and NPCs, higher = worse, as v / (1 + |v|); 1 and -1 for inf.
 
         Raises:
             ValueError: for a measure of which no value is worse.
         """
         if self.worse == "neither":
             raise ValueError(f"measure {self.name!r}: expected worse='low', 'high' or 'both', received 'neither'")
-        values = self.values(trace)
-        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](values)
-        return float(risk.max(initial=-np.inf))
+        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.values(trace))
+        worst = float(risk.max(initial=-np.inf))
+        return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
 
 
 def leader(trace: Trace) -> npt.NDArray[np.intp]:

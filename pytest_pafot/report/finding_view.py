@@ -11,6 +11,7 @@ import numpy as np
 
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
+from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import blocks, instructions
 from pytest_pafot.report.page_data import (
@@ -119,7 +120,7 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
-    encounters = Encounters(trace)
+    encounters, changes = Encounters(trace), jerk(trace)
     along, across, heading = (trace.states[:, :, column] for column in (X, Y, HEADING))
     if trace.track is None:
         (along, across), heading = along_and_across(trace, along, across), heading - trace.lanes[0].heading
@@ -136,7 +137,7 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             heading=_numbers(heading[ticks, vehicle], 3),
             speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
             acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
-            jerk=_numbers(_jerk(trace, ticks, vehicle), 1),
+            jerk=_numbers(_peaks(changes[vehicle], ticks), 1),
         )
         if vehicle:
             npc = vehicle - 1
@@ -147,11 +148,10 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     return tuple(views)
 
 
-def _jerk(trace: Trace, ticks: Sequence[int], vehicle: int) -> FloatArray:
-    """The largest change of acceleration per second since the frame before [m/s^3]; a peak lasts but a tick."""
-    changes = np.diff(trace.states[:, vehicle, ACCELERATION], prepend=trace.states[0, vehicle, ACCELERATION])
-    spans = [changes[before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
-    return np.array([span[np.argmax(np.abs(span))] for span in spans]) * trace.physics_hz
+def _peaks(values: FloatArray, ticks: Sequence[int]) -> FloatArray:
+    """The value farthest from 0 since the frame before; a peak of jerk lasts but a tick."""
+    spans = [values[before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
+    return np.array([span[np.argmax(np.abs(span))] for span in spans])
 
 
 def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:

@@ -25,6 +25,7 @@ import numpy as np
 from pytest_pafot.attribution.near_misses import NEAR_SECONDS
 from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, planned_duration
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
+from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.searching.references import referred_to
 from pytest_pafot.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 
@@ -160,16 +161,24 @@ def _sampled(trace: Trace) -> list[int]:
     return sorted({min(tick, trace.ticks) for tick in (*ticks, *hit)})
 
 
-FITNESSES: Mapping[str, Fitness] = MappingProxyType({"default": weighted, "paper": paper, "av-fuzzer": av_fuzzer})
-"""What ``fitness=`` accepts by name."""
+FITNESSES: Mapping[str, Fitness] = MappingProxyType(
+    {
+        "default": weighted,
+        "paper": paper,
+        "av-fuzzer": av_fuzzer,
+        **{measure.name: measure for measure in MEASURES if measure.worse != "neither"},
+    }
+)
+"""What ``fitness=`` accepts by name; by that of a measure, its worst value in the run."""
 
 
 def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Responsible | None = None) -> Fitness:
     """The function that a search maximises; it raises a :class:`FitnessError` where a user's function fails.
 
     Args:
-        fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, :class:`Weights` for the default with other weights, or
-            a function of a Trace that returns a number, higher = worse for the ego, or ``module:function``.
+        fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, :class:`Weights` for the default
+            with other weights, or a function of a Trace that returns a number, higher = worse for the ego, or
+            ``module:function``.
         responsible: unless ``blame="any"``, whether the ego is responsible for a run's collision; the fitness is
             then :class:`Steered` by it.
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
+from pytest_pafot.criticality.signals import Measure
 from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
 from pytest_pafot.trace import SPEED, Outcome
 from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
@@ -203,13 +204,13 @@ class TestResolve:
 
     def test_a_misspelt_name_is_answered_with_the_nearest(self):
         with pytest.raises(
-            FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer' or a function .* did you mean 'paper'"
+            FitnessError, match=r"expected 'default', 'paper', .* or a function .* did you mean 'paper'"
         ):
             resolve("papr")
 
     @pytest.mark.parametrize("value", [3, None, ["default"]])
     def test_anything_else_is_refused(self, value):
-        with pytest.raises(FitnessError, match="expected 'default', 'paper', 'av-fuzzer', Weights"):
+        with pytest.raises(FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer', .*'headway', .*Weights"):
             resolve(value)
 
     def test_a_function_of_two_arguments_is_refused_before_anything_runs(self):
@@ -218,6 +219,35 @@ class TestResolve:
 
         with pytest.raises(FitnessError, match=r"called with one Trace, received two\(trace, limit\).*defaults"):
             resolve(two)
+
+
+class TestMeasures:
+    def test_by_its_name_a_measure_is_a_fitness_that_is_higher_where_its_worst_value_is_worse(self):
+        close, far = (trace_of(vehicle(0, speed=10), vehicle([x, 90])) for x in (20, 40))
+        assert resolve("headway")(close) == pytest.approx(-1.5 / 2.5)
+        assert resolve("headway")(far) == pytest.approx(-3.5 / 4.5)
+        assert resolve("npcs.gap")(far) == pytest.approx(-35 / 36)
+
+    def test_values_far_from_zero_are_worse_on_both_sides_where_the_measure_says_so(self):
+        brakes = trace_of(vehicle(np.zeros(3), acceleration=np.array([0.0, -1.0, -1.0])), vehicle(50))
+        assert resolve("ego.jerk")(brakes) == pytest.approx(15 / 16)
+
+    def test_where_there_is_nothing_to_measure_it_is_least_and_yet_better_than_what_is_no_number(self):
+        alone = trace_of(vehicle(0, speed=10), vehicle(-20))
+        unknown = trace_of(vehicle(0, speed=math.nan), vehicle(20))
+        assert resolve("headway")(alone) == -1
+        assert resolve("headway")(unknown) == resolve("headway")(crash(outcome=Outcome.INVALID)) == -math.inf
+
+    def test_one_s_own_is_a_fitness_as_it_is(self):
+        lateness = Measure("lateness", "s", "high", "mine", lambda trace: trace.times)
+        assert resolve(lateness)(harmless()) == pytest.approx(harmless().duration / (1 + harmless().duration))
+
+    def test_one_of_which_no_value_is_worse_is_none(self):
+        lane = Measure("lane", "", "neither", "mine", lambda trace: trace.times)
+        with pytest.raises(FitnessError, match="expected worse='low', 'high' or 'both', received 'neither'"):
+            resolve(lane)(harmless())
+        with pytest.raises(FitnessError, match=r"received 'ego\.lane'"):
+            resolve("ego.lane")
 
 
 def front_is_to_blame(trace):
