@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from pytest_pafot.attribution.last_chance import LastChance as LastChance
     from pytest_pafot.campaign.explore import Exploration as Exploration
     from pytest_pafot.campaign.explore import explore as explore
+    from pytest_pafot.checks import CheckFailed as CheckFailed
+    from pytest_pafot.checks import check as check
+    from pytest_pafot.checks import target as target
     from pytest_pafot.corpus.reader import load as load
     from pytest_pafot.criticality.signals import Measure as Measure
     from pytest_pafot.criticality.signals import Signal as Signal
@@ -46,6 +49,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Cell": "grid",
+    "CheckFailed": "checks",
     "Chromosome": "scenario",
     "Collision": "trace",
     "Exploration": "campaign.explore",
@@ -70,10 +74,12 @@ _HOMES = {
     "always": "criticality.temporal",
     "below": "criticality.temporal",
     "eventually": "criticality.temporal",
+    "check": "checks",
     "explore": "campaign.explore",
     "load": "corpus.reader",
     "reject": "rejection",
     "search": "plugin.marks",
+    "target": "checks",
     "until": "criticality.temporal",
 }
 

@@ -10,7 +10,7 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "errors", "text", "locks", "files", "versions", "grid", "scenario", "trace", "rejection", "criticality",
+    "errors", "text", "locks", "files", "versions", "grid", "scenario", "trace", "checks", "rejection", "criticality",
     "attribution", "run", "findings", "searching", "corpus", "world", "execution", "strategies", "testing", "campaign",
     "comparison", "report", "plugin", "__main__",
 )  # fmt: skip

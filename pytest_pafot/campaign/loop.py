@@ -11,6 +11,7 @@ from pytest_pafot.campaign.events import Judged, Listener
 from pytest_pafot.campaign.harness import Simulation
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
+from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
@@ -34,6 +35,7 @@ class SearchLoop:
     listener: Listener = lambda event: None
     # What the ego nearly had to answer for in a trace; None where the algorithm does not read that
     near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
+    is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
     fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
     replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new finds by signature
@@ -134,14 +136,16 @@ class SearchLoop:
             self._count(signature, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
         if verdict.kind == "skipped":
             self.skip = verdict.exception
+        check = None if verdict.failure is None else verdict.failure.check
         return Evaluation.of(
             run.trace,
             fitness=self.fitness(run.trace),
             failing=verdict.failed,
             discarded=verdict.discarded,
             kind=signature,
-            fault=None if signature is None else signature.fault,
+            fault=(None if signature is None else signature.fault) if check is None else check.name,
             near_misses=() if self.near_misses is None else self.near_misses(run.trace),
+            margins=worst_margins(verdict) if self.is_steered_by_checks else (),
         )
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:

@@ -163,6 +163,7 @@ class Search:
             fitness=fitness,
             listener=self.listener,
             near_misses=near_misses if is_for_ego and request.algorithm.reads_near_misses else None,
+            is_steered_by_checks=request.fitness == "default",
         )
 
     def _conducted(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.checks import Check, Recording, recorded
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
@@ -34,6 +36,7 @@ class Verdict:
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "invalid"]
     exception: BaseException | None = None  # that the function raised, where it failed or skipped
     failure: Failure | None = None
+    checks: tuple[Check, ...] = ()  # those that the function made, in its order, up to one that failed
     is_timed: bool = False  # whether it depends on wall-clock time
     is_ads: bool = False  # whether the ADS itself failed, whatever the function asserts
 
@@ -89,9 +92,19 @@ def reference_outcomes(run: Run, test: Test, *, blame: str, test_file: str) -> I
             yield name, reference_outcome(other, fails=verdict.kind != "passed")
 
 
+def worst_margins(verdict: Verdict) -> tuple[tuple[str, float], ...]:
+    """The worst margin of each check by its name, in the order of the names."""
+    worst: dict[str, float] = {}
+    for each in verdict.checks:
+        worst[each.name] = min(each.margin, worst.get(each.name, math.inf))
+    return tuple(sorted(worst.items()))
+
+
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:
+    recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks)
     try:
-        result = test(run)
+        with recorded(recording):
+            result = test(run)
     except Rejected:
         return Verdict(kind="rejected")
     except skips() as skipped:
@@ -100,13 +113,14 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
         raise
     except UNFIT as error:
         let_through(error)
-        return Verdict(kind="failed", exception=error, failure=raised_failure(error, test_file))
+        failure = raised_failure(error, test_file)
+        return Verdict(kind="failed", exception=error, failure=failure, checks=tuple(recording.checks))
     if result is not None:
         raise RequestError(
             f"expected the test function to assert and to return None, received the return value {result!r:.60}; write "
             "`assert ...` in place of `return ...`"
         )
-    return Verdict(kind="passed")
+    return Verdict(kind="passed", checks=tuple(recording.checks))
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
@@ -119,6 +133,8 @@ def headline(run: Run, verdict: Verdict) -> str:
     """One line on a find: what happened in the run, and what the function said where that is not the same."""
     if verdict.is_ads and verdict.failure is not None:
         return f"{verdict.failure.kind}: {verdict.failure.message}"
+    if verdict.failure is not None and verdict.failure.check is not None:
+        return str(verdict.failure.check)
     line = collision_in_short(run) or run.explain().splitlines()[0]
     first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
     is_bare = run.collision is not None and first.startswith("assert ")

@@ -11,6 +11,7 @@ from typing import Any
 from pytest_pafot.corpus.schema import VERSION, Keys
 from pytest_pafot.corpus.yaml_document import Lines, Place
 from pytest_pafot.errors import RESTORE, CorpusError
+from pytest_pafot.findings.finding import MAX_NUMBER
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ class Field:
     def number(self, low: float = 0.0) -> float:
         """A finite number, at least so large."""
         is_number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
-        if not is_number or not low <= self.value <= 1e9:
+        if not is_number or not low <= self.value <= MAX_NUMBER:
             raise self.error(f"a finite number, at least {low:g}", "correct it")
         return float(self.value)
 

@@ -24,7 +24,7 @@ from pytest_pafot.corpus.schema import VERSION, VERSIONS
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import CorpusError, FieldError
-from pytest_pafot.findings.finding import Expect, Finding, Found, check_plain, is_id
+from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome
@@ -190,6 +190,7 @@ def _expect(field: Field, npcs: int) -> Expect:
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=_given(fields, "assertion", Field.text, ""),
+        check=_given(fields, "check", _check),
         message=_given(fields, "message", Field.text, ""),
         outcome=outcome,
         time=fields["time"].number(),
@@ -205,6 +206,14 @@ def _expect(field: Field, npcs: int) -> Expect:
         last_chance=_given(fields, "last_chance", _last_chance),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
+
+
+def _check(field: Field) -> Bounded:
+    fields = field.mapping(schema.CHECK)
+    value, at_most, at_least = (
+        _given(fields, name, lambda inner: inner.number(-MAX_NUMBER)) for name in ("value", "at_most", "at_least")
+    )
+    return Bounded(value=value, at_most=at_most, at_least=at_least, unit=_given(fields, "unit", Field.text, ""))
 
 
 def _fault(field: Field) -> Any:

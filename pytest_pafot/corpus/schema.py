@@ -50,11 +50,13 @@ LANE_INSTRUCTION = Keys(("lane", "speed"))
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
-        *("assertion", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
+        *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
         *("preventable_by", "reference_drivers", "last_chance", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)
+CHECK = Keys((), ("value", "at_most", "at_least", "unit"))
+"""Of ``expect.check``."""
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """Of ``expect.last_chance``."""
 

@@ -61,9 +61,12 @@ def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """One flow mapping; a block of lines where a text has several lines itself."""
-    first = ("failure", "assertion", "message", "outcome", "time", "npc", "cell", "side", "responsibility")
+    first = ("failure", "assertion", "check", "message", "outcome", "time", "npc", "cell", "side", "responsibility")
     order = dict.fromkeys([*first, *(each.name for each in fields(expect) if each.name != "traceback"), "traceback"])
     values = {name: getattr(expect, name) for name in order}
+    values["check"] = (
+        {} if expect.check is None else {k: v for k, v in asdict(expect.check).items() if v not in (None, "")}
+    )
     values["last_chance"] = {} if expect.last_chance is None else asdict(expect.last_chance)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
     if not any(isinstance(value, str) and "\n" in value for value in entries.values()):

@@ -14,9 +14,10 @@ from typing import Any
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
+from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.scenario import Scenario
@@ -26,9 +27,20 @@ MAX_MESSAGE = 300
 MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
+MAX_NUMBER = 1e9
 
 _TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounded:
+    """What a check measured that failed, and the bounds that it was held against [unit]; None where there is none."""
+
+    value: float | None  # None where it was no finite number, or beyond a billion
+    at_most: float | None = None
+    at_least: float | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +50,13 @@ class Expect:
     Attributes:
         failure: name of the exception class.
         assertion: normalised, as in :class:`~pytest_pafot.findings.signature.Signature`.
+        check: what the failed check measured; None where none failed. Its name is the assertion.
         message: first line of the exception's message, without addresses, process ids and temporary folders; empty
             where the assertion says it.
         outcome: how the run ended.
-        time: of the event [s], see :attr:`~pytest_pafot.run.Run.event_time`.
-        npc, cell: at the collision, else at the least time to contact; None where there is no such moment.
+        time: of the event [s]: of the failed check where it has one, else :attr:`~pytest_pafot.run.Run.event_time`.
+        npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
+            check the NPC that it names, and no cell.
         side: of the ego that was hit; None without a collision.
         responsibility: who caused the collision.
         fault: what the ego answers for; None where it does not.
@@ -56,6 +70,7 @@ class Expect:
     outcome: Outcome
     time: float
     assertion: str = ""
+    check: Bounded | None = None
     message: str = ""
     npc: int | None = None
     cell: Cell | None = None
@@ -97,19 +112,20 @@ class Expect:
 
         Paths in texts are relative to the root, the folder of the project.
         """
-        hit, trace = run.collision, run.trace
+        hit, trace, event = run.collision, run.trace, event_of(run, failure)
         is_told = bool(failure.assertion.strip()) and run.ads_error is None
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
         return cls(
             failure=failure.kind,
-            assertion=normalised(failure.assertion, failure.message),
+            assertion=failure.assertion if failure.check else normalised(failure.assertion, failure.message),
+            check=None if failure.check is None else _bounded(failure.check),
             message="" if is_told else _portable_line(failure, root),
             outcome=run.outcome,
-            time=round(run.event_time, 3),
-            npc=None if run.event_cell is None else run.event_npc,
-            cell=run.event_cell,
+            time=round(event.time, 3),
+            npc=event.npc,
+            cell=event.cell,
             side=None if hit is None else hit.side,
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
@@ -193,6 +209,34 @@ class Finding:
         return cls(id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailureEvent:
+    """The moment that a failure is about [s]; the NPC and its cell, None where there is none."""
+
+    time: float
+    npc: int | None = None
+    cell: Cell | None = None
+
+
+def event_of(run: Run, failure: Failure | None) -> FailureEvent:
+    """When a run failed, and with whom: as its failed check says, else as the run does."""
+    check = None if failure is None else failure.check
+    if check is not None and run.collision is None:
+        return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
+    time = run.event_time if check is None or check.time is None else check.time
+    return FailureEvent(time=time, npc=None if run.event_cell is None else run.event_npc, cell=run.event_cell)
+
+
+def _bounded(check: Check) -> Bounded:
+    bounds = {name: _told(bound, 6) for name, bound in check.bounds.items()}
+    return Bounded(value=_told(check.value, 3), unit=check.unit, **bounds)
+
+
+def _told(value: float | None, digits: int) -> float | None:
+    """As a file can hold it."""
+    return round(value, digits) if value is not None and abs(value) <= MAX_NUMBER else None
+
+
 def of_failure(run: Run, failure: Failure) -> Signature:
     """The signature of a run that failed."""
     return Expect.of(run, failure).signature
@@ -234,6 +278,9 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
     the exception arose, so that changes in other people's libraries do not change a signature. The path of the file is
     the one in its code objects.
     """
+    if isinstance(exception, CheckFailed):
+        check = exception.check
+        return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]
     deepest = statements[-1][0] if statements else ""

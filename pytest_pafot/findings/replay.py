@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.findings.finding import Finding, of_failure
+from pytest_pafot.findings.finding import Finding, event_of, of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome, Y
@@ -71,8 +71,9 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     """
     expect, side = finding.expect, None if run.collision is None else run.collision.side
     then = (expect.outcome, expect.npc, expect.cell, expect.side)
-    is_same = (run.outcome, run.event_npc, run.event_cell, side) == then
-    is_same = is_same and abs(run.event_time - expect.time) <= SAME_TIME + 1e-9
+    now = event_of(run, failure)
+    is_same = (run.outcome, now.npc, now.cell, side) == then
+    is_same = is_same and abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):

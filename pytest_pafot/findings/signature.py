@@ -9,6 +9,7 @@ from textwrap import dedent
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.grid import Cell
 from pytest_pafot.trace import Outcome, Side
 
@@ -23,11 +24,17 @@ _PATH = re.compile(r"(?<!\w)(?:[A-Za-z]:)?(?:[\\/][\w.@~+-]+){2,}|[\w.-]+\.py\b(
 PROCESS_CRASH = "ProcessCrash"
 """The failure of a run in which the process died, which nobody saw raise anything."""
 
+CHECK_FAILED = CheckFailed.__name__
+"""The failure of a check, whose name is its assertion."""
+
 SLOW_DECISION = "SlowDecision"
 """The failure of a run in which a decision took longer than the limit that the test sets."""
 
-_ALONE = frozenset({Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD, Outcome.LEFT_ROUTE})
-"""Outcomes of the ego itself, which are the same wherever the others drive."""
+_OF_COLLISIONS = frozenset(
+    {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
+     "last_chance"}
+)  # fmt: skip
+"""What an assertion that speaks of the collision names of a run."""
 
 _NO_SUBJECT = frozenset({"run", "not", "assert", "is", "in", "none", "true", "false", "and", "or", NUMBER.lower()})
 
@@ -41,30 +48,33 @@ class Failure:
         message: of the exception.
         assertion: source text of the failing assertion; empty where it is unknown.
         traceback: worth keeping in the file, such as that of an ADS that raised; empty otherwise.
+        check: that failed; None where it was something else. Its name is the assertion then.
     """
 
     kind: str
     message: str = ""
     assertion: str = ""
     traceback: str = ""
+    check: Check | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signature:
     """The identity of a failure; two failures are the same when all fields are equal.
 
-    A collision that the ego answers for is told by its fault alone, whatever else is given: where it was hit is up
-    to the traffic, and one defect would be many failures. Any other is told by where and how it came about.
+    A failed check is told by its name, and so is an assertion that does not speak of the collision by its text: how
+    the run ended, and where the others drove, is up to the traffic, and one property would be many failures. A
+    collision that the ego answers for is told by its fault alone, for the same reason. Any other is told by where and
+    how it came about.
 
     Attributes:
         failure: name of the exception class.
         assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
-        outcome: how the run ended.
+        outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
         responsibility: ``ego`` where it answers for the collision, alone or with the NPC; ``npc``; ``none``.
         fault: what the ego answers for; None where it does not.
         side: of the ego that was hit; None without a collision, and with a fault.
-        cell: of the NPC at the collision, else at the least time to contact; None where there is no such moment,
-            with a fault, and for what the ego does by itself.
+        cell: of the NPC at the collision; None without one, and with a fault.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one, and with a fault.
     """
 
@@ -79,12 +89,30 @@ class Signature:
     ego_manoeuvre: Manoeuvre | None = None
 
     def __post_init__(self) -> None:
-        if self.fault is not None:
+        if self.is_property:
+            object.__setattr__(self, "outcome", Outcome.SAFE)
+            object.__setattr__(self, "responsibility", "none")
+            for name in ("fault", "side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
+                object.__setattr__(self, name, None)
+        elif self.fault is not None:
             object.__setattr__(self, "responsibility", "ego")
             for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
-        elif self.outcome in _ALONE or self.failure == SLOW_DECISION:
+        elif self.outcome is not Outcome.COLLISION or self.failure == SLOW_DECISION:
             object.__setattr__(self, "cell", None)
+
+    @property
+    def is_property(self) -> bool:
+        """Whether what failed says nothing of how the run ended: a check, or an assertion on a measure.
+
+        An assertion of which only the message is known, or that names nothing of a run, is about how the run ended.
+        """
+        if self.failure == CHECK_FAILED:
+            return True
+        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or self.failure == SLOW_DECISION:
+            return False
+        named = _named_of_a_run(self.assertion)
+        return bool(named) and not named & _OF_COLLISIONS
 
     @property
     def slug(self) -> str:
@@ -94,6 +122,8 @@ class Signature:
         """
         if self.fault is not None:
             return self.fault
+        if self.failure == CHECK_FAILED:
+            return _kebab(self.assertion.lower()) or "check"
         subject = self.side if self.outcome is Outcome.COLLISION and self.side else self._subject()
         return subject if self.cell is None else f"{subject}-{int(self.cell)}"
 
@@ -126,6 +156,17 @@ class _Numberless(ast.NodeTransformer):
         inner = self.visit(node.operand)
         signs_a_number = isinstance(node.op, (ast.USub, ast.UAdd)) and isinstance(inner, ast.Name)
         return inner if signs_a_number and inner.id == NUMBER else ast.UnaryOp(op=node.op, operand=inner)
+
+
+def _named_of_a_run(assertion: str) -> frozenset[str]:
+    """The attributes that an expression names, the first of each chain: ``run.ego.jerk.max()`` names ``ego``."""
+    try:
+        nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return frozenset()
+    return frozenset(
+        node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+    )
 
 
 def _from_source(assertion: str) -> str:

@@ -10,6 +10,7 @@ Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -38,11 +39,13 @@ class DistinctState(GenerationState):
     """Where a search is, between two calls."""
 
     kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
-    faults: frozenset[Fault] = frozenset()  # of the ego that these failures had
+    faults: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
     # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
     elites: tuple[tuple[Niche, Evaluation], ...] = ()
     # the worst near-misses of each fault that is not known, with their runs, the worst first
     near: tuple[tuple[Near, ...], ...] = ()
+    # the runs with the worst margins of each check that has not failed, the worst first
+    strained: tuple[tuple[tuple[str, float, Evaluation], ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,9 @@ class DistinctSearch(NicheSearch[DistinctState]):
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
        fault another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
        A child has one to three mutations.
+       The runs of the three worst margins of each check
+       (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet are a group of their own, too: every
+       check is an objective, without a weight.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
        then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
 
@@ -77,8 +83,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Groups that have the same chance each: the elites, and whoever came near to a fault."""
-        groups = ([evaluation for _, evaluation in group] for group in (state.elites, *state.near))
-        return list(filter(None, groups))
+        groups: list[list[Evaluation]] = [[each for _, each in group] for group in (state.elites, *state.near)]
+        return [group for group in (*groups, *([each for *_, each in group] for group in state.strained)) if group]
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
         """One to three mutations of a parent, or of two that have swapped NPCs."""
@@ -100,6 +106,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
             faults=faults,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
             near=_near(state.near, evaluations, faults),
+            strained=_strained(state.strained, evaluations, faults),
         )
 
 
@@ -116,7 +123,7 @@ def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluatio
 
 
 def _near(
-    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], faults: frozenset[Fault]
+    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], faults: frozenset[str]
 ) -> tuple[tuple[Near, ...], ...]:
     """The nearest of each fault that is not known, in the order of the faults; the first of equals.
 
@@ -133,6 +140,23 @@ def _near(
         tuple(sorted(found[fault].values(), key=lambda near: -near[0].severity)[:NEAREST])
         for fault in sorted(found)
         if fault not in faults
+    )
+
+
+def _strained(
+    before: Sequence[Sequence[tuple[str, float, Evaluation]]], evaluations: Sequence[Evaluation], failed: frozenset[str]
+) -> tuple[tuple[tuple[str, float, Evaluation], ...], ...]:
+    """The worst margins of each check that has not failed, in the order of their names; the first of equals."""
+    judged = (each for each in evaluations if each.eligible and not each.failing)
+    told = ((name, margin, each) for each in judged for name, margin in each.margins)
+    found: dict[str, dict[float, tuple[str, float, Evaluation]]] = {}
+    for name, margin, each in (*(entry for group in before for entry in group), *told):
+        if not math.isinf(margin):
+            found.setdefault(name, {}).setdefault(margin, (name, margin, each))
+    return tuple(
+        tuple(sorted(found[name].values(), key=lambda entry: entry[1])[:NEAREST])
+        for name in sorted(found)
+        if name not in failed
     )
 
 

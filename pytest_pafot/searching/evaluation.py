@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 
 from pytest_pafot.attribution.near_misses import NearMiss
-from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.criticality import Encounters, sweep
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
@@ -51,8 +50,10 @@ class Evaluation:
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
-        fault: of the ego in the failure; None where it has none or nobody says.
+        fault: of the ego in the failure, or the name of the check that failed; None where there is none or nobody says.
         near_misses: what the ego nearly had to answer for; empty where nobody says.
+        margins: of each check that the user's function made, its name and its worst margin
+            (:attr:`pytest_pafot.checks.Check.margin`), in the order of the names; empty where they do not steer.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
         driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.
@@ -72,8 +73,9 @@ class Evaluation:
     outran: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
-    fault: Fault | None = None
+    fault: str | None = None
     near_misses: tuple[NearMiss, ...] = ()
+    margins: tuple[tuple[str, float], ...] = ()
     arrived: tuple[tuple[bool, ...], ...] = ()
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
@@ -94,8 +96,9 @@ class Evaluation:
         failing: bool,
         discarded: bool = False,
         kind: Hashable | None = None,
-        fault: Fault | None = None,
+        fault: str | None = None,
         near_misses: tuple[NearMiss, ...] = (),
+        margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
         interaction, left_behind = interaction_of(trace)
@@ -116,6 +119,7 @@ class Evaluation:
             kind=kind,
             fault=fault,
             near_misses=near_misses,
+            margins=margins,
             arrived=arrived,
             driven=trace.driven,
             collision=trace.collision,

@@ -93,16 +93,20 @@ def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> 
 
 
 def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
-    """To be minimised, shape [evaluations, 3]: minus fitness, minus closing speed at the impact [m/s], minus novelty.
+    """To be minimised, shape [evaluations, 3 + checks]: minus fitness, closing speed at the impact [m/s] and novelty.
 
-    Novelty is the least share of genes in which a scenario, as driven, has another cell than another one.
+    Then the margin of each check that any of the runs came to, in the order of their names. Novelty is the least share
+    of genes in which a scenario, as driven, has another cell than another one.
     """
     chains = np.array([[gene.cell for chain in positions_of(each.chains) for gene in chain] for each in evaluations])
     differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
     np.fill_diagonal(differ, 1.0)
     severity = [0.0 if each.collision is None else each.collision.closing_speed for each in evaluations]
+    checks = sorted({name for each in evaluations for name, _ in each.margins})
     rows = [
-        (-each.fitness, -speed, -float(others.min())) if each.eligible else (WORST, WORST, WORST)
+        (-each.fitness, -speed, -float(others.min()), *(dict(each.margins).get(name, WORST) for name in checks))
+        if each.eligible
+        else (WORST,) * (3 + len(checks))
         for each, speed, others in zip(evaluations, severity, differ, strict=True)
     ]
     return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)

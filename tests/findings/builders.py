@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
-from pytest_pafot.findings.finding import MAX_KEY, Expect, Finding, Found
+from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome
@@ -120,6 +120,7 @@ def expectations(draw, npcs):
     return Expect(
         failure=draw(texts(min_size=1).filter(str.strip)),
         assertion=draw(texts()),
+        check=draw(st.none() | bounded()),
         message=draw(texts()),
         outcome=outcome,
         time=draw(st.floats(0, 1e6)),
@@ -133,6 +134,11 @@ def expectations(draw, npcs):
         last_chance=draw(st.none() | chances()),
         traceback=draw(texts()),
     )
+
+
+def bounded():
+    numbers = st.none() | st.floats(-MAX_NUMBER, MAX_NUMBER)
+    return st.builds(Bounded, value=numbers, at_most=st.floats(-MAX_NUMBER, MAX_NUMBER), at_least=numbers, unit=texts())
 
 
 @st.composite

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.checks import Check
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.grid import Cell
@@ -57,11 +58,29 @@ def test_any_other_collision_is_told_by_side_cell_and_manoeuvres():
     )
 
 
-def test_any_other_failure_is_told_by_the_cell_at_the_worst_time_to_contact():
+def test_an_assertion_that_does_not_speak_of_the_collision_is_told_by_its_text_however_the_run_ended():
     failure = Failure(kind="AssertionError", assertion="assert run.min_ttc > 1.0")
-    signature = of_failure(Run(approaching()), failure)
-    assert (signature.assertion, signature.outcome) == ("run.min_ttc > N", Outcome.SAFE)
-    assert (signature.side, signature.cell, signature.responsibility) == (None, Cell.FRONT, "none")
+    expected = Signature(
+        failure="AssertionError", assertion="run.min_ttc > N", outcome=Outcome.SAFE, responsibility="none"
+    )
+    assert of_failure(Run(approaching()), failure) == of_failure(crash(), failure) == expected
+
+
+def test_a_failed_check_is_told_by_its_name_however_the_run_ended():
+    def jerk(value):
+        check = Check(name="jerk", value=value, margin=20.0 - value, at_most=20.0)
+        return Failure(kind="CheckFailed", message=str(check), assertion="jerk", check=check)
+
+    signature = of_failure(Run(approaching()), jerk(35.1))
+    assert signature == of_failure(crash(), jerk(21.0)) == of_failure(crash(**STANDING), jerk(99.0))
+    assert (signature.assertion, signature.slug) == ("jerk", "jerk")
+
+
+@pytest.mark.parametrize("source", ["is_fine(run)", "run.outcome == 'safe'", "not run.collision or run.min_ttc > 1.0"])
+def test_what_may_speak_of_the_collision_is_told_by_how_the_run_ended(source):
+    failure = Failure(kind="AssertionError", assertion=f"assert {source}")
+    assert of_failure(crash(), failure).fault == "leader-unanswered"
+    assert of_failure(Run(approaching()), failure).cell is None
 
 
 def test_the_time_and_the_speeds_do_not_matter():
@@ -146,12 +165,9 @@ def test_a_slug_names_the_fault_or_side_and_cell_of_a_collision():
     assert of_failure(crash(**STANDING), COLLIDES).slug == "left-8"
 
 
-def test_a_slug_names_the_subject_of_another_assertion_and_the_worst_cell():
-    assert slug("assert run.min_ttc > 1.0") == "min-ttc-2"
-    assert slug("assert not run.off_road") == "off-road-2"
-
-
-def test_a_slug_has_no_cell_where_the_others_do_not_matter():
+def test_a_slug_names_the_subject_of_another_assertion():
+    assert slug("assert run.min_ttc > 1.0") == "min-ttc"
+    assert slug("assert not run.off_road") == "off-road"
     assert slug("assert not run.off_road", run=Run(approaching(outcome=Outcome.OFF_ROAD))) == "off-road"
     assert slug("", kind="SlowDecision") == "slow-decision"
 

@@ -27,7 +27,7 @@ calls = []
 SEARCH = """
 @pafot.search(genes=4, gene_seconds=3, ads=ADS, shrink_rollouts=12)
 def test_keeps_its_distance(run):
-    assert run.min_distance > 1.0
+    pafot.check(run.min_distance, name=f"cell {run.event_cell}", at_least=1.0)
 
 def test_calls():
     print("calls:", len(calls))

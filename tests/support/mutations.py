@@ -206,7 +206,8 @@ def holds(finding: Finding) -> dict[str, Any]:
         "scenario": _scenario(finding.scenario),
         "original": None if finding.original is None else _scenario(finding.original),
         "expect": {name: getattr(expect, name) for name in expect.__slots__}
-        | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)},
+        | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
+        | {"check": None if expect.check is None else asdict(expect.check)},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
         "shrunk": None
         if shrunk is None
