@@ -10,8 +10,7 @@ Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elit
 
 from __future__ import annotations
 
-import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -31,6 +30,7 @@ NO_IMPACT = (0, 0)  # the niche of all runs without a collision, in which the ne
 NEAREST = 3  # near-misses of each fault, whose runs may be parents
 
 Niche = tuple[int, int]  # the cell of an impact, 1 to 8, and the index of its closing speed
+Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
 Near = tuple[NearMiss, Evaluation]  # a run, and what the ego nearly had to answer for in it
 
 
@@ -41,11 +41,11 @@ class DistinctState(GenerationState):
     kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
     faults: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
     # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
-    elites: tuple[tuple[Niche, Evaluation], ...] = ()
+    elites: Elites = ()
     # the worst near-misses of each fault that is not known, with their runs, the worst first
     near: tuple[tuple[Near, ...], ...] = ()
-    # the runs with the worst margins of each check that has not failed, the worst first
-    strained: tuple[tuple[tuple[str, float, Evaluation], ...], ...] = ()
+    # by the name of each check that has not failed, the runs with the worst margin in each niche
+    strained: Mapping[str, Elites] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
        fault another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
        A child has one to three mutations.
-       The runs of the three worst margins of each check
-       (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet are a group of their own, too: every
-       check is an objective, without a weight.
+       For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
+       once more, by its worst margin in place of the fitness: every check is an objective, without a weight.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
        then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
 
@@ -82,9 +81,13 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return DistinctState()
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
-        """Groups that have the same chance each: the elites, and whoever came near to a fault."""
-        groups: list[list[Evaluation]] = [[each for _, each in group] for group in (state.elites, *state.near)]
-        return [group for group in (*groups, *([each for *_, each in group] for group in state.strained)) if group]
+        """Groups that have the same chance each: the elites, whoever came near to a fault, and those of each check.
+
+        Those of checks are there as often as all others are, since what a test asserts is what it wants to see fail.
+        """
+        dangers = [[each for _, each in group] for group in (state.elites, *state.near) if group]
+        strained = [[each for _, each in elites] for elites in state.strained.values() if elites]
+        return dangers + strained * (-(-len(dangers) // len(strained)) if strained else 0)
 
     def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
         """One to three mutations of a parent, or of two that have swapped NPCs."""
@@ -106,7 +109,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
             faults=faults,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
             near=_near(state.near, evaluations, faults),
-            strained=_strained(state.strained, evaluations, faults),
+            strained=_strained(state.strained, evaluations, kinds, faults),
         )
 
 
@@ -144,23 +147,17 @@ def _near(
 
 
 def _strained(
-    before: Sequence[Sequence[tuple[str, float, Evaluation]]], evaluations: Sequence[Evaluation], failed: frozenset[str]
-) -> tuple[tuple[tuple[str, float, Evaluation], ...], ...]:
-    """The worst margins of each check that has not failed, in the order of their names; the first of equals."""
-    judged = (each for each in evaluations if each.eligible and not each.failing)
-    told = ((name, margin, each) for each in judged for name, margin in each.margins)
-    found: dict[str, dict[float, tuple[str, float, Evaluation]]] = {}
-    for name, margin, each in (*(entry for group in before for entry in group), *told):
-        if not math.isinf(margin):
-            found.setdefault(name, {}).setdefault(margin, (name, margin, each))
-    return tuple(
-        tuple(sorted(found[name].values(), key=lambda entry: entry[1])[:NEAREST])
-        for name in sorted(found)
-        if name not in failed
-    )
+    before: Mapping[str, Elites], evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], failed: frozenset[str]
+) -> dict[str, Elites]:
+    """For each check that has not failed, in the order of the names, the elites by its margin alone."""
+    judged: dict[str, list[Evaluation]] = {name: [each for _, each in elites] for name, elites in before.items()}
+    for each in evaluations:
+        for name, margin in each.margins:
+            judged.setdefault(name, []).append(replace(each, fitness=-margin))
+    return {name: _elites(judged[name], kinds) for name in sorted(judged) if name not in failed}
 
 
-def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> tuple[tuple[Niche, Evaluation], ...]:
+def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> Elites:
     """The best ranked of each niche, the first of equals."""
     best: dict[Niche, Evaluation] = {}
     for each in evaluations:

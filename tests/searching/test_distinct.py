@@ -227,3 +227,43 @@ def test_every_best_is_announced_once(make_evaluation):
 def test_a_search_that_cannot_work_is_refused(parameters, message):
     with pytest.raises(ValueError, match=message):
         DistinctSearch(**parameters)
+
+
+def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluation):
+    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+    margins = [{"jerk": 0.5, "gap": 0.1}, {"jerk": 0.2}, {"gap": 0.9}, {}]
+
+    def judged(index, scenario):
+        return make_evaluation(scenario, fitness=float(index), margins=tuple(margins[index].items()))
+
+    state = told(algorithm, algorithm.start(rng), judged, rng)
+    kept = {name: [-each.fitness for _, each in elites] for name, elites in state.strained.items()}
+    assert kept == {"gap": [0.1], "jerk": [0.2]}
+    dangers, *checks = algorithm.parents(state)
+    assert [each.fitness for each in dangers] == [3.0]
+    assert [[-each.fitness for each in group] for group in checks] == [[0.1], [0.2]]
+
+
+def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
+    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+
+    def judged(index, scenario):
+        failed = index == 2
+        fields = {"failing": failed, "kind": "jerk" if failed else None, "fault": "jerk" if failed else None}
+        return make_evaluation(scenario, margins=(("gap", 0.5), ("jerk", 0.1 - failed)), **fields)
+
+    state = told(algorithm, algorithm.start(rng), judged, rng)
+    assert list(state.strained) == ["gap"]
+    assert all(not each.failing for group in algorithm.parents(state) for each in group)
+
+
+def test_half_of_all_draws_are_those_of_checks(make_evaluation):
+    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+    near = tuple(NearMiss(fault=fault, npc=0, tick=9, severity=0.5) for fault in ("entered-lane", "leader-unanswered"))
+
+    def judged(index, scenario):
+        return make_evaluation(scenario, near_misses=near, margins=(("jerk", 0.5),))
+
+    groups = algorithm.parents(told(algorithm, algorithm.start(rng), judged, rng))
+    assert len(groups) == 6
+    assert groups[3] == groups[4] == groups[5]
