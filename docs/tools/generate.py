@@ -85,7 +85,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "there is no such moment.",
     "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
     "shrunk.rollouts": "Runs that shrinking took.",
-    "shrunk.is_minimal": "Whether no further simplification was found, rather than the budget or the time being spent.",
+    "shrunk.is_minimal": "Whether each simpler scenario on the lists of what is tried was tried, rather than the "
+    "budget being spent.",
     "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
     "`high` [m/s] at which the scenario still fails, everything else being equal. All that were tried in between fail; "
     "not all were tried.",
@@ -232,7 +233,7 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    return ", ".join(["fresh" if option.name == "seed" else plain, *profiles])
+    return ", ".join([{"seed": "fresh", "shrink_rollouts": "by the ADS"}.get(option.name, plain), *profiles])
 
 
 def _marker_table() -> str:

@@ -119,21 +119,22 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "max_time",
         "seconds",
-        "End each search after so many seconds of wall-clock time; a search that this cuts is not reproducible.",
+        "End each search after so many seconds of wall-clock time; shrinking comes on top. A search that this cuts is "
+        "not reproducible.",
     ),
     Option(
         "total_time",
         "seconds",
-        "End the searches of the session so many seconds of wall-clock time after its start, shrinking included; "
-        "each gets an equal share of what is left when it begins. A search that this cuts is not reproducible.",
+        "End the searches of the session so many seconds of wall-clock time after its start; each gets an equal "
+        "share of what is left when it begins. Shrinking comes on top. A search that this cuts is not reproducible.",
         is_argument=False,
     ),
     Option("stop_after", "integer", "End each search after so many distinct findings that are new.", least=1),
     Option(
         "shrink_rollouts",
         "integer",
-        "Runs that simplifying each new finding may take; 0 keeps findings as they were found.",
-        default=300,
+        "Runs that simplifying each new finding may take; 0 keeps findings as they were found. 3000 where the ADS is "
+        "a vehicle class that the kernel drives, else 300.",
     ),
     Option(
         "max_saved",
@@ -210,7 +211,7 @@ class Settings:
     max_time: float | None
     total_time: float | None
     stop_after: int | None
-    shrink_rollouts: int
+    shrink_rollouts: int | None  # by the kind of ADS where it is None
     max_saved: int
     corpus: str
     save: str

@@ -256,13 +256,9 @@ class Search:
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
-        work = Simplification(
-            loop=self._loop, is_over=lambda: self.clock() > self.limit.until, tell=self._tell_progress
-        )
+        work = Simplification(loop=self._loop, tell=self._tell_progress)
         work.run_all()
         self._shrink_runs = work.runs
-        if work.is_cut:
-            self.notes += [f"shrinking was cut by {self.limit.flag}: the same seed may give other scenarios next time"]
 
     def _tell_progress(self, phase: str = "") -> None:
         now, loop = self.clock(), self._loop
@@ -316,7 +312,7 @@ class Search:
         """What a longer search would do besides, and how to have it."""
         settings, recorder = self.harness.request.settings, self._loop.recorder
         left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
-        if left and settings.shrink_rollouts and reason in ("interrupted", "error"):
+        if left and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold, Kept
+from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
@@ -19,6 +20,10 @@ from pytest_pafot.findings.shrink import Shrunk, Start, shrink
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import LANE, SPEED
+from pytest_pafot.world import protocol
+
+ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
+"""Runs that shrinking one find may take by default; more where the kernel runs a vehicle class without any Python."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -26,19 +31,14 @@ class Simplification:
     """Simplifies the finds of one search."""
 
     loop: SearchLoop  # of the search
-    is_over: Callable[[], bool]  # whether time is up
     tell: Callable[[str], None]  # is told what goes on, often
     runs: int = field(default=0, init=False)  # taken so far
-    is_cut: bool = field(default=False, init=False)  # whether time was up before the work was done
 
     def run_all(self) -> None:
         """Each find, in the order in which they were found. What does not repeat cannot be shrunk."""
         __tracebackhide__ = True
         recorder = self.loop.recorder
         for kept in [kept for kept in recorder.kept.values() if kept.is_firm]:
-            if self.is_over():
-                self.is_cut = True
-                continue
             try:
                 self._refine(kept)
             except ProcessLostError as error:
@@ -64,7 +64,7 @@ class Simplification:
     def _shrunk(self, kept: Kept) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
         loop, harness = self.loop, self.loop.simulation.harness
-        rollouts, top_speed = harness.request.settings.shrink_rollouts, float(harness.world.speed_limit)
+        rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
         signature, spent = kept.finding.signature, 0
         starts: dict[Scenario, tuple[Start, ...]] = {}
 
@@ -88,16 +88,13 @@ class Simplification:
 
         if rollouts == 0:
             return kept.finding.scenario, Shrunk(rollouts=0, is_minimal=False)
-        simplest, shrunk = shrink(
+        return shrink(
             kept.finding.scenario,
             attempt,
             rollouts=rollouts,
             top_speed=top_speed,
             starts=lambda scenario: starts.get(scenario, ()),
-            is_over=self.is_over,
         )
-        self.is_cut = self.is_cut or (shrunk.rollouts < rollouts and self.is_over())
-        return simplest, shrunk
 
     def _run_again(self, scenario: Scenario, finding: Finding) -> tuple[Run, Verdict, str]:
         """A run, its verdict, and what differs from the finding in it, or in a further run by other means."""
@@ -129,6 +126,14 @@ class Simplification:
         kept = recorder.rewritten(kept, finding)
         kept = replace(kept, find=replace(kept.find, headline=headline(run, verdict)))
         recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run))
+
+
+def rollouts_for(harness: Harness) -> int:
+    """Runs that shrinking one find may take: the user's number, else by how dear a run is."""
+    given = harness.request.settings.shrink_rollouts
+    if given is not None:
+        return given
+    return ROLLOUTS_IN_KERNEL if protocol.runs_in_kernel(harness.world, harness.ads) else ROLLOUTS
 
 
 def driven(run: Run) -> Scenario:

@@ -2,7 +2,8 @@
 
 After Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input" (IEEE TSE 28(2), 2002), and
 MacIver and Donaldson, "Test-case reduction via test-case generation" (ECOOP 2020): an order that says what "simpler"
-means, one gate before each run, and passes that are repeated until none of them helps.
+means, one gate before each run, and passes that are repeated until none of them helps. What single steps do not lead
+to is often found by trying small scenarios as such.
 Nothing is simulated here: whether a scenario still fails is asked of a function.
 """
 
@@ -12,10 +13,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise, permutations, product
+from typing import Any
 
+from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import (
     MAX_SPEED,
+    SHIFTS,
     SPEED_STEPS_PER_MPS,
     Chromosome,
     Gene,
@@ -23,6 +27,7 @@ from pytest_pafot.scenario import (
     PositionInstruction,
     Scenario,
     ScenarioError,
+    gene_of,
 )
 from pytest_pafot.text import plural
 
@@ -42,6 +47,22 @@ Pass = Callable[[Scenario], Candidates]
 
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
+
+
+SMALL_SPEEDS = (0.0, 10.0, 20.0, 25.0)
+"""Of the instructions of small scenarios [m/s]; other speeds come of the passes on what is found."""
+
+FIRST_PART = 10
+"""One run of so many is for small scenarios before anything else is tried, so that small budgets serve the passes."""
+
+FOR_SPEEDS = 60
+"""Runs that are left for how far the speeds of the result can be changed, at most a fifth of the budget."""
+
+MOST_FIRST_STEPS = 40
+"""How many simplifications are tried together with another one."""
+
+GOLDEN = 0x9E3779B97F4A7C15
+"""2**64 over the golden ratio: its multiples modulo 2**64 are spread evenly, however many there are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +89,9 @@ class Shrunk:
 
     Attributes:
         rollouts: runs that it took.
-        is_minimal: whether no further simplification was found, rather than the budget or the time being spent.
+        is_minimal: whether everything simpler that is tried was tried within the budget, and passes: each single step
+            of the passes, each small scenario (one NPC with one or two instructions, two with one each, of few
+            speeds), and pairs of a limited number of steps. It says nothing of what is not in these lists.
         speeds: for each instruction of the simpler scenario, by NPC and gene, the speeds at which it still fails; as
             far as the budget reached.
     """
@@ -126,7 +149,6 @@ def shrink(
     rollouts: int,
     top_speed: float = MAX_SPEED,
     starts: Starts = lambda scenario: (),
-    is_over: Callable[[], bool] = lambda: False,
 ) -> tuple[Scenario, Shrunk]:
     """The simplest scenario that was found to fail in the same way as one that fails, as driven; and how it came about.
 
@@ -136,18 +158,23 @@ def shrink(
         rollouts: how often it may be asked.
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
-        is_over: asked before each run; whether time is up.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
-    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts, top=top, is_over=is_over, tried=tried)
+    gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, top=top, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False
-    passes: tuple[Pass, ...] = (*PASSES, partial(_later, starts=starts))
+    deletions: tuple[Pass, ...] = (*PASSES, partial(_later, starts=starts))
+    small = partial(_small, found=scenario)
     with suppress(OutOfBudget):
-        while sum(map(gate.exhausts, passes)):  # Each of them, in every round.
-            pass
+        gate.exhausts(small)
+    gate.rollouts = rollouts - min(FOR_SPEEDS, rollouts // 5)
+    with suppress(OutOfBudget):
+        while sum(map(gate.exhausts, deletions)) or gate.exhausts(small) or gate.exhausts(_two_steps):
+            pass  # Each of the deletions in every round; what takes many runs when they find nothing more.
         is_minimal = True
+    gate.rollouts = rollouts
+    with suppress(OutOfBudget):
         intervals.extend(_intervals(gate))
     return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
 
@@ -163,7 +190,6 @@ class _Gate:
     attempt: Attempt
     rollouts: int
     top: int
-    is_over: Callable[[], bool]
     tried: dict[Scenario, Scenario | None]
     spent: int = 0
 
@@ -193,7 +219,7 @@ class _Gate:
         if any(_tenths(gene) > self.top for chain in candidate.npcs for gene in chain):
             return None
         if candidate not in self.tried:
-            if self.spent >= self.rollouts or self.is_over():
+            if self.spent >= self.rollouts:
                 raise OutOfBudget
             self.spent += 1
             driven = self.tried[candidate] = self.attempt(candidate)
@@ -281,8 +307,35 @@ def _plain_seed(scenario: Scenario) -> Candidates:
         yield replace(scenario, seed=0)
 
 
-PASSES: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains, _rounder, _slower, _plain_seed)
+STRUCTURE: tuple[Pass, ...] = (_fewer_npcs, _shorter, _merged, _staying, _shorter_chains)
+PASSES: tuple[Pass, ...] = (*STRUCTURE, _rounder, _slower, _plain_seed)
 """What a run saves most comes first; all are repeated until none of them finds anything."""
+
+
+def _small(scenario: Scenario, found: Scenario) -> Candidates:
+    """One NPC with one or two instructions, or two with one each; at the ego's start as found, and the present one.
+
+    In an order in which any beginning of the list has some of each kind: the most promising first finds fewer.
+    """
+    targets: Sequence[Any] = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
+    genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
+    is_small = len(scenario.npcs) == 1 and instructions(scenario) <= 2
+    length = scenario.genes if is_small else found.genes  # A run ends with the failure; the longer, the more it shows.
+    ones = [(gene,) * times for gene in genes for times in dict.fromkeys((1, length))]
+    twos = [(first, *(second,) * (length - 1)) for first, second in permutations(genes, 2) if length > 1]
+    small: list[tuple[Chromosome, ...]] = [*((chain,) for chain in (*ones, *twos)), *combinations(ones, 2)]
+    small.sort(key={each: number * GOLDEN % 2**64 for number, each in enumerate(small)}.__getitem__)
+    begins = dict.fromkeys((each.ego_lane, each.ego_speed) for each in (found, scenario))
+    for npcs, (lane, speed) in product(small, begins):
+        yield _valid(replace(scenario, seed=0, ego_lane=lane, ego_speed=speed), npcs)
+
+
+def _two_steps(scenario: Scenario) -> Candidates:
+    """Two simplifications at once, neither of which is one alone; of the first those that leave most."""
+    firsts = {each for simplified in STRUCTURE for each in simplified(scenario) if each is not None}
+    for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
+        for simplified in STRUCTURE:
+            yield from simplified(first)
 
 
 def _intervals(gate: _Gate) -> Iterator[SpeedInterval]:

@@ -107,6 +107,10 @@ class Highway(BuiltInWorld):
             return selection.rollout_vehicle(self, scenario, ads, decisions)
         return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
 
+    def runs_in_kernel(self, ads: Any) -> bool:
+        """Whether an ADS is a vehicle class that the kernel drives here."""
+        return selection.kernel_model(self, ads) is not None
+
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, by ``env.step`` of highway-env's own highway-v0.
 

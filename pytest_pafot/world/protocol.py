@@ -104,6 +104,11 @@ def road_start(world: Any) -> RoadStart | None:
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
 
 
+def runs_in_kernel(world: Any, ads: Any) -> bool:
+    """Whether a world drives an ADS, or its factory, in compiled code alone, and so runs in a few milliseconds."""
+    return bool(world.runs_in_kernel(ads)) if hasattr(world, "runs_in_kernel") else False
+
+
 def reference_world(world: Any) -> ReferenceWorld | None:
     """The world, where it has reference drivers."""
     return world if hasattr(world, "rollout_reference") and hasattr(world, "reference_drivers") else None

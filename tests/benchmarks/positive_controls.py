@@ -17,7 +17,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from pkgutil import resolve_name
 from types import MappingProxyType
+from typing import Any
 
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
@@ -133,7 +135,7 @@ class Search:
         return [self._one(scenario) for scenario in scenarios]
 
     def _one(self, scenario: Scenario) -> Evaluation:
-        trace = self.setting.world.rollout(scenario, defects.make(self.policy))
+        trace = self.setting.world.rollout(scenario, factory_of(self.policy))
         self.runs += 1
         failing, signature = is_ego_responsible(trace), None
         if failing:
@@ -151,6 +153,11 @@ class Search:
             fault=signature.fault if signature is not None else None,
             near_misses=near_misses(trace),
         )
+
+
+def factory_of(policy: str) -> Any:
+    """The vehicle class of a known defect, or what a ``module:name`` says."""
+    return resolve_name(policy) if ":" in policy else defects.make(policy)
 
 
 def searched(policy: str, seed: int, setting: Setting, options: argparse.Namespace) -> Search:

@@ -1,32 +1,40 @@
 """How small do findings become? Sizes before and after shrinking, over the positive controls.
 
     python -m tests.benchmarks.shrinking [--generations 20] [--seeds 1] [--first-seed 0] [--workers 2]
-        [--policies NAME ...]
+        [--policies NAME ...] [--brute-force 5000]
 
 Each policy with a defect is searched as in ``positive_controls``; the first scenario of each kind of failure is shrunk
 with the default budget, and the result is run once more to see that it fails in the same way. Prints a row for each
-finding, in Markdown, and the medians.
+finding, in Markdown, and the medians. A policy may also be a ``module:name`` of a factory or a vehicle class. With
+``--brute-force`` so many simpler scenarios are drawn for each finding, of one or two NPCs with one to three
+instructions and round speeds, to see whether one of them fails in the same way: what shrinking has missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import random
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import islice
 
 from example_ads import defects
 from pytest_pafot import Run, Scenario
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.simplification import driven, starts_of
+from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, driven, starts_of
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of
+from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of, sort_key
 from pytest_pafot.findings.signature import Signature
-from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, searched
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import PositionInstruction, ScenarioError
+from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, factory_of, searched
 
 HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"
+
+ROUND_SPEEDS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 
 
 @dataclass(frozen=True)
@@ -38,10 +46,12 @@ class Row:
     found: Scenario
     simplest: Scenario
     shrunk: Shrunk
+    missed: Scenario | None
 
     def __str__(self) -> str:
         minimal = "yes" if self.shrunk.is_minimal else "no"
         chains = repr(self.simplest).partition(": ")[2].rstrip(">")
+        chains += f", missed: {self.missed!r}" if self.missed else ""
         return (
             f"| {self.policy} | {self.signature.slug} | {size_of(self.found)} | {size_of(self.simplest)} "
             f"| {self.shrunk.rollouts} | {minimal} | `{chains}` |"
@@ -57,11 +67,11 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
         firsts.setdefault(find.signature, find.scenario)
 
     def signature_of(scenario: Scenario) -> tuple[Run, Signature | None]:
-        trace = setting.world.rollout(scenario, defects.make(policy))
+        trace = setting.world.rollout(scenario, factory_of(policy))
         run = Run(trace)
         return run, of_failure(run, NOT_RUN_COLLISION) if is_ego_responsible(trace) else None
 
-    def shrunk(signature: Signature, scenario: Scenario) -> tuple[Scenario, Shrunk]:
+    def shrunk(signature: Signature, scenario: Scenario) -> tuple[Scenario, Shrunk, Scenario | None]:
         def attempt(candidate: Scenario) -> Scenario | None:
             run, observed = signature_of(candidate)
             if observed != signature:
@@ -70,8 +80,7 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
             return driven(run)
 
         starts: dict[Scenario, tuple[Start, ...]] = {}
-        budget = BY_NAME["shrink_rollouts"].default
-        assert isinstance(budget, int)
+        budget = ROLLOUTS_IN_KERNEL if setting.world.runs_in_kernel(factory_of(policy)) else ROLLOUTS
         simplest, how = shrink(
             scenario,
             attempt,
@@ -80,9 +89,33 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
             starts=lambda scenario: starts.get(scenario, ()),
         )
         assert signature_of(simplest)[1] == signature
-        return simplest, how
+        draws = simpler_at_random(scenario, simplest, seed)
+        tried = islice(draws, options.brute_force)
+        return simplest, how, next((each for each in tried if signature_of(each)[1] == signature), None)
 
     return [Row(policy, signature, scenario, *shrunk(signature, scenario)) for signature, scenario in firsts.items()]
+
+
+def simpler_at_random(found: Scenario, simplest: Scenario, seed: int) -> Iterator[Scenario]:
+    """Different scenarios that are simpler than one, from its start or that of the one it came from; not for ever."""
+    rng, seen = random.Random(seed), set()
+    for _ in range(40_000):
+        total = rng.choice((1, 2, 3))
+        counts = (total,) if total == 1 or rng.random() < 0.5 else (total - 1, 1)
+        begin = rng.choice((found, simplest))
+        with suppress(ScenarioError):
+            drawn = replace(begin, npcs=tuple(_chain(count, rng) for count in counts), seed=0)
+            if drawn not in seen and sort_key(drawn) < sort_key(simplest):
+                seen.add(drawn)
+                yield drawn
+
+
+def _chain(count: int, rng: random.Random) -> tuple[PositionInstruction, ...]:
+    cell, chain = rng.randrange(8), []
+    for _ in range(count):
+        chain += [PositionInstruction(Cell(cell % 8 + 1), rng.choice(ROUND_SPEEDS))] * rng.choice((1, 1, 1, 2))
+        cell += rng.choice((-1, 0, 1))
+    return tuple(chain)
 
 
 def summary(found: Sequence[Row]) -> str:
@@ -95,7 +128,8 @@ def summary(found: Sequence[Row]) -> str:
         f"{statistics.median(map(instructions, before)):g} instructions as found, "
         f"{statistics.median(npcs):g} NPCs (most {max(npcs)}) and {statistics.median(counts):g} instructions (most "
         f"{max(counts)}) shrunk, in {statistics.median(row.shrunk.rollouts for row in found):g} runs; "
-        f"{sum(row.shrunk.is_minimal for row in found)} minimal"
+        f"{sum(row.shrunk.is_minimal for row in found)} minimal; brute force finds a simpler one of "
+        f"{sum(row.missed is not None for row in found)}"
     )
 
 
@@ -106,7 +140,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--policies", nargs="*", choices=flawed, default=flawed)
+    parser.add_argument("--policies", nargs="*", default=flawed)
+    parser.add_argument("--brute-force", type=int, default=0)
     parser.set_defaults(algorithm="distinct", until_first=False)
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)

@@ -36,8 +36,7 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.simplification import driven
+from pytest_pafot.campaign.simplification import ROLLOUTS, driven
 from pytest_pafot.findings.shrink import shrink
 from pytest_pafot.searching import (
     Evaluation,
@@ -388,7 +387,7 @@ def _saved_by_shrinking(seed: int) -> float:
 
     found = next(each for each in iter(lambda: sample(SearchSpace(), rng), None) if attempt(each) is not None)
     counts[:] = [0, 0]
-    shrink(found, attempt, rollouts=BY_NAME["shrink_rollouts"].default, top_speed=world.speed_limit)
+    shrink(found, attempt, rollouts=ROLLOUTS, top_speed=world.speed_limit)
     return counts[0] / counts[1]
 
 

@@ -1,12 +1,12 @@
 """Shrinking with predicates in the place of runs: what goes in, what still fails, and the exact minimal answer."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, size_of, sort_key
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
 
 
@@ -27,7 +27,7 @@ def written(given):
     return tuple(" ".join(f"{int(gene.cell)}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
 
 
-def shrunk(given, fails, *, rollouts=2000, **arguments):
+def shrunk(given, fails, *, rollouts=5000, **arguments):
     """Shrink by a predicate, and check on the way what holds for every result."""
     asked = []
 
@@ -167,7 +167,7 @@ def test_a_run_that_turns_out_no_simpler_is_not_taken():
     def attempt(candidate):
         return given
 
-    simplest, how = shrink(given, attempt, rollouts=100)
+    simplest, how = shrink(given, attempt, rollouts=5000)
     assert simplest == given
     assert how.is_minimal
 
@@ -184,11 +184,39 @@ def test_a_budget_that_is_spent_leaves_the_best_so_far():
     assert len(simplest.npcs) == 1
 
 
-def test_shrinking_ends_when_time_is_up():
-    left = iter([False, False, False, True])
-    _, how = shrunk(BUSY, has(Cell.FRONT), is_over=lambda: next(left))
-    assert how.rollouts == 3
-    assert not how.is_minimal
+def test_a_small_scenario_that_is_no_part_of_the_large_one_is_found():
+    def fails(each):
+        first, *others = written(each)
+        return each == BUSY or (not others and first.startswith("1@20 2@0"))
+
+    assert minimal(BUSY, fails) == ("1@20 2@0",)
+
+
+def test_two_npcs_that_are_no_part_of_the_large_scenario_are_found_where_one_is_not_enough():
+    assert minimal(BUSY, lambda each: each == BUSY or written(each) == ("4@20", "6@25")) == ("4@20", "6@25")
+
+
+def test_a_small_scenario_may_begin_as_the_run_was_found():
+    given = scenario("4@20 4@20 3@20 2@5", ego_lane=2, ego_speed=17.0)
+    simplest, _ = shrunk(given, lambda each: each == given or written(each) == ("6@25",))
+    assert (written(simplest), simplest.ego_lane, simplest.ego_speed) == (("6@25",), 2, 17.0)
+
+
+def test_two_steps_are_taken_together_where_neither_helps_alone():
+    given = scenario("4@5 3@5 2@5 1@5 8@5")
+    assert minimal(given, lambda each: each == given or written(each) == ("3@5 2@5 1@5",)) == ("3@5 2@5 1@5",)
+
+
+def test_a_small_scenario_of_lane_instructions_is_found():
+    keep, left = LaneInstruction("keep", 7.0), LaneInstruction("left", 3.0)
+    given = Scenario(npcs=((keep, left, keep, left), (left, keep, keep, keep)))
+    wanted = Scenario(npcs=((LaneInstruction("right", 20.0),),))
+    assert shrunk(given, lambda each: each in (given, wanted))[0] == wanted
+
+
+def test_what_small_scenarios_have_first_leaves_the_passes_their_budget():
+    simplest, _ = shrunk(BUSY, lambda each: each == BUSY or (len(each.npcs) == 2 and each.genes == 6), rollouts=200)
+    assert written(simplest)[0].endswith("@0")
 
 
 def test_the_interval_of_a_speed_reaches_to_where_it_no_longer_fails():
@@ -217,9 +245,8 @@ def test_each_instruction_has_an_interval_of_its_own():
 
 def test_intervals_are_cut_by_the_budget_and_the_scenario_stays_minimal():
     needed = shrunk(BUSY, has(Cell.FRONT))[1].rollouts
-    _, how = shrunk(BUSY, has(Cell.FRONT), rollouts=needed - 1)
-    assert how.is_minimal
-    assert how.speeds == ()
+    cut = [shrunk(BUSY, has(Cell.FRONT), rollouts=rollouts)[1] for rollouts in range(needed)]
+    assert any(how.is_minimal and how.speeds == () for how in cut)
 
 
 def test_sizes_read_as_words():
@@ -267,12 +294,23 @@ def test_a_result_fails_is_never_larger_and_costs_no_more_than_allowed(given, fa
         shrunk(given, fails, rollouts=rollouts)
 
 
+@settings(max_examples=15)
 @given(scenarios(max_npcs=3), needs)
 def test_shrinking_gives_the_same_again(given, fails):
     if fails(given):
         assert shrunk(given, fails) == shrunk(given, fails)
 
 
+@settings(max_examples=10)
+@given(scenarios(max_npcs=3), needs)
+def test_shrinking_a_minimal_result_leaves_it_as_it_is(given, fails):
+    if fails(given):
+        simplest, how = shrunk(given, fails, rollouts=10_000)
+        assert how.is_minimal
+        assert shrunk(simplest, fails, rollouts=10_000)[0] == simplest
+
+
+@settings(max_examples=25)
 @given(scenarios(max_npcs=3), needs)
 def test_no_npc_and_no_gene_can_be_left_out_of_a_minimal_result(given, fails):
     if not fails(given):

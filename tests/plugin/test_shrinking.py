@@ -1,10 +1,13 @@
 """After a search: finds are confirmed, shrunk and limited, and nothing that was found is lost on the way."""
 
+from types import SimpleNamespace
+
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot.campaign.simplification
 import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
-from pytest_pafot.campaign.simplification import starts_of
+from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.shrink import sort_key
 from pytest_pafot.run import Run
@@ -164,12 +167,30 @@ def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
     result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
 
 
-def test_max_time_leaves_a_find_as_it_was_found(project):
+@pytest.mark.parametrize("flag", ["--pafot-max-time=0", "--pafot-total-time=0"])
+def test_a_limit_of_time_does_not_cut_shrinking(project, flag):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    result = run(project, "--pafot-max-time=0")
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*note: shrinking was cut by --pafot-max-time*"])
-    assert load(project.only_file).original is None
+    run(project, flag).assert_outcomes(failed=2)
+    assert load(project.only_file).original is not None
+
+
+def rollouts_without_an_option(ads, **road):
+    request = SimpleNamespace(settings=SimpleNamespace(shrink_rollouts=None))
+    return rollouts_for(SimpleNamespace(request=request, world=Highway(**road), ads=ads))
+
+
+def test_a_vehicle_class_that_the_kernel_drives_has_more_runs():
+    class Near(IDMVehicle):
+        TIME_WANTED = 0.5
+
+    class Coasts(IDMVehicle):
+        def act(self, action=None):
+            self.action = {"steering": 0.0, "acceleration": 0.0}
+
+    assert rollouts_without_an_option(IDMVehicle) == rollouts_without_an_option(Near) == ROLLOUTS_IN_KERNEL
+    assert rollouts_without_an_option(Coasts) == ROLLOUTS
+    assert rollouts_without_an_option(Near, engine="highway-env") == ROLLOUTS
+    assert rollouts_without_an_option(lambda: lambda observation: (0.0, 0.0)) == ROLLOUTS
 
 
 def test_a_find_that_does_not_repeat_is_marked_and_not_shrunk(project):

@@ -119,13 +119,6 @@ def test_the_time_of_searches_that_are_not_selected_goes_to_those_that_are(two):
     assert float(seconds) > 1.5  # more than a half, which is the share of one of two
 
 
-def test_it_bounds_shrinking(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    result = project.run("--pafot-total-time=0", generations=10)
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*note: shrinking was cut by --pafot-total-time*"])
-
-
 def test_it_is_no_argument_of_one_search(project):
     project.write("@pafot.search(SHORT, total_time=3)\ndef test_it(run):\n    pass\n")
     result = project.run()

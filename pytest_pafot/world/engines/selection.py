@@ -9,7 +9,7 @@ from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.hang_guard import HangGuard
-from pytest_pafot.world.driving.idm_model import idm_model
+from pytest_pafot.world.driving.idm_model import IdmModel, idm_model
 from pytest_pafot.world.engines.kernel_engine import KernelRun, run_model, run_planner
 from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.kernel.bodies import Body
@@ -41,7 +41,7 @@ def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Seq
             f"decisions: expected none for {ads!r}, a vehicle class, which drives itself and returns no actions, "
             f"received {len(decisions)}; leave them out"
         )
-    model = None if world.engine == "highway-env" else idm_model(ads)
+    model = kernel_model(world, ads)
     if model is not None:
         return run_model(world.rules, scenario, model)
     if world.engine == "kernel":
@@ -51,6 +51,11 @@ def rollout_vehicle(world: SiWorld, scenario: Scenario, ads: Any, decisions: Seq
             f'engine="highway-env"'
         )
     return _by_objects(world, world.rules, scenario, ads)
+
+
+def kernel_model(world: SiWorld, ads: Any) -> IdmModel | None:
+    """The model by which the kernel drives a vehicle class; None where it cannot, or is not to."""
+    return None if world.engine == "highway-env" else idm_model(ads)
 
 
 def rollout_planner(
