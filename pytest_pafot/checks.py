@@ -33,7 +33,8 @@ class Check:
         unit: of the value.
         time: when it was worst [s]; None where nobody says.
         npc: that it is about; None where nobody says.
-        values: one a tick where it was given so, of shape [ticks + 1]; None otherwise.
+        values: one a tick where it was given so and the ticks are known; None otherwise.
+        start: the tick of the first of them.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Check:
     time: float | None = None
     npc: int | None = None
     values: FloatArray | None = field(default=None, compare=False, repr=False)
+    start: int = field(default=0, compare=False, repr=False)
 
     @property
     def bounds(self) -> dict[str, float | None]:
@@ -66,7 +68,7 @@ class Check:
         held = f" {sign} {bound:g}" if is_told else ""
         when = "" if self.time is None else f" at {self.time:.1f} s"
         who = "" if self.npc is None else f" (NPC {self.npc})"
-        return f"{self.name} {_short(self.value)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
+        return f"{self.name} {_short(self.value, bound)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
 
 
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
@@ -128,7 +130,8 @@ def check(
         name: what a finding is called, and what makes two failures the same.
         at_most, at_least: bounds [unit]; at least one, but for a formula.
         unit: such as ``"m/s^3"``; that of a signal by default.
-        at: when it happened [s]; of an array the time of the worst tick by default.
+        at: when it happened [s]; by default the time of an array's worst tick, and of a formula's last one up to which
+            it is as at the first.
         npc: that it is about.
         scale: what a margin is divided by [unit], so that checks of any unit compare; by default the bound, or 1
             where that is 0.
@@ -137,6 +140,7 @@ def check(
         CheckFailed: where a bound is broken.
         ValueError: for a check that cannot be made, in words for the user.
     """
+    __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
     is_margin = hasattr(value, "is_formula")
     if is_margin and at_most is None and at_least is None:
         at_least = 0.0
@@ -147,7 +151,12 @@ def check(
     with np.errstate(invalid="ignore"):
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
     margins = np.where(np.isnan(margins), -np.inf, margins)
-    tick = 0 if getattr(value, "is_formula", False) else int(margins.argmin())
+    is_formula = getattr(value, "is_formula", False)
+    tick = 0 if is_formula else int(margins.argmin())
+    # What a formula says at the start of a run is up to what happens later: until that has happened, it stays the same.
+    moment = max(0, int(np.append(values == values[0], False).argmin()) - 1) if is_formula else tick
+    clock = _clock(value, values)
+    time = None if clock is None else (clock[0] + moment) / clock[1]
     made = Check(
         name=_named(name),
         value=float(values[tick]),
@@ -155,9 +164,10 @@ def check(
         at_most=None if at_most is None else float(at_most),
         at_least=None if at_least is None else float(at_least),
         unit=unit or str(getattr(value, "unit", "")),
-        time=_time(value, values, tick) if at is None else float(at),
+        time=time if at is None else float(at),
         npc=npc,
-        values=values if values.size > 1 else None,
+        values=None if clock is None else values,
+        start=0 if clock is None else clock[0],
     )
     _record(made)
     if not made.holds:
@@ -211,18 +221,21 @@ def _scale(name: str, bound: float, scale: float | None) -> float:
     return float(divisor)
 
 
-def _time(value: Any, values: FloatArray, tick: int) -> float | None:
-    """When a tick of an array is [s]: by its own clock, or by that of the run that is judged where it is as long."""
-    hz = getattr(value, "hz", None)
+def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
+    """The tick of an array's first value, and the ticks a second; None for a number, and where nobody knows.
+
+    By its own clock, or by that of the run that is judged where it is as long.
+    """
     if values.size == 1:
         return None
-    if hz is not None:
-        return float((tick + getattr(value, "start", 0)) / hz)
+    if getattr(value, "hz", None) is not None:
+        return value.start, value.hz
     recording = _RECORDING.get()
-    if recording is None or values.size != recording.ticks + 1:
-        return None
-    return tick / recording.hz
+    return None if recording is None or values.size != recording.ticks + 1 else (0, recording.hz)
 
 
-def _short(value: float) -> str:
-    return f"{value:.1f}" if 0.1 <= abs(value) < 1e4 else f"{value:.3g}"
+def _short(value: float, bound: float | None) -> str:
+    """In few digits, and in more where it would read as its bound."""
+    texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
+    texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
+    return next((text for text in texts if float(text) != bound), f"{value:g}")

@@ -14,6 +14,7 @@ import pytest
 from pytest_pafot.campaign.events import FindTold, Judged, SearchEvent, SearchStarted
 from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
@@ -65,6 +66,7 @@ class PageMessages:
             finding,
             node_id=find.node_id,
             headline=find.headline,
+            check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
         )
         command = view.command
         if not find.path:  # What lies in no file is found again by its search.
@@ -89,14 +91,23 @@ class PageMessages:
             base_seed=self.settings.seed,
         )
 
-    def replayed(self, finding: Finding, trace: Trace | None, *, headline: str, label: str, path: str) -> None:
+    def replayed(
+        self,
+        finding: Finding,
+        trace: Trace | None,
+        *,
+        headline: str,
+        label: str,
+        path: str,
+        check: Check | None = None,
+    ) -> None:
         """Count a replay of a saved scenario, and show it where it fails, which its headline says.
 
-        Without a trace where its process did not come back.
+        Without a trace where its process did not come back; with the check that failed, if any.
         """
         self._tell(replayed=label)
         if headline:
-            view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline)
+            view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
             accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
             self._tell(view=encode(replace(view, label=f"{label}{accepted}", path=path)))
 

@@ -48,7 +48,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     page = page_messages_of(item, request.settings)
     if page is not None:
         line = headline(run, verdict) if verdict.failed else ""
-        page.replayed(finding, run.trace, headline=line, label=label, path=path)
+        check = None if verdict.failure is None else verdict.failure.check
+        page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check)
     if finding.xfail is not None and not verdict.failed:
         item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {path}")
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)

@@ -6,7 +6,10 @@ from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
 
 MAX_SECONDS = 8.0
-"""Only the end of a longer run is shown."""
+"""Only so much of a longer run is shown."""
+
+AFTER = 2.0
+"""What is shown after the moment that a finding is about [s]; a collision ends its run."""
 
 HOLD_MILLISECONDS = 2500
 """How long the last frame stays."""
@@ -52,7 +55,7 @@ def animate(finding: FindingView) -> bytes:
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:
-    """The times that are shown [s], so many a second: the last eight seconds, the very end among them."""
-    end = finding.duration
+    """The times that are shown [s], so many a second: eight seconds up to the end, or to shortly after the moment."""
+    end = min(finding.duration, max(finding.moment + AFTER, MAX_SECONDS))
     count = int(min(MAX_SECONDS, end) * rate + 1e-9)
     return tuple(round(end - step / rate, 6) for step in range(count, -1, -1))

@@ -10,13 +10,19 @@ from urllib.parse import quote
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.grid import Cell
 from pytest_pafot.report.markup import columns, copyable, details, row, table, text
-from pytest_pafot.report.page_data import FindingView, InstructionView, ShrinkView
+from pytest_pafot.report.page_data import CheckView, FindingView, InstructionView, ShrinkView
 from pytest_pafot.text import plural
 
-SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013"}
+SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2"}
 """Beside the word, so that a glance tells responsibilities apart without colour."""
 
-WHO = {"ego": "ego responsible", "npc": "NPC responsible", "both": "both responsible", "none": "nobody responsible"}
+WHO = {
+    "ego": "ego responsible",
+    "npc": "NPC responsible",
+    "both": "both responsible",
+    "none": "nobody responsible",
+    "check": "failed check",
+}
 
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
@@ -37,9 +43,12 @@ def finding_list(findings: Sequence[FindingView]) -> str:
     groups: dict[str, list[str]] = {}
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         groups.setdefault(finding.test, []).append(_list_item(finding, key, index))
-    counts = Counter(finding.responsibility for finding in findings)
+    counts = Counter(map(_who, findings))
     names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
-    summary = ", ".join(f"{counts[name]} {WHO.get(name, name)}" for name in names)
+    summary = ", ".join(
+        plural(counts[name], WHO[name]) if name == "check" else f"{counts[name]} {WHO.get(name, name)}"
+        for name in names
+    )
     listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
     if len(groups) == 1:
         return f"{listed}<ol>{''.join(groups[findings[0].test])}</ol>"
@@ -55,8 +64,8 @@ def _list_item(finding: FindingView, key: str, index: int) -> str:
     words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
     return (
         f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
-        f'data-outcome="{text(finding.event.kind)}" data-words="{text(words)}">'
-        f'<span class="mark" aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
+        f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
+        f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
         f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">{text(finding.headline)}'
         f'</span><span class="meta">{text(meta)}</span></span></a></li>'
     )
@@ -65,7 +74,7 @@ def _list_item(finding: FindingView, key: str, index: int) -> str:
 def _filter(findings: Sequence[FindingView]) -> str:
     """Fields that leave some findings out of the list; they need the script."""
     options = ""
-    for kind, count in sorted(Counter(finding.event.kind for finding in findings).items()):
+    for kind, count in sorted(Counter(map(_kind, findings)).items()):
         options += f'<option value="{text(kind)}">{text(kind.replace("_", " "))} ({count})</option>'
     return (
         '<div class="filter"><input type="search" id="filter" placeholder="Filter" aria-controls="list" '
@@ -80,7 +89,7 @@ def finding_article(finding: FindingView, index: int) -> str:
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
-        f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else "",
+        _assertion(finding) if finding.check is None else _check_figures(finding.check),
         f'{_tag_list(finding)}<p class="test">{text(finding.node_id)}</p></header>',
         '<div class="player"></div>' if finding.times else '<p class="empty">Nobody saw a run to draw.</p>',
         "<section><h3>What happened</h3>",
@@ -95,9 +104,37 @@ def finding_article(finding: FindingView, index: int) -> str:
     return "".join(parts)
 
 
+def _assertion(finding: FindingView) -> str:
+    return f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
+
+
+def _check_figures(check: CheckView) -> str:
+    """Value, bound and moment of a check, and for how long its bound was broken."""
+    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
+    seconds = ' <span class="unit">s</span>'
+    bounds = (("at most", check.at_most), ("at least", check.at_least))
+    figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]
+    figures += [(name, f"{bound:g}{unit}") for name, bound in bounds if bound is not None]
+    figures += [] if check.time is None else [("worst at", f"{check.time:.2f}{seconds}")]
+    if check.broken:
+        times = f" {len(check.broken)} times" if len(check.broken) > 1 else ""
+        first, last = check.broken[0][0], check.broken[-1][1]
+        figures.append((f"broken{times}", f"{first:.1f} to {last:.1f}{seconds}"))
+    shown = "".join(f"<div><dt>{text(name)}</dt><dd>{figure}</dd></div>" for name, figure in figures)
+    return f'<dl class="figures">{shown}</dl>'
+
+
+def _who(finding: FindingView) -> str:
+    return "check" if finding.check is not None and finding.responsibility == "none" else finding.responsibility
+
+
+def _kind(finding: FindingView) -> str:
+    return finding.event.kind if finding.check is None else WHO["check"]
+
+
 def _tags(finding: FindingView) -> list[str]:
     """What tells a finding from others at a glance."""
-    tags = [WHO.get(finding.responsibility, finding.responsibility), plural(finding.runs, "run")]
+    tags = [WHO.get(_who(finding), finding.responsibility), plural(finding.runs, "run")]
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
@@ -105,7 +142,7 @@ def _tags(finding: FindingView) -> list[str]:
 def _tag_list(finding: FindingView) -> str:
     who, *tags = _tags(finding)
     tags += [finding.prevention] if finding.prevention else []
-    mark = f'<span aria-hidden="true">{SYMBOLS.get(finding.responsibility, "?")}</span>'
+    mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     items = "".join(f"<li>{text(tag)}</li>" for tag in tags)
     return f'<ul class="tags"><li>{mark} {text(who)}</li>{items}</ul>'
 

@@ -9,11 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from pytest_pafot.checks import Check
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.criticality.signals import jerk
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
+from pytest_pafot.report.check_view import check_tick, check_view
 from pytest_pafot.report.page_data import (
     ChanceView,
     EventView,
@@ -35,7 +37,9 @@ FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""
 
 
-def finding_view(trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "") -> FindingView:
+def finding_view(
+    trace: Trace | None, finding: Finding, *, node_id: str, headline: str = "", check: Check | None = None
+) -> FindingView:
     """The view of a finding, with the node id of the item that replays it.
 
     What is known only later, such as the number of runs that failed in this way, the label or the path of the file,
@@ -44,20 +48,21 @@ def finding_view(trace: Trace | None, finding: Finding, *, node_id: str, headlin
     Args:
         trace: of the run that shows it, of the scenario in its file; None where nobody saw how it ended.
         headline: unless given, that of the run.
+        check: that failed in the run; None where something else did.
     """
     expect = finding.expect
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    first, _, rest = ("" if trace is None else Run(trace).explain()).partition("\n")
-    chance, rest = expect.last_chance, rest or expect.message
-    raised = f"{expect.failure}: {expect.message}" if expect.message else expect.failure
+    explanation = "" if trace is None else Run(trace).explain()
+    first, _, rest = explanation.partition("\n")
+    chance, rest = expect.last_chance, (rest if check is None else explanation) or expect.message
     view = FindingView(
         id=finding.id,
         node_id=node_id,
         test=finding.test,
         headline=headline or first or expect.message or expect.failure,
         explanation=rest if chance is None else f"{rest}\n  {chance.sentence}",
-        assertion=f"assert {expect.assertion.removeprefix('assert ')}" if expect.assertion else raised,
+        assertion=_assertion(expect),
         responsibility=expect.responsibility,
         generation=finding.found.generation,
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
@@ -74,12 +79,21 @@ def finding_view(trace: Trace | None, finding: Finding, *, node_id: str, headlin
         original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
         shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
         view = replace(view, shrink=shrink)
-    return view if trace is None else _with_run(view, trace, clearance)
+    return view if trace is None else _with_run(view, trace, clearance, check)
 
 
-def _with_run(view: FindingView, trace: Trace, clearance: float) -> FindingView:
+def _assertion(expect: Expect) -> str:
+    if expect.check is not None:
+        return f"check {expect.assertion}"
+    if expect.assertion:
+        return f"assert {expect.assertion.removeprefix('assert ')}"
+    return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
+
+
+def _with_run(view: FindingView, trace: Trace, clearance: float, check: Check | None) -> FindingView:
     """The view with all that only a run shows: the road, who was where when, and the moment that it is about."""
-    run, ticks = Run(trace), frame_ticks(trace)
+    run, tick = Run(trace), check_tick(trace, check)
+    ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
     return replace(
         view,
         road=road_view(trace, clearance),
@@ -92,6 +106,7 @@ def _with_run(view: FindingView, trace: Trace, clearance: float) -> FindingView:
             side="" if run.collision is None else run.collision.side,
             cell=None if run.event_cell is None else int(run.event_cell),
         ),
+        check=None if check is None else check_view(check, trace, ticks),
         grid=() if trace.track is None else grid_poses(trace, ticks, clearance),
     )
 

@@ -100,7 +100,7 @@ class InstructionView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventView:
-    """The moment that a finding is about.
+    """The moment that a run is about, and with it a finding, unless a check says another one.
 
     ``kind`` is the outcome of the run, such as ``collision``. Then follow the NPC that takes part, the side of the ego
     that was hit, and the cell that the NPC was in.
@@ -111,6 +111,34 @@ class EventView:
     npc: int | None = None
     side: str = ""
     cell: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckView:
+    """A check that failed: what it measured, in its unit, against which bounds.
+
+    Attributes:
+        value: the worst one; None where it was no finite number.
+        at_most, at_least: its bounds; None without.
+        time: when it was worst; None where nobody knows.
+        values: of the frames, each the worst since the frame before, cut at ``low`` and ``high``; empty where the check
+            was of a single number.
+        low, high: between which a picture shows them, the bounds among it.
+        is_cut: whether there are values below ``low``, and above ``high``.
+        broken: from when to when a bound was broken, in order.
+    """
+
+    name: str
+    unit: str
+    value: float | None
+    at_most: float | None = None
+    at_least: float | None = None
+    time: float | None = None
+    values: Numbers = ()
+    low: float = 0.0
+    high: float = 1.0
+    is_cut: tuple[bool, bool] = (False, False)
+    broken: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,6 +182,7 @@ class FindingView:
         times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
         yaml, path: the text of its file and where that is.
+        check: that failed; None where something else did.
         prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
         last_chance: None where there is no such moment.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
@@ -177,6 +206,7 @@ class FindingView:
     label: str = ""
     path: str = ""
     assertion: str = ""
+    check: CheckView | None = None
     prevention: str = ""
     last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
@@ -186,6 +216,11 @@ class FindingView:
     def duration(self) -> float:
         """Time of the last frame [s]; 0 without frames."""
         return self.times[-1] if self.times else 0.0
+
+    @property
+    def moment(self) -> float:
+        """When that happened which the finding is about [s]: of the check where it knows, else of the event."""
+        return self.event.time if self.check is None or self.check.time is None else self.check.time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

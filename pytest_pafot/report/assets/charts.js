@@ -1,4 +1,4 @@
-// The instructions and the curves over one common axis of time, with one cursor.
+// The instructions and the curves over one common axis of time, with one cursor; or the curve of a check alone.
 
 const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 
@@ -11,7 +11,7 @@ const CURVES = [
 ];
 
 class Charts {
-  constructor(finding, width) {
+  constructor(finding, width, check = null) {
     this.finding = finding;
     this.width = width;
     this.right = width - CHART.right;
@@ -19,14 +19,17 @@ class Charts {
     this.parts = [];
     this.dots = [];
     this.y = 30;
-    this.timeline();
-    for (const curve of CURVES) this.curve(curve);
+    if (check) this.check(check);
+    else {
+      this.timeline();
+      for (const curve of CURVES) this.curve(curve);
+    }
     this.axis();
     this.height = this.y + 24;
     this.cursor = svg("line", { class: "cursor", y1: 12, y2: px(this.height - 22) });
     this.root = svg("svg", {
       viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
-      "aria-label": "Instructions of the NPCs, and gap, time to contact, speed, acceleration and jerk over time.",
+      "aria-label": check ? `${check.name} over time, with its bound.` : "Instructions of the NPCs, and gap, time to contact, speed, acceleration and jerk over time.",
     }, [...this.parts, this.cursor, ...this.dots.map((dot) => dot.mark)]);
   }
 
@@ -96,6 +99,26 @@ class Charts {
     this.y = y0 + CHART.gap;
   }
 
+  check(check) {
+    const [y0, y1] = [this.y + CHART.curve, this.y];
+    const y = (value) => y0 - ((value - check.low) / (check.high - check.low)) * (y0 - y1);
+    this.heading(check.name, check.unit, `, worst of each frame; red: beyond the bound`);
+    for (const [from, to] of check.broken) {
+      const wide = Math.max(2, this.x(to) - this.x(from));
+      this.parts.push(svg("rect", { x: px((this.x(from) + this.x(to) - wide) / 2), width: px(wide), y: px(y1), height: px(y0 - y1), class: "broken" }));
+    }
+    for (const [value, sign] of [[check.low, check.is_cut[0] ? "\u2264" : ""], [check.high, check.is_cut[1] ? "\u2265" : ""]]) {
+      this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(y(value)), y2: px(y(value)), class: "axis" }));
+      this.parts.push(svg("text", { x: CHART.left - 6, y: px(y(value) + 4), class: "small soft", "text-anchor": "end" }, `${sign}${value}`));
+    }
+    for (const [bound, name] of [[check.at_most, "at most"], [check.at_least, "at least"]]) if (bound !== null) {
+      this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(y(bound)), y2: px(y(bound)), class: "bound" }));
+      this.parts.push(svg("text", { x: px(this.right + 6), y: px(y(bound) - 2), class: "small" }, [svg("tspan", {}, name), svg("tspan", { x: px(this.right + 6), dy: 13 }, `${bound}`)]));
+    }
+    this.track(check.values, 0, y, Infinity);
+    this.y = y0 + CHART.gap;
+  }
+
   range(curve) {
     // From 0 up, or as far down as up where values have a sign.
     if (curve.top) return [0, curve.top];
@@ -145,7 +168,9 @@ class Charts {
     }
     const { event, last_chance: chance } = this.finding;
     if (chance) this.mark("chance", chance.time, y, chance.sentence);
-    this.mark("event", event.time, y, `the event, ${fixed(event.time, 2)} s`);
+    const moment = momentOf(this.finding);
+    this.mark("event", moment, y, `the event, ${fixed(moment, 2)} s`);
+    if (moment !== event.time && event.kind === "collision") this.mark("event", event.time, y, `the collision, ${fixed(event.time, 2)} s`);
     this.y = y;
   }
 

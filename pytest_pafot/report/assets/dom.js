@@ -76,6 +76,9 @@ function bodyPattern(npc) {
   return [pattern, `url(#${id})`];
 }
 
+// When that happened which a finding is about.
+const momentOf = (finding) => (finding.check && finding.check.time !== null ? finding.check.time : finding.event.time);
+
 function niceStep(span, count) {
   // The step of 1, 2 or 5 times a power of ten that gives about so many ticks.
   const rough = span / Math.max(1, count);

@@ -113,7 +113,7 @@ function keyAction(event) {
     ArrowLeft: () => player.jump(player.time - small),
     Home: () => player.jump(0),
     End: () => player.jump(player.duration),
-    e: () => player.jump(player.finding.event.time),
+    e: () => player.jump(momentOf(player.finding)),
     "+": () => player.zoomBy(1.25),
     "=": () => player.zoomBy(1.25),
     "-": () => player.zoomBy(0.8),

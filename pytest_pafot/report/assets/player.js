@@ -10,7 +10,7 @@ class Player {
     this.place = place;
     this.announce = announce;
     this.duration = finding.times[finding.times.length - 1];
-    this.time = clamp(time === null ? finding.event.time : time, 0, this.duration);
+    this.time = clamp(time === null ? momentOf(finding) : time, 0, this.duration);
     this.rate = 1;
     this.zoom = 1;
     this.isPlaying = false;
@@ -21,6 +21,7 @@ class Player {
   }
 
   build() {
+    this.checked = this.finding.check && this.finding.check.values.length ? html("div", { class: "charts checked" }) : null;
     this.stage = html("div", { class: "stage" });
     this.charts = html("div", { class: "charts" });
     this.button = html("button", { type: "button", class: "play" });
@@ -30,7 +31,7 @@ class Player {
     this.scrubber.addEventListener("input", () => { this.pause(); this.seek(Number(this.scrubber.value)); });
     this.scrubber.addEventListener("change", () => this.settle());
     const event = html("button", { type: "button" }, "Go to the event");
-    event.addEventListener("click", () => this.jump(this.finding.event.time));
+    event.addEventListener("click", () => this.jump(momentOf(this.finding)));
     const rates = html("select", { "aria-label": "Speed of play" }, SPEEDS.map((rate) => html("option", { value: rate }, `${rate}\u00d7`)));
     rates.value = 1;
     rates.addEventListener("change", () => { this.rate = Number(rates.value); });
@@ -47,11 +48,13 @@ class Player {
     ]));
     this.rows = this.finding.vehicles.map((vehicle, index) => this.row(vehicle, index));
     this.place.replaceChildren(
+      ...(this.checked ? [this.checked] : []),
       this.stage,
       html("div", { class: "controls" }, [this.button, this.clock, this.scrubber, event, rates, html("span", { class: "zoom" }, zooms)]),
       table, this.charts,
     );
-    this.bindCharts();
+    this.bindCharts(this.charts);
+    if (this.checked) this.bindCharts(this.checked);
   }
 
   row(vehicle, index) {
@@ -67,21 +70,21 @@ class Player {
     return cells;
   }
 
-  bindCharts() {
+  bindCharts(place) {
     let isDragging = false;
     const seek = (event) => {
-      const box = this.charts.firstChild.getBoundingClientRect();
+      const box = place.firstChild.getBoundingClientRect();
       this.seek(this.curves.time((event.clientX - box.left) * (this.curves.width / box.width)));
     };
-    this.charts.addEventListener("pointerdown", (event) => {
+    place.addEventListener("pointerdown", (event) => {
       isDragging = true;
-      this.charts.setPointerCapture(event.pointerId);
+      place.setPointerCapture(event.pointerId);
       this.pause();
       seek(event);
     });
-    this.charts.addEventListener("pointermove", (event) => { if (isDragging) seek(event); });
+    place.addEventListener("pointermove", (event) => { if (isDragging) seek(event); });
     for (const end of ["pointerup", "pointercancel"]) {
-      this.charts.addEventListener(end, () => { if (isDragging) this.settle(); isDragging = false; });
+      place.addEventListener(end, () => { if (isDragging) this.settle(); isDragging = false; });
     }
   }
 
@@ -92,6 +95,8 @@ class Player {
     this.drawnZoom = this.zoom;
     this.scene = new Scene(this.finding, width, this.zoom);
     this.curves = new Charts(this.finding, width);
+    this.checkCurve = this.checked ? new Charts(this.finding, width, this.finding.check) : null;
+    if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " as the ego saw them"}. ` +
       "Dashed line: to the cell that an NPC is told to drive to. Bars at the rear: braking."));
@@ -103,6 +108,7 @@ class Player {
     if (!this.scene) return;
     const states = this.scene.draw(this.time);
     this.curves.draw(this.time);
+    if (this.checkCurve) this.checkCurve.draw(this.time);
     this.scrubber.value = this.time;
     this.scrubber.setAttribute("aria-valuetext", `${fixed(this.time, 2)} s of ${fixed(this.duration, 2)} s`);
     this.clock.textContent = `${fixed(this.time, 2)} / ${fixed(this.duration, 2)} s`;
