@@ -74,6 +74,8 @@ class Check:
 class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
     """A check whose bound is broken; ``check`` says by how much, when, and with whom."""
 
+    __module__ = "pytest_pafot"  # where users find it, and as a traceback names it
+
     def __init__(self, check: Check) -> None:
         super().__init__(str(check))
         self.check = check

@@ -16,8 +16,9 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
-from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.finding import Finding, event_of
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Outcome
@@ -136,13 +137,20 @@ class Replays:
             if versions.get(name) != version
         ]
         changed += codec.changes(finding.world, self.harness.world)
-        then = "the process died" if finding.expect.is_crash else _event(finding.expect.outcome, finding.expect.time)
+        expect = finding.expect
+        then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
+        if expect.check is not None:
+            then = f"{expect.assertion} failed at {expect.time:.1f} s"
         event = [] if then == now else [f"{then} in the file, {now} now"]
         return "; ".join([*event, *changed]) or "another run than before"
 
 
-def happened(finding: Finding, run: Run) -> str:
+def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
     """What happens in a replay, beside what the file tells of the same outcome."""
+    if failure is not None and failure.check is not None:
+        return f"{failure.check.name} failed at {event_of(run, failure).time:.1f} s"
+    if finding.expect.check is not None:
+        return ending(run)
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
 
 

@@ -66,13 +66,17 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 
     ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
     one, or it passes under other versions, so that the file may no longer test what it was saved for. ``fixed``:
-    it passes under the same versions, and nothing else happened instead. The run is the one of now, with its failure,
-    if any, and the versions of today's packages; these are compared where the file names them.
+    it passes under the same versions, and nothing else happened instead. A check is told by its name and its time,
+    whatever else happened, and is fixed where the run went on past that time. The run is the one of now, with its
+    failure, if any, and the versions of today's packages; these are compared where the file names them.
     """
     expect, side = finding.expect, None if run.collision is None else run.collision.side
-    then = (expect.outcome, expect.npc, expect.cell, expect.side)
     now = event_of(run, failure)
-    is_same = (run.outcome, now.npc, now.cell, side) == then
+    if expect.check is not None:
+        is_same = failure is not None and failure.assertion == expect.assertion
+    else:
+        then = (expect.outcome, expect.npc, expect.cell, expect.side)
+        is_same = (run.outcome, now.npc, now.cell, side) == then
     is_same = is_same and abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
@@ -80,6 +84,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
         return "drifted"
     # One that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
+    is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     return "fixed" if is_same or is_whole else "drifted"
 
 

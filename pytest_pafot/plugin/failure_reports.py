@@ -13,9 +13,11 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.checks import CheckFailed
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import MARKER, fitted_lines
+from pytest_pafot.run import Run
 
 SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 
@@ -55,6 +57,14 @@ class Failures:
 def is_compact(config: pytest.Config) -> bool:
     """Whether what a file and a report have too is left out."""
     return config.get_verbosity() <= 0
+
+
+def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
+    """What a run was like; where a check failed, as the line on the rest of the run below that."""
+    text = run.explain()
+    if is_compact(config):  # without its last line, which names the scenario as the file does
+        text = text.rpartition("\n")[0]
+    return f"run        {text}" if isinstance(exception, CheckFailed) else text
 
 
 def summarise(report: pytest.TestReport, text: str) -> None:

@@ -11,16 +11,19 @@ from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import FLAKY, Replays, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.checks import CheckFailed
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.failure_reports import SUMMARY
+from pytest_pafot.plugin.failure_reports import SUMMARY, explained
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
+from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.report.wrapping import fitted_lines
 from pytest_pafot.run import Run
 from pytest_pafot.text import ascii_text
 from pytest_pafot.trace import Outcome
@@ -43,7 +46,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:  # Outside of the handler, so that the same is not shown twice.
         _conclude_lost(item, replays, finding, lost, path)
-    detail = replays.changes(finding, happened(finding, run)) if label in ("drifted", FLAKY) else ""
+    detail = replays.changes(finding, happened(finding, run, verdict.failure)) if label in ("drifted", FLAKY) else ""
     _tell(item, label, detail)
     page = page_messages_of(item, request.settings)
     if page is not None:
@@ -79,7 +82,11 @@ def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, det
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
-        item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
+        section = f"replay: {label}{f', {detail}' if detail else ''}"
+        if isinstance(verdict.exception, CheckFailed):  # else the test function says what the run was like
+            section += f"\n{explained(run, verdict.exception, item.config)}"
+        width = item.config.stash[SHARED].width
+        item.add_report_section("call", "pafot", "\n".join(fitted_lines(section.splitlines(), width)))
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception

@@ -26,7 +26,7 @@ from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import is_search
-from pytest_pafot.plugin.failure_reports import SUMMARY, is_compact, summarise
+from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
@@ -175,11 +175,9 @@ class SearchMessages:
     def _find(self, told: FindTold) -> None:
         kept, config = told.kept, self.item.config
         width = config.stash[SHARED].width
-        explanation = "" if told.run is None else told.run.explain()
+        explanation = "" if told.run is None else explained(told.run, told.exception, config)
         details = [] if told.is_new else terminal.simplified_lines(kept.finding)
-        if is_compact(config):  # without its last line, which names the scenario as the file does
-            explanation = explanation.rpartition("\n")[0]
-        else:
+        if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
         advice = "what does not repeat is not shrunk" if kept.find.is_flaky else ""
