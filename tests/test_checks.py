@@ -34,6 +34,18 @@ def test_a_bound_from_below_is_told_likewise_with_the_npc():
     assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk 12.0 > 10"
 
 
+def test_a_value_never_reads_as_its_bound():
+    assert str(made(0.2963, at_least=0.3)) == "jerk 0.296 < 0.3"
+    assert str(made(20.04, at_most=20.0)) == "jerk 20.04 > 20"
+    assert str(made(20.0, at_most=20.0)) == "jerk 20 <= 20"
+
+
+def test_a_formula_is_told_when_its_verdict_falls():
+    gap = pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m")
+    assert str(made(pafot.always(pafot.above(gap, 1.5)))) == "jerk -0.5 < 0 m at 1.5 s"
+    assert str(made(pafot.eventually(pafot.above(gap, 5.0)))) == "jerk -1.0 < 0 m at 2.0 s"
+
+
 def test_the_margin_is_in_units_of_the_bound_unless_a_scale_is_given():
     assert made(15.0, at_most=20.0).margin == 0.25
     assert made(15.0, at_most=20.0, scale=5.0).margin == 1.0

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import pytest
 
+from pytest_pafot.checks import Check
 from pytest_pafot.findings.finding import Finding, Found, of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
 from pytest_pafot.findings.signature import Failure
@@ -117,6 +118,25 @@ def test_a_pass_because_something_else_ended_the_run_is_a_drift():
 
 def test_a_pass_of_the_same_event_is_fixed_since_the_property_was_changed():
     assert label(crash(), None) == "fixed"
+
+
+def jerk(time=1.0, name="jerk"):
+    check = Check(name=name, value=35.1, margin=-0.7, at_most=20.0, time=time)
+    return Failure(kind="CheckFailed", message=str(check), assertion=name, check=check)
+
+
+@pytest.mark.parametrize("run", [run_of(), crash()])
+@pytest.mark.parametrize(
+    ("now", "expected"),
+    [(jerk(1.2), "still failing"), (jerk(1.3), "drifted"), (jerk(name="headway"), "drifted"), (FAILS, "drifted")],
+)
+def test_a_check_is_told_by_its_name_and_its_own_time_whatever_else_happens(run, now, expected):
+    assert label(run, now, finding=saved(run_of(), jerk())) == expected
+
+
+@pytest.mark.parametrize(("time", "expected"), [(1.9, "fixed"), (2.1, "drifted")])
+def test_a_check_that_passes_is_fixed_where_the_run_came_past_its_time(time, expected):
+    assert label(crash(tick=30), None, finding=saved(run_of(), jerk(time))) == expected
 
 
 def test_a_property_that_is_no_collision_is_compared_at_its_worst_moment():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import ChanceView, Report
+from pytest_pafot.report.page_data import ChanceView, CheckView, Report
 from pytest_pafot.report.picture import picture_at
 from tests.report.builders import HOSTILE, bend_report, real_report
 from tests.support.browser import Browser, find_chromium
@@ -70,6 +70,29 @@ def test_the_first_finding_is_shown_at_its_event(page):
     assert (
         page.evaluate("document.querySelector('article.current .impact-group').getAttribute('visibility')") == "visible"
     )
+
+
+def test_a_failed_check_is_shown_at_its_moment_with_its_curve_first(browser, tmp_path):
+    finding = real_report().findings[0]
+    values = tuple(30.0 if time > 3 else 1.0 for time in finding.times)
+    check = CheckView(
+        name="jerk", unit="m/s^3", value=35.1, at_most=20.0, time=3.4, values=values, high=40.0, broken=((3.2, 4.0),)
+    )
+    path = tmp_path / "check.html"
+    path.write_text(render_page(Report(title="t", findings=(replace(finding, check=check),))), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    assert page.evaluate(TIME) == 3.4
+    page.press("Home")
+    page.press("e")
+    assert page.evaluate(TIME) == 3.4
+    first = "document.querySelector('article.current .player').firstChild"
+    assert page.evaluate(f"{first}.querySelectorAll('.bound, .broken, .event').length") == 4
+    assert page.evaluate(f"Number({first}.querySelector('.broken').getAttribute('width')) > 2")
+    assert (
+        page.evaluate("document.querySelector('article.current .impact-group').getAttribute('visibility')") == "hidden"
+    )
+    assert page.complaints == []
+    page.close()
 
 
 def test_a_link_leads_to_a_moment_of_a_finding(opened):

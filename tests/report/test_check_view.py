@@ -1,0 +1,122 @@
+"""What the page shows of a check that failed: its figures, its curve and the moment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.checks import CheckFailed, Recording, recorded
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.signature import CHECK_FAILED, Failure
+from pytest_pafot.report.animation import moments
+from pytest_pafot.report.finding_markup import finding_article, finding_list
+from pytest_pafot.report.finding_view import finding_view
+from pytest_pafot.run import Run
+from tests.report.builders import finding_of
+from tests.support.traces import trace_of, vehicle
+
+TICKS = 300
+"""Of a run of 20 s, a frame at every second one."""
+
+
+def peaks(**values):
+    """A value of 1 at each tick, but for those named ``t17=...``."""
+    array = np.ones(TICKS + 1)
+    for name, value in values.items():
+        array[int(name[1:])] = value
+    return array
+
+
+def checked(value, **arguments):
+    """The failed check of a run."""
+    with recorded(Recording(hz=15, ticks=TICKS)), pytest.raises(CheckFailed) as failed:
+        pafot.check(value, **{"name": "jerk", "unit": "m/s^3"} | arguments)
+    return failed.value.check
+
+
+def shown(value, **arguments):
+    """The view of a find by that check."""
+    trace = trace_of(vehicle(0.0, speed=20.0, ticks=TICKS), vehicle(50.0, speed=20.0, ticks=TICKS))
+    check = checked(value, **arguments)
+    failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
+    given = finding_of(trace)
+    finding = Finding.of(Run(trace), failure, test=given.test, world=given.world, found=given.found)
+    return finding_view(trace, finding, node_id="n", headline=str(check), check=check)
+
+
+def test_the_worst_tick_is_a_frame_of_its_own_with_its_value_and_the_moment():
+    view = shown(peaks(t61=35.1, t62=20.0), at_most=20)
+    frame = view.times.index(view.check.time)
+    assert view.moment == view.check.time == pytest.approx(61 / 15, abs=0.001)
+    assert view.check.values[frame] == view.check.value == 35.1
+    assert len(view.check.values) == len(view.times) == len(view.vehicles[0].speed)
+
+
+def test_the_curve_has_the_worst_value_since_the_frame_before():
+    check = shown(peaks(t61=-30, t91=-5, t92=2), at_least=-20).check
+    assert sorted(set(check.values)) == [-30, -5, 1]
+
+
+def test_it_tells_from_when_to_when_the_bound_was_broken():
+    view = shown(peaks(t30=21, t31=22, t32=21, t60=25, t300=21), at_most=20)
+    assert view.check.broken == ((2.0, 2.133), (4.0, 4.0), (20.0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "bounds", "axis", "is_cut"),
+    [
+        (peaks(t9=35), {"at_most": 20}, (0, 40), (False, False)),
+        (peaks(t9=0.2, t10=np.inf), {"at_least": 0.5}, (0.2, 1), (False, True)),
+        (peaks(t9=35, t10=-500), {"at_most": 20}, (-40, 40), (True, False)),
+        (peaks(t9=35, t10=-500), {"at_most": 20, "at_least": -30}, (-500, 100), (False, False)),
+        (peaks(t9=np.nan), {"at_most": 20}, (1, 20), (False, False)),
+    ],
+)
+def test_the_curve_is_shown_as_far_as_a_bound_is_broken_and_not_all_that_keeps_it(values, bounds, axis, is_cut):
+    check = shown(values, **bounds).check
+    assert (check.low, check.high) == pytest.approx(axis)
+    assert check.is_cut == is_cut
+    assert all(value is None or check.low <= value <= check.high for value in check.values)
+
+
+def test_a_single_number_has_value_bound_and_moment_and_no_curve():
+    check = shown(35.1, at_most=20, at=4.2).check
+    assert (check.value, check.at_most, check.time, check.values) == (35.1, 20.0, 4.2, ())
+
+
+def test_values_that_are_cut_out_of_a_run_stay_at_their_ticks():
+    signal = pafot.Signal(peaks(t5=99.0, t61=35.1), hz=15)[30:150]
+    view = shown(signal, at_most=20)
+    assert view.check.time == pytest.approx(61 / 15, abs=0.001)
+    assert view.check.values[0] is view.check.values[-1] is None
+    assert view.check.values[view.times.index(view.check.time)] == 35.1
+
+
+def test_values_of_unknown_ticks_have_no_curve():
+    assert shown(peaks(t61=35.1)[1::2], at_most=20).check.values == ()
+
+
+def test_the_article_says_value_bound_and_moment_before_all_else():
+    article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
+    assert article.index("jerk 35.1 &gt; 20 m/s^3 at 4.1 s") < article.index('<dl class="figures">')
+    assert article.index('<dl class="figures">') < article.index('class="tags"') < article.index('class="player"')
+    for figure in ('<dt>jerk</dt><dd>35.1 <span class="unit">m/s^3', "<dt>at most</dt><dd>20 ", "<dd>4.07 "):
+        assert figure in article
+    assert 'class="assertion"' not in article
+    assert "no collision in 20.0 s" in article[article.index("What happened") :]
+
+
+def test_a_list_calls_it_a_failed_check_and_blames_nobody():
+    view = shown(peaks(t61=35.1), at_most=20)
+    listed = finding_list([view, replace(view, id="other")])
+    assert '<p class="summary">2 failed checks</p>' in listed
+    assert 'data-outcome="failed check"' in listed
+    assert "nobody" not in listed
+
+
+def test_an_animation_shows_the_moment():
+    view = shown(peaks(t30=35.1), at_most=20)
+    assert moments(view, 2)[0] <= view.moment < moments(view, 2)[-1]
+    late = shown(peaks(t290=35.1), at_most=20)
+    assert moments(late, 2)[-1] == late.duration
