@@ -24,13 +24,16 @@ Worse = Literal["low", "high", "both", "neither"]
 """Which values are worse for the ego: the lowest, the highest, those farthest from 0, or none."""
 
 
+_KEEP_UNIT = frozenset({np.absolute, np.fabs, np.negative, np.positive})
+
+
 class Signal(_Array):
     """A value at each tick: a numpy array that knows its ticks.
 
     What numpy makes of it value by value, such as ``abs(signal)``, ``signal / 2`` or ``np.where(..., signal, 0)``, is a
-    signal over the same ticks, without name and unit; of two signals the first says which ticks those are. What is cut
-    out by ``signal[30:150]`` knows that it begins 30 ticks later, and so does ``np.diff``. Any other selection is over
-    no known ticks. Comparisons and sums are plain arrays and numbers.
+    signal over the same ticks, without a name, and, but for ``abs`` and a sign, without a unit; of two signals the
+    first says which ticks those are. What is cut out by ``signal[30:150]`` knows that it begins 30 ticks later, and so
+    does ``np.diff``. Any other selection is over no known ticks. Comparisons and sums are plain arrays and numbers.
 
     Args:
         values: shape [ticks]; copied, and read-only then.
@@ -69,7 +72,8 @@ class Signal(_Array):
         if array.shape != self.shape or array.dtype != np.float64:
             return array[()] if return_scalar else array
         signal = array.view(type(self))
-        signal.__dict__.update(self.__dict__, name="", unit="")
+        unit = self.unit if context is not None and context[0] in _KEEP_UNIT else ""
+        signal.__dict__.update(self.__dict__, name="", unit=unit)
         return signal
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:

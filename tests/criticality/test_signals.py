@@ -51,7 +51,6 @@ class TestSignal:
         [
             SPEED_OF_ALL * 3.6,
             3.6 * SPEED_OF_ALL,
-            -SPEED_OF_ALL,
             SPEED_OF_ALL - Signal([0.0, 0.0, 0.0], hz=20, start=9, name="other"),
             np.array([1.0, 1.0, 1.0]) + SPEED_OF_ALL,
             np.maximum(2.0, SPEED_OF_ALL),
@@ -64,6 +63,10 @@ class TestSignal:
     def test_what_is_computed_value_by_value_is_over_the_same_ticks_without_name_and_unit(self, changed):
         assert isinstance(changed, Signal)
         assert described(changed) == (10, 5, "", "")
+
+    @pytest.mark.parametrize("changed", [-SPEED_OF_ALL, abs(SPEED_OF_ALL), np.fabs(SPEED_OF_ALL)])
+    def test_a_size_or_a_sign_leaves_the_unit(self, changed):
+        assert described(changed) == (10, 5, "", "m/s")
 
     def test_a_stretch_begins_as_many_ticks_later(self):
         assert described(SPEED_OF_ALL[1:]) == (10, 6, "ego.speed", "m/s")
