@@ -332,7 +332,7 @@ def _small(scenario: Scenario, found: Scenario) -> Candidates:
 
 def _two_steps(scenario: Scenario) -> Candidates:
     """Two simplifications at once, neither of which is one alone; of the first those that leave most."""
-    firsts = {each for simplified in STRUCTURE for each in simplified(scenario) if each is not None}
+    firsts = dict.fromkeys(each for simplified in STRUCTURE for each in simplified(scenario) if each is not None)
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
             yield from simplified(first)
