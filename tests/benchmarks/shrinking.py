@@ -128,8 +128,7 @@ def summary(found: Sequence[Row]) -> str:
         f"{statistics.median(map(instructions, before)):g} instructions as found, "
         f"{statistics.median(npcs):g} NPCs (most {max(npcs)}) and {statistics.median(counts):g} instructions (most "
         f"{max(counts)}) shrunk, in {statistics.median(row.shrunk.rollouts for row in found):g} runs; "
-        f"{sum(row.shrunk.is_minimal for row in found)} minimal; brute force finds a simpler one of "
-        f"{sum(row.missed is not None for row in found)}"
+        f"{sum(row.shrunk.is_minimal for row in found)} minimal"
     )
 
 
@@ -155,6 +154,8 @@ def main() -> None:
                 print(row, flush=True)
     if found:
         print(f"\n{summary(found)}")
+    if arguments.brute_force:
+        print(f"brute force finds a simpler one of {sum(row.missed is not None for row in found)}")
 
 
 if __name__ == "__main__":
