@@ -116,9 +116,13 @@ import pdb
 class Quiet(pdb.Pdb):
     def interaction(self, frame, failure):
         traceback = getattr(failure, "__traceback__", failure)
-        while traceback.tb_next is not None:
+        frames = []
+        while traceback is not None:
+            frames.append(traceback.tb_frame)
             traceback = traceback.tb_next
-        print("STANDS IN", traceback.tb_frame.f_code.co_name)
+        while frames[-1].f_locals.get("__tracebackhide__"):  # as pytest's own debugger does
+            frames.pop()
+        print("STANDS IN", frames[-1].f_code.co_name)
 """
     )
     result = project.run("--pdb", "--pdbcls=quiet:Quiet")
