@@ -1,0 +1,70 @@
+"""Checks end to end: a planner with two bugs that are no collisions, from the search to the guard."""
+
+import re
+
+import pytest
+
+PLANNER = """
+import pytest
+
+class Planner:
+    def __init__(self):
+        self.acceleration = 0.0
+
+    def __call__(self, observation):
+        ego, wanted = observation.ego, 22.0 - observation.ego.speed
+        for other in observation.others:
+            if other.x > ego.x and abs(other.y - ego.y) < 3.0:
+                gap = other.x - ego.x - other.length
+                more = ego.speed**2 - other.speed**2
+                wanted = min(wanted, WANTED)
+        step = min(max(wanted, -8.0), 2.0) - self.acceleration
+        self.acceleration += min(max(step, -STEP), STEP)
+        return self.acceleration, 0.0
+
+@pytest.fixture
+def ads():
+    return Planner
+"""
+BUGGY = PLANNER.replace("WANTED", "-8.0 if gap < 5.0 + 0.1 * ego.speed + more / 12 else 2.0").replace("STEP", "99.0")
+"""Follows at a tenth of a second, and brakes all at once."""
+
+FIXED = PLANNER.replace("WANTED", "0.5 * (gap - 4.0 - 1.2 * ego.speed - more / 8)").replace("STEP", "2.0")
+
+PROPERTY = """
+@pafot.search
+def test_drives_well(run):
+    regained = pafot.eventually(pafot.above(run.headway, 0.0), within=(0, 4))
+    pafot.check(pafot.always(regained, within=(0, max(0.0, run.duration - 4))), name="headway", at_least=0.5)
+    pafot.check(abs(run.ego.jerk), name="jerk", at_most=40, unit="m/s^3")
+"""
+
+
+@pytest.fixture
+def buggy(project):
+    """A project whose planner has both bugs."""
+    project.pytester.makeconftest(BUGGY)
+    project.write(PROPERTY)
+    return project
+
+
+def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    result = buggy.run(generations=12, seed=4)
+    result.assert_outcomes(failed=3)
+    assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == ["headway", "jerk"]
+    text = result.stdout.str()
+    for sentence in (r"jerk \d+\.\d > 40 m/s\^3 at \d+\.\d s", r"headway 0\.\d+ < 0\.5 s at \d+\.\d s"):
+        assert len(re.findall(rf"^E   pytest_pafot\.CheckFailed: {sentence}$", text, re.MULTILINE)) == 1
+    assert len(re.findall(r"^run        no collision in \d+\.\d s$", text, re.MULTILINE)) == 2
+    assert text.count("checks.py") == 0
+    assert len(re.findall(r"^shrunk     from 2 NPCs, 12 instructions, 60 s to ", text, re.MULTILINE)) == 2
+
+
+def test_a_planner_without_these_bugs_keeps_what_was_found_as_a_guard(buggy):
+    buggy.run(generations=12, seed=4)
+    buggy.run(generations=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
+    buggy.pytester.makeconftest(FIXED)
+    result = buggy.run(generations=12, seed=4)
+    result.assert_outcomes(passed=3)
+    result.stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 fixed"])
