@@ -44,6 +44,8 @@ def test_a_formula_is_told_when_its_verdict_falls():
     gap = pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m")
     assert str(made(pafot.always(pafot.above(gap, 1.5)))) == "jerk -0.5 < 0 m at 1.5 s"
     assert str(made(pafot.eventually(pafot.above(gap, 5.0)))) == "jerk -1.0 < 0 m at 2.0 s"
+    worse_later = pafot.Signal([3.0, 1.0, 2.0, 0.5, 4.0], hz=2)
+    assert made(pafot.always(pafot.above(worse_later, 1.5), within=(0, 0.5))).time is None
 
 
 def test_the_margin_is_in_units_of_the_bound_unless_a_scale_is_given():
