@@ -18,6 +18,7 @@ from pytest_pafot import criticality, strategies
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
+from pytest_pafot.checks import check
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of
@@ -107,6 +108,7 @@ def sections() -> dict[str, str]:
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
         "signals": _signals_table(),
+        "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
@@ -350,6 +352,10 @@ def _command_table() -> str:
         text = (action.help or "") % vars(action)
         rows.append([f"`{action.option_strings[0]}{value}`", _capital(text) + "."])
     return _table(["Option", "Meaning"], rows)
+
+
+def _arguments(function: Callable[..., Any]) -> list[list[str]]:
+    return [[_code(names), _capital(text)] for names, text in _attributes(function, "Args:")]
 
 
 def _temporal_table() -> str:

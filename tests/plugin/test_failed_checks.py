@@ -36,7 +36,7 @@ PROPERTY = """
 def test_drives_well(run):
     regained = pafot.eventually(pafot.above(run.headway, 0.0), within=(0, 4))
     pafot.check(pafot.Signal(regained[:-60], hz=15, unit="s"), name="headway", at_least=0.5)
-    pafot.check(abs(run.ego.jerk), name="jerk", at_most=40, unit="m/s^3")
+    pafot.check(abs(run.ego.jerk), name="jerk", at_most=40)
 """
 
 
