@@ -47,14 +47,13 @@ class Replays:
         except RequestError:
             return None
         except ProcessLostError as error:
-            observed, xfailed = expectation(error).signature, finding.xfail is not None
-            return Replayed(id=saved.id, signature=finding.signature, observed=observed, xfailed=xfailed)
+            return Replayed(id=saved.id, observed=expectation(error).signature)
         return Replayed.of(finding, run, verdict.failure if verdict.failed else None)
 
     def still_fails(self, saved: Saved) -> bool:
-        """Whether a saved scenario shows what it was saved for."""
+        """Whether the process still dies in a saved scenario that it died in."""
         shown = self.shown_by(saved)
-        return shown is not None and shown.observed == shown.signature
+        return shown is not None and shown.observed == _finding(saved).signature
 
     def world_of(self, saved: Saved) -> Any:
         """The world that a file describes, made, with its scenario checked against it; the test's, where it is code.

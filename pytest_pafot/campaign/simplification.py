@@ -14,7 +14,7 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import Expect, Finding, of_failure
+from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
 from pytest_pafot.run import Run
@@ -51,11 +51,11 @@ class Simplification:
         before = kept.finding
         scenario, shrunk = self._shrunk(kept)
         self.runs += shrunk.rollouts
-        run, verdict, differs = self._run_again(scenario, before)
+        run, verdict, differs = self._run_again(scenario, kept)
         if differs and scenario != before.scenario:
             # The simplification does not hold; what was found does, or is flaky itself.
             scenario, shrunk = before.scenario, Shrunk(rollouts=shrunk.rollouts, is_minimal=False)
-            run, verdict, differs = self._run_again(scenario, before)
+            run, verdict, differs = self._run_again(scenario, kept)
         if differs:
             self.loop.recorder.call_flaky(kept, differs)
         else:
@@ -65,7 +65,7 @@ class Simplification:
         __tracebackhide__ = True
         loop, harness = self.loop, self.loop.simulation.harness
         rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
-        signature, spent = kept.finding.signature, 0
+        spent = 0
         starts: dict[Scenario, tuple[Start, ...]] = {}
 
         def attempt(candidate: Scenario) -> Scenario | None:
@@ -80,7 +80,7 @@ class Simplification:
                 loop.lose(error)
                 return None
             verdict = loop.simulation.judge(run)
-            if verdict.failure is None or of_failure(run, verdict.failure) != signature:
+            if not self._shows(kept.find.id, run, verdict):
                 return None
             scenario = driven(run)
             starts[scenario] = starts_of(run, top_speed)
@@ -96,14 +96,20 @@ class Simplification:
             starts=lambda scenario: starts.get(scenario, ()),
         )
 
-    def _run_again(self, scenario: Scenario, finding: Finding) -> tuple[Run, Verdict, str]:
+    def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
+        """Whether a run shows the failure of a find; by the same fault, too, so that the find's name still fits."""
+        found = next(signature for signature, id_ in self.loop.finds.items() if id_ == find_id)
+        shown = None if verdict.failure is None else of_failure(run, verdict.failure)
+        return shown is not None and (shown, shown.fault) == (found, found.fault)
+
+    def _run_again(self, scenario: Scenario, kept: Kept) -> tuple[Run, Verdict, str]:
         """A run, its verdict, and what differs from the finding in it, or in a further run by other means."""
         __tracebackhide__ = True
         run = self.loop.simulation.run(scenario, afresh=True)
         verdict = self.loop.simulation.judge(run)
-        if verdict.failure is None or of_failure(run, verdict.failure) != finding.signature:
+        if not self._shows(kept.find.id, run, verdict):
             return run, verdict, f"a later run of it ended otherwise: {ending(run)}"
-        return run, verdict, "" if scenario == finding.scenario else self.loop.recorder.confirm(run)
+        return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirm(run)
 
     def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:

@@ -111,7 +111,7 @@ def evaluated(
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
     if failure is not None:
         found = of_failure(run, failure)
-        signature = f"{found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
     responsibility, fault = run.attribution.responsibility, run.attribution.fault
     is_blamed = blame == "any" or responsibility in ("ego", "both")
     failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)

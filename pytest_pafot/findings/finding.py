@@ -7,12 +7,13 @@ import math
 import re
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import Any
 
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.mistakes import mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.findings.portable import portable
@@ -90,8 +91,10 @@ class Expect:
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure."""
-        return Signature(**{part.name: getattr(self, part.name) for part in fields(Signature)})
+        """The identity of the failure, as far as a file tells it; :func:`of_failure` tells it of a run."""
+        return Signature(
+            **{part.name: getattr(self, part.name) for part in fields(Signature) if part.name != "mistake"}
+        )
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
@@ -196,7 +199,7 @@ class Finding:
 
     @property
     def signature(self) -> Signature:
-        """The identity of the failure."""
+        """The identity of the failure, as far as the file tells it."""
         return self.expect.signature
 
     @classmethod
@@ -205,7 +208,7 @@ class Finding:
     ) -> Finding:
         """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
         expect = Expect.of(run, failure, root=root)
-        id_ = f"{expect.signature.slug}-{run.scenario.id}"
+        id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found)
 
 
@@ -239,7 +242,7 @@ def _told(value: float | None, digits: int) -> float | None:
 
 def of_failure(run: Run, failure: Failure) -> Signature:
     """The signature of a run that failed."""
-    return Expect.of(run, failure).signature
+    return replace(Expect.of(run, failure).signature, mistake=mistake(run.trace, run.attribution))
 
 
 def is_id(text: str) -> bool:

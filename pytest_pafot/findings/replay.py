@@ -30,35 +30,21 @@ class Replayed:
     """What came of the replay of a saved finding: the signature ``observed`` now, None where it passes."""
 
     id: str
-    signature: Signature
     observed: Signature | None
-    xfailed: bool = False
 
     @classmethod
     def of(cls, finding: Finding, run: Run, failure: Failure | None) -> Replayed:
         """From the finding, the run of its scenario and the failure in it, None where it passes."""
-        return cls(
-            id=finding.id,
-            signature=finding.signature,
-            observed=None if failure is None else of_failure(run, failure),
-            xfailed=finding.xfail is not None,
-        )
-
-    def covers(self, signature: Signature) -> bool:
-        """Whether this saved scenario already shows, or is an accepted example of, a failure.
-
-        One that fails in another way than it was saved with covers what it shows now, so that no failure goes
-        without an item that fails for it.
-        """
-        return self.observed == signature or (self.xfailed and self.signature == signature)
+        return cls(id=finding.id, observed=None if failure is None else of_failure(run, failure))
 
 
 def covered_by(signature: Signature, replayed: Iterable[Replayed]) -> str | None:
     """The id of the first saved finding that makes a find *known*; None for a find that is new, or new again.
 
-    A signature is known while a saved scenario of it still fails or is xfailed; one whose files all pass is new.
+    A saved scenario, accepted or not, covers what it shows now, whatever it was saved for, and nothing where it passes:
+    so no failure goes without an item that fails for it, or is accepted for it.
     """
-    return next((saved.id for saved in replayed if saved.covers(signature)), None)
+    return next((saved.id for saved in replayed if saved.observed == signature), None)
 
 
 def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from textwrap import dedent
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
+from pytest_pafot.attribution.mistakes import BY_FAULT, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.grid import Cell
@@ -64,7 +65,7 @@ class Signature:
 
     A failed check is told by its name, and so is an assertion that does not speak of the collision by its text: how
     the run ended, and where the others drove, is up to the traffic, and one property would be many failures. A
-    collision that the ego answers for is told by its fault alone, for the same reason. Any other is told by where and
+    collision that the ego answers for is told by its mistake alone, for the same reason. Any other is told by where and
     how it came about.
 
     Attributes:
@@ -72,7 +73,9 @@ class Signature:
         assertion: the failing assertion (:func:`normalised`), free of file, line, numbers and addresses.
         outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
         responsibility: ``ego`` where it answers for the collision, alone or with the NPC; ``npc``; ``none``.
-        fault: what the ego answers for; None where it does not.
+        mistake: what the ego did wrong; None where it does not answer for a collision, and where a file tells that it
+            entered a lane, but not where the other was.
+        fault: the branch of the rules by which it answers; a name, which is not compared.
         side: of the ego that was hit; None without a collision, and with a fault.
         cell: of the NPC at the collision; None without one, and with a fault.
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one, and with a fault.
@@ -82,7 +85,8 @@ class Signature:
     assertion: str
     outcome: Outcome
     responsibility: Responsibility
-    fault: Fault | None = None
+    mistake: Mistake | None = None
+    fault: Fault | None = field(default=None, compare=False, repr=False)
     side: Side | None = None
     cell: Cell | None = None
     npc_manoeuvre: Manoeuvre | None = None
@@ -92,10 +96,11 @@ class Signature:
         if self.is_property:
             object.__setattr__(self, "outcome", Outcome.SAFE)
             object.__setattr__(self, "responsibility", "none")
-            for name in ("fault", "side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
+            for name in ("mistake", "fault", "side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
         elif self.fault is not None:
             object.__setattr__(self, "responsibility", "ego")
+            object.__setattr__(self, "mistake", self.mistake or BY_FAULT.get(self.fault))
             for name in ("side", "cell", "npc_manoeuvre", "ego_manoeuvre"):
                 object.__setattr__(self, name, None)
         elif self.outcome is not Outcome.COLLISION or self.failure == SLOW_DECISION:
@@ -118,10 +123,11 @@ class Signature:
     def slug(self) -> str:
         """A short name for files, in lower-case letters, digits and hyphens: ``entered-lane``, ``rear-6``.
 
-        Different signatures may share it.
+        Different signatures may share it, and equal ones may differ in it.
         """
         if self.fault is not None:
-            return self.fault
+            is_behind = self.fault == "entered-lane" and self.mistake == "kept-no-distance"
+            return "entered-behind" if is_behind else self.fault
         if self.failure == CHECK_FAILED:
             return _kebab(self.assertion.lower()) or "check"
         subject = self.side if self.outcome is Outcome.COLLISION and self.side else self._subject()

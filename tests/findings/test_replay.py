@@ -9,6 +9,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
 from pytest_pafot.trace import AdsError, Outcome
+from tests.support import situations
 from tests.support.traces import collision_at, trace_of, vehicle
 
 VERSIONS = {"pytest-pafot": "0.1.0", "numpy": "2.4.6"}
@@ -36,42 +37,47 @@ HIT_STANDING = trace_of(
     outcome=Outcome.COLLISION,
     collision=collision_at(30, cell=Cell.REAR, side="rear", ego_speed=0.0),
 )
+BESIDE = (situations.driven(0.0, shifts=[(2.0, situations.LEFT, 3.0)]), situations.driven(1.0, situations.LEFT))
+"""An ego that moves into the one beside it."""
 REAR = of_failure(Run(HIT_STANDING), FAILS)
 """The ego stands, so that the NPC is responsible."""
 
 
-def test_a_signature_is_known_while_a_scenario_of_it_still_fails():
-    files = [Replayed(id="a", signature=FRONT, observed=None), Replayed(id="b", signature=FRONT, observed=FRONT)]
+def test_a_signature_is_known_while_a_scenario_still_shows_it():
+    files = [Replayed(id="a", observed=None), Replayed(id="b", observed=FRONT)]
     assert covered_by(FRONT, files) == "b"
 
 
 def test_a_signature_whose_files_all_pass_is_new_again():
-    files = [Replayed(id=name, signature=FRONT, observed=None) for name in "ab"]
-    assert covered_by(FRONT, files) is None
-
-
-@pytest.mark.parametrize("observed", [FRONT, REAR, None])
-def test_an_accepted_failure_covers_its_signature_whatever_its_file_does_now(observed):
-    assert covered_by(FRONT, [Replayed(id="a", signature=FRONT, observed=observed, xfailed=True)]) == "a"
+    assert covered_by(FRONT, [Replayed(id=name, observed=None) for name in "ab"]) is None
 
 
 def test_another_signature_is_not_covered():
-    assert covered_by(REAR, [Replayed(id="a", signature=FRONT, observed=FRONT, xfailed=True)]) is None
+    assert covered_by(REAR, [Replayed(id="a", observed=FRONT)]) is None
     assert covered_by(FRONT, []) is None
 
 
-def test_a_file_that_fails_in_another_way_covers_what_it_shows_now():
-    files = [Replayed(id="a", signature=FRONT, observed=REAR)]
-    assert covered_by(REAR, files) == "a"
-    assert covered_by(FRONT, files) is None
+@pytest.mark.parametrize("xfail", [None, "issue 12"])
+def test_a_replay_covers_what_it_shows_now_accepted_or_not_whatever_it_was_saved_for(xfail):
+    finding = replace(saved(), xfail=xfail)
+    assert Replayed.of(finding, crash(), FAILS) == Replayed(id=finding.id, observed=FRONT)
+    assert Replayed.of(finding, Run(HIT_STANDING), FAILS) == Replayed(id=finding.id, observed=REAR)
+    assert Replayed.of(finding, run_of(), None) == Replayed(id=finding.id, observed=None)
 
 
-def test_a_replay_says_what_it_saw():
-    finding = replace(saved(), xfail="issue 12")
-    assert Replayed.of(finding, crash(), FAILS) == Replayed(
-        id=finding.id, signature=FRONT, observed=FRONT, xfailed=True
-    )
-    assert Replayed.of(saved(), run_of(), None) == Replayed(id=saved().id, signature=FRONT, observed=None)
+def lane_change(gap, *, faster):
+    """The ego changes lanes ahead of another at a gap [m], and answers for it."""
+    trace = situations.lane_change(gap, faster=faster)
+    assert (trace.collision is not None, Run(trace).attribution.fault) == (True, "entered-lane")
+    return Run(trace)
+
+
+def test_an_accepted_lane_change_does_not_cover_another_mistake_in_one():
+    accepted, other = lane_change(10.0, faster=8.0), Run(situations.hit(*BESIDE))
+    shown = Replayed.of(replace(saved(accepted), xfail="issue 12"), accepted, FAILS)
+    assert other.attribution.fault == "entered-lane"
+    assert covered_by(of_failure(lane_change(2.0, faster=4.0), FAILS), [shown]) == shown.id
+    assert covered_by(of_failure(other, FAILS), [shown]) is None
 
 
 def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):

@@ -1,4 +1,5 @@
 from dataclasses import fields, replace
+from itertools import chain
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import Run
 from pytest_pafot.trace import AdsError, Outcome
+from tests.support.situations import SITUATIONS
 from tests.support.traces import collision_at, trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision, run.explain()")
@@ -27,14 +29,20 @@ def crash(**where):
 STANDING = {"cell": Cell.LEFT, "side": "left", "ego_speed": 0.0}
 """A collision that the ego does not answer for."""
 
+SITUATIONS_BY_SLUG = {
+    "lane-change-10-m-ahead": "entered-lane",
+    "ego-swipes": "entered-lane",
+    "ego-enters-behind-a-slower-one": "entered-behind",
+}
 
-def test_a_collision_that_the_ego_answers_for_is_told_by_its_fault():
+
+def test_a_collision_that_the_ego_answers_for_is_told_by_its_mistake():
     assert of_failure(crash(), COLLIDES) == Signature(
         failure="AssertionError",
         assertion="not run.collision",
         outcome=Outcome.COLLISION,
         responsibility="ego",
-        fault="leader-unanswered",
+        mistake="kept-no-distance",
     )
 
 
@@ -87,7 +95,21 @@ def test_the_time_and_the_speeds_do_not_matter():
     assert of_failure(crash(ego_speed=18.0), COLLIDES) == of_failure(crash(npc_speed=3.0), COLLIDES)
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Signature)])
+def test_the_fault_names_a_failure_and_tells_none_from_another():
+    told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
+    leader, cut_in = (Signature(**told, fault=fault) for fault in ("leader-unanswered", "cut-in-unanswered"))
+    assert leader == cut_in
+    assert (leader.slug, cut_in.slug) == ("leader-unanswered", "cut-in-unanswered")
+
+
+@pytest.mark.parametrize("name", SITUATIONS_BY_SLUG)
+def test_a_lane_change_is_named_by_where_the_other_was(name):
+    trace = next(each for each in chain(*SITUATIONS.values()) if each.name == name).trace()
+    assert Run(trace).attribution.fault == "entered-lane"
+    assert of_failure(Run(trace), COLLIDES).slug == SITUATIONS_BY_SLUG[name]
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Signature) if field.compare])
 def test_every_field_matters(name):
     signature = of_failure(crash(**STANDING), COLLIDES)
     assert replace(signature, **{name: "other"}) != signature

@@ -1,0 +1,50 @@
+"""What the ego did wrong in a collision that it answers for, in the few words that tell one defect from another.
+
+A verdict's *fault* is the branch of the rules that blames the ego, and one defect takes several of them: who never
+brakes in time runs into those who drive ahead, who cut in, and those behind whom it changes lanes. What a defect has in
+common is where the other was when the ego had to take it into account.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+from pytest_pafot.attribution.responsibility import Attribution, Fault
+from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.trace import Trace
+
+Mistake = Literal["kept-no-distance", "moved-into-side", "moved-in-front", "braked-for-nothing", "stopped-for-nothing"]
+"""It did not keep off a vehicle ahead, whoever had come into whose lane; it changed lanes into a vehicle beside it, or
+into the way of one behind; it braked hard, or stopped, with nothing in its way."""
+
+CLOSE_AHEAD = 2.0
+"""Who begins no further ahead, between the boxes along the road, is beside the ego that changes lanes [m]."""
+
+BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
+    {
+        "leader-unanswered": "kept-no-distance",
+        "cut-in-unanswered": "kept-no-distance",
+        "braked-for-nothing": "braked-for-nothing",
+        "stopped-for-nothing": "stopped-for-nothing",
+    }
+)
+"""Those that the fault alone tells; one that entered a lane is told by where the other was."""
+
+
+def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
+    """What the ego did wrong, by a trace and its verdict; None where it does not answer for a collision.
+
+    An ego that entered a lane is judged at the verdict's moment, when it came over the line: the other is ahead when
+    there are more than 2 m between the boxes along the road, behind when it is further back than level, else beside.
+    """
+    if trace.collision is None or attribution.fault is None or attribution.tick is None:
+        return None
+    if attribution.fault != "entered-lane":
+        return BY_FAULT[attribution.fault]
+    frame, npc, tick = RoadFrame(trace), trace.collision.npc, attribution.tick
+    ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
+    if ahead > both + CLOSE_AHEAD:
+        return "kept-no-distance"
+    return "moved-in-front" if ahead < -both else "moved-into-side"

@@ -1,0 +1,88 @@
+"""What the ego did wrong, told by where the other was when it had to take it into account."""
+
+from dataclasses import replace
+from itertools import chain
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.attribution.mistakes import BY_FAULT, CLOSE_AHEAD, mistake
+from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
+from pytest_pafot.trace import Outcome, X
+from tests.support.situations import LEFT, OWN, SITUATIONS, driven, hit
+from tests.support.traces import LENGTH, trace_of, vehicle
+
+TRACES = {each.name: each.trace for each in chain(*SITUATIONS.values())}
+MADE = {
+    "slow-leader-ignored": "kept-no-distance",
+    "ramp-npc-merges-35-m-ahead": "kept-no-distance",
+    "ego-enters-behind-a-slower-one": "kept-no-distance",
+    "ego-overtakes-into-oncoming-traffic": "kept-no-distance",
+    "ego-swipes": "moved-into-side",
+    "ego-drifts": "moved-into-side",
+    "bend-ego-runs-wide": "moved-into-side",
+    "both-enter-side-by-side": "moved-into-side",
+    "lane-change-1-m-ahead": "moved-in-front",
+    "lane-change-28-m-ahead": "moved-in-front",
+    "both-enter-ego-10-m-ahead": "moved-in-front",
+}
+
+
+def made(trace):
+    return mistake(trace, rss_rule(trace))
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_each_situation_shows_its_mistake(name):
+    assert made(TRACES[name]()) == MADE[name]
+
+
+def test_a_mistake_is_made_where_the_ego_answers_for_a_collision_and_nowhere_else():
+    for make in TRACES.values():
+        trace = make()
+        verdict = rss_rule(trace)
+        assert (mistake(trace, verdict) is None) == (verdict.fault is None)
+        assert mistake(trace, verdict) == BY_FAULT.get(verdict.fault, mistake(trace, verdict))
+
+
+def test_every_fault_but_an_entered_lane_tells_the_mistake():
+    assert {*BY_FAULT, "entered-lane"} == set(get_args(Fault))
+
+
+@pytest.mark.parametrize(
+    ("gap", "expected"),
+    [
+        (CLOSE_AHEAD + 0.1, "kept-no-distance"),
+        (CLOSE_AHEAD - 0.1, "moved-into-side"),
+        (-LENGTH, "moved-into-side"),
+        (-2 * LENGTH + 0.1, "moved-into-side"),
+        (-2 * LENGTH - 0.1, "moved-in-front"),
+    ],
+)
+def test_who_is_up_to_two_metres_ahead_or_level_is_beside(gap, expected):
+    ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
+    verdict = Attribution(responsibility="ego", tick=0, time=0.0, reason="", fault="entered-lane")
+    assert mistake(trace_of(ego, npc, outcome=Outcome.COLLISION), verdict) == expected
+
+
+@given(name=st.sampled_from(sorted(MADE)), shift=st.floats(-500, 500))
+def test_where_on_the_road_it_happens_does_not_matter(name, shift):
+    trace = TRACES[name]()
+    if trace.track is None:
+        states = trace.states.copy()
+        states[..., X] += shift
+        trace = replace(trace, states=states, lanes=tuple(replace(lane, x=lane.x + shift) for lane in trace.lanes))
+    assert made(trace) == MADE[name]
+
+
+@pytest.mark.parametrize("along", [-30.0, -15.0, 1.0, 40.0])
+def test_left_and_right_are_alike(along):
+    """The ego comes from either side into the lane of another, as far away and as fast."""
+    speed = 20.0 - along / 5
+    sides = [
+        hit(driven(0.0, side, shifts=[(2.0, OWN, 2.0)]), driven(along, OWN, speed=speed)) for side in (LEFT, 2 * OWN)
+    ]
+    assert [rss_rule(trace).fault for trace in sides] == ["entered-lane"] * 2
+    assert made(sides[0]) == made(sides[1])

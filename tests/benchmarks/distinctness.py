@@ -1,0 +1,204 @@
+"""Is each defect one finding, and each finding one defect?
+
+    python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--generations 100] [--workers 2]
+        [--policies NAME ...] [--development]
+
+Searches policies whose defects are known, and asks of each failing run which defect is to blame: the one whose repair
+alone makes the scenario pass. The policies are those of ``policies_with_defects``, which nothing is tuned on; with
+``--development`` those of ``example_ads.defects``, and combinations of them, on which what tells findings apart was
+chosen.
+
+Prints for each policy the findings of each search, how many searches have a finding of every defect, the V-measure of
+its failing runs (Rosenberg and Hirschberg 2007; classes: defects, clusters: findings, each run in that which it counts
+for; without runs that no single repair, or more than one, makes pass), mean of the searches, and what the findings of
+each defect are called: the confusion matrix.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import pytest_pafot as pafot
+from example_ads import defects
+from pytest_pafot import Run, Scenario
+from pytest_pafot.campaign.events import Judged
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.signature import Signature
+from tests.benchmarks import policies_with_defects as held_out
+from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS
+
+COMBINED = (
+    ("ignores-standing-vehicles", "looks-only-ahead"),
+    ("blind-beside-front-wheel", "trusts-any-gap-behind"),
+    ("ignores-standing-vehicles", "brakes-weakly"),
+    ("forgets-after-lane-change", "ignores-standing-vehicles"),
+    ("brakes-for-ghosts", "looks-only-ahead"),
+    ("sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead"),
+    ("brakes-for-ghosts", "stops-in-its-lane", "sees-cut-ins-late"),
+)
+"""Of the policies of ``example_ads.defects``, besides each alone."""
+
+NONE, SEVERAL = "no single repair", "several"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy, its defects, and how it is made with some of them repaired."""
+
+    name: str
+    defects: tuple[str, ...]
+    make: Callable[[Sequence[str]], Any]
+    setting: Any = DEFAULT
+
+    def label(self, scenario: Scenario) -> str:
+        """The one defect whose repair alone makes the scenario pass."""
+        healing = [defect for defect in self.defects if not self._fails(scenario, (defect,))]
+        return healing[0] if len(healing) == 1 else (SEVERAL if healing else NONE)
+
+    def signature(self, scenario: Scenario) -> Signature:
+        """Of what the policy with all of its defects shows in a scenario."""
+        return of_failure(self._run(scenario, ()), NOT_RUN_COLLISION)
+
+    def _fails(self, scenario: Scenario, repaired: Sequence[str]) -> bool:
+        return self._run(scenario, repaired).responsibility in ("ego", "both")
+
+    def _run(self, scenario: Scenario, repaired: Sequence[str]) -> Run:
+        return Run(self.setting.world.rollout(scenario, self.make(repaired)))
+
+
+@dataclass(frozen=True)
+class Searched:
+    """One search: what tells each finding, and each failing run, with its label."""
+
+    findings: list[tuple[Signature, str]]
+    runs: list[tuple[Signature, str]]
+
+
+def holds(run: Run) -> None:
+    assert not run.collision
+
+
+def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
+    """A vehicle class with the defects of several that are not repaired; the healthy one where none is left."""
+    left = [defects.make(name) for name in names if name not in repaired]
+    return type("Combined", tuple(left), {}) if left else defects.make("healthy")
+
+
+def subjects(*, development: bool) -> dict[str, Subject]:
+    """By name."""
+    if not development:
+        return {
+            name: Subject(name, found, partial(held_out.make, name)) for name, (_, found) in held_out.POLICIES.items()
+        }
+    alone = [(name,) for name in defects.POLICIES if name not in ("healthy", *defects.COMBINED)]
+    every = [
+        Subject("+".join(names), names, partial(combined, names), SETTINGS.get(names[0], DEFAULT))
+        for names in (*alone, *COMBINED)
+    ]
+    return {each.name: each for each in every}
+
+
+def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
+    """One search, with its labels."""
+    subject = subjects(development=options.development)[name]
+    space, failing = subject.setting.space, {}
+
+    def listen(event: object) -> None:
+        if isinstance(event, Judged) and event.verdict.failure is not None:
+            failing[event.run.scenario] = of_failure(event.run, event.verdict.failure)
+
+    found = pafot.explore(
+        subject.make(()),
+        holds=holds,
+        world=subject.setting.world,
+        npcs=space.npcs,
+        ego_speed=space.ego_speed,
+        blame="ego",
+        generations=options.generations,
+        seed=seed,
+        on_event=listen,
+    )
+    return Searched(
+        findings=[(subject.signature(each.scenario), subject.label(each.scenario)) for each in found.findings],
+        runs=[(signature, subject.label(scenario)) for scenario, signature in failing.items()],
+    )
+
+
+def v_measure(classes: Sequence[Hashable], clusters: Sequence[Hashable]) -> float:
+    """Harmonic mean of homogeneity and completeness, 0 to 1; 1 where there is nothing to tell apart and it was not."""
+
+    def entropy(labels: Iterable[Hashable]) -> float:
+        counts = Counter(labels)
+        return -sum(count / counts.total() * math.log(count / counts.total()) for count in counts.values())
+
+    of_classes, of_clusters = entropy(classes), entropy(clusters)
+    shared = of_classes + of_clusters - entropy(zip(classes, clusters, strict=True))
+    homogeneity = shared / of_classes if of_classes else 1.0
+    completeness = shared / of_clusters if of_clusters else 1.0
+    return 2 * homogeneity * completeness / (homogeneity + completeness) if homogeneity + completeness else 0.0
+
+
+def agreement(search: Searched) -> float | None:
+    """The V-measure of a search; None where no run has one defect to blame."""
+    told = [(label, signature) for signature, label in search.runs if label not in (NONE, SEVERAL)]
+    return v_measure(*zip(*told, strict=True)) if told else None
+
+
+def report(subject: Subject, searches: Sequence[Searched]) -> str:
+    """A row of the table, and the confusion matrix where there is something to confuse."""
+    counts = [len(search.findings) for search in searches]
+    complete = sum({label for _, label in each.findings} >= set(subject.defects) for each in searches)
+    exact = sum(Counter(label for _, label in each.findings) == Counter(subject.defects) for each in searches)
+    values = [value for value in map(agreement, searches) if value is not None]
+    lines = [
+        f"| {subject.name} | {len(subject.defects)} | {statistics.mean(counts):.2f} | {' '.join(map(str, counts))} "
+        f"| {complete} | {exact} | {statistics.mean(values) if values else math.nan:.2f} |"
+    ]
+    called = Counter((label, told(signature)) for each in searches for signature, label in each.findings)
+    return "\n".join([*lines, *(f"    {count:3} x {label}: {name}" for (label, name), count in sorted(called.items()))])
+
+
+def told(signature: Signature) -> str:
+    """What a signature says that a user sees."""
+    return signature.mistake or signature.slug
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--generations", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--policies", nargs="*")
+    parser.add_argument("--development", action="store_true")
+    arguments = parser.parse_args()
+    every = subjects(development=arguments.development)
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    print("| policy | defects | findings | by seed | every defect found | one finding each | V-measure |")
+    print("|---|---|---|---|---|---|---|")
+    done: dict[int, list[Searched]] = {}
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        names = arguments.policies or list(every)
+        jobs = {name: [pool.submit(searched, name, seed, arguments) for seed in seeds] for name in names}
+        for name, futures in jobs.items():
+            searches = [future.result() for future in futures]
+            done.setdefault(len(every[name].defects), []).extend(searches)
+            print(report(every[name], searches), flush=True)
+    for number, searches in sorted(done.items()):
+        values = [value for value in map(agreement, searches) if value is not None]
+        print(
+            f"{number} defects: {statistics.mean(len(each.findings) for each in searches):.2f} findings a search, "
+            f"V-measure {statistics.mean(values) if values else math.nan:.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,671 @@
+"""Planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
+
+They were written before what tells findings apart was chosen, and nothing is tuned on them: they measure it. Units are
+metres, seconds and radians throughout.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from copy import copy
+from functools import partial
+
+
+def clip(x, lo, hi):
+    return lo if x < lo else hi if x > hi else x
+
+
+class Seen:
+    """What a planner holds of another vehicle: `v` along the road, `w` sideways, `a` its acceleration."""
+
+    __slots__ = ("a", "i", "length", "reach", "turned", "v", "w", "width", "x", "y")
+
+    def __init__(self, i, o, a):
+        self.i, self.x, self.y, self.v, self.w = (
+            i,
+            o.x,
+            o.y,
+            o.speed * math.cos(o.heading),
+            o.speed * math.sin(o.heading),
+        )
+        self.a, self.length, self.width, self.turned = a, o.length, o.width, o.heading
+        self.reach = (o.length * abs(math.sin(o.heading)) + o.width * abs(math.cos(o.heading))) / 2
+
+
+# lateral controllers
+
+
+class Ramp:
+    """A set point that moves sideways at no more than `rate`."""
+
+    def __init__(self, rate=1.3):
+        self.rate, self.y, self.t = rate, None, 0.0
+
+    def steer(self, o, goal):
+        e = o.ego
+        if self.y is None:
+            self.y, self.t = e.y, o.time
+        dt, self.t = o.time - self.t, o.time
+        step = clip(goal - self.y, -self.rate * dt, self.rate * dt)
+        self.y += step
+        v = max(e.speed, 4.0)
+        h = clip(((step / dt if dt > 0 else 0.0) + 0.8 * (self.y - e.y)) / v, -1.5 / v, 1.5 / v)
+        return clip(2.2 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
+
+
+class Blend:
+    """A smooth profile from where it is to the new goal."""
+
+    def __init__(self, seconds=4.6):
+        self.T, self.goal = seconds, None
+
+    def steer(self, o, goal):
+        e = o.ego
+        if goal != self.goal:
+            self.goal, self.y0, self.t0 = goal, e.y, o.time
+        lasts, by = max(self.T, 1.1 * abs(goal - self.y0)), goal - self.y0
+        s = clip((o.time - self.t0) / lasts, 0, 1)
+        ref, rate = self.y0 + by * s * s * (3 - 2 * s), by * 6 * s * (1 - s) / lasts
+        v = max(e.speed, 4.0)
+        h = clip((rate + 0.7 * clip(ref - e.y, -0.6, 0.6)) / v, -1.5 / v, 1.5 / v)
+        return clip(2.3 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
+
+
+class Preview:
+    """Steers at a point ahead on the goal line."""
+
+    def __init__(self, seconds=2.6):
+        self.seconds = seconds
+
+    def steer(self, o, goal):
+        e = o.ego
+        v = max(e.speed, 4.0)
+        h = clip((goal - e.y) / (self.seconds * v), -1.4 / v, 1.4 / v)
+        return clip(2.0 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
+
+
+class Planner:
+    """The sound planner. Defects override one of its hooks and ask `self.bad(name)`."""
+
+    DEFECTS: tuple[str, ...] = ()
+    HEADWAY = 1.8
+    SHARE = 0.97  # of the speed limit
+    GAIN, LOSS = 2.0, 9.0  # speed that a change must promise; rest between two changes [s]
+    SIDES = (-1, 1)
+    LATERAL = Ramp
+
+    def __init__(self, repaired=frozenset()):
+        self.repaired = frozenset(repaired)
+        assert self.repaired <= set(self.DEFECTS), self.repaired
+        self.lat, self.lane, self.old, self.changed, self.rest = self.LATERAL(), None, None, -3.0, 0.0
+        self.tracks, self.t, self.low = {}, None, 99.0
+        self.begin()
+
+    def begin(self):
+        pass
+
+    def bad(self, name):
+        return name in self.DEFECTS and name not in self.repaired
+
+    # perception
+    def perceive(self, o):
+        seen, dt = [], o.time - self.t if self.t is not None else 0.0
+        for i, other in enumerate(o.others):
+            before = self.tracks.get(i)
+            a = (other.speed - before) / dt if before is not None and dt > 0 else 0.0
+            self.tracks[i] = other.speed
+            seen.append(Seen(i, other, a))
+        self.t, self.dt = o.time, dt
+        return seen
+
+    def gap(self, o, s):
+        return abs(s.x - o.ego.x) - (s.length + o.ego.length) / 2
+
+    def off(self, o, s, look=1.2):
+        """How far the other is, or soon will be, from the strip that the ego drives in."""
+        a, b = o.ego.y, self.lane * o.lane_width
+        lo, hi = min(a, b), max(a, b)
+        return min(max(lo - y, y - hi, 0.0) for y in (s.y, s.y + look * s.w, s.y + self.may(s)))
+
+    def may(self, s):
+        """Who is slow and turned towards another lane may soon be there."""
+        return clip(12 * s.turned, -1.5, 1.5) if abs(s.v) < 6 and abs(s.turned) > 0.03 else 0.0
+
+    def in_path(self, o, s):
+        return s.x > o.ego.x and self.off(o, s) < s.reach + o.ego.width / 2 + 0.35
+
+    # along
+    def law(self, e, g, d, v):
+        return 0.3 * (g - 3.0 - self.HEADWAY * e.speed) - 1.0 * d
+
+    def need(self, o, s):
+        """Deceleration that it takes now, if the other goes on as it does."""
+        e, g = o.ego, max(self.gap(o, s) - 2.0, 0.2)
+        d = e.speed - s.v
+        need = d * d / (2 * g) if d > 0 else 0.0
+        if s.a < -1.0:
+            stop = s.v * s.v / (2 * max(-s.a, 3.0))
+            need = max(need, e.speed**2 / (2 * max(g + stop - 0.25 * e.speed, 0.5)))
+        if g < 0.9 * e.speed:  # too near: be ready for the hardest braking
+            hard = e.speed**2 / (2 * max(g + s.v * s.v / 16 - 0.4 * e.speed, 0.5))
+            need = max(need, min(hard, 5.0) if d > -2 else 0.0)
+        return need
+
+    def follow(self, o, s):
+        e, g, n = o.ego, self.gap(o, s), self.need(o, s)
+        a = clip(self.law(e, g, e.speed - s.v, s.v), -4.0, 3.0)
+        if n > 1.5:
+            a = min(a, -1.2 * n)
+        return a
+
+    def cruise(self, o):
+        return clip(0.6 * (self.SHARE * o.speed_limit - o.ego.speed), -1.5, 1.8)
+
+    def along(self, o, seen):
+        return min([self.cruise(o)] + [self.follow(o, s) for s in seen if self.in_path(o, s)])
+
+    # across
+    def beside(self, o, k, s):
+        """Whether the other is in lane k, or will be."""
+        return min(abs(y - k * o.lane_width) for y in (s.y, s.y + 1.5 * s.w)) < 2.9
+
+    def front_ok(self, o, s):
+        e, g = o.ego, self.gap(o, s)
+        d = max(e.speed - s.v, 0)
+        return g > 8 + 1.3 * e.speed + d + d * d / 6
+
+    def rear_ok(self, o, s):
+        e, g = o.ego, self.gap(o, s)
+        d = max(s.v - min(self.low, e.speed) + 2.0, 0)
+        return g > 16 + 1.3 * max(s.v, e.speed) + 2.5 * d + d * d / 5
+
+    def fits(self, o, k, s):
+        return self.front_ok(o, s) if s.x > o.ego.x else self.rear_ok(o, s)
+
+    def free(self, o, k, seen):
+        self.low = min(o.ego.speed, self.pace(o, k, seen))  # its speed in the new lane, soon
+        for s in seen:
+            if self.beside(o, k, s):
+                if not self.fits(o, k, s):
+                    return False
+            elif abs(s.y - k * o.lane_width) < 7 and abs(s.y - o.ego.y) > 5 and self.gap(o, s) < 15:
+                return False  # it might come into the lane from the other side
+        return True
+
+    def pace(self, o, k, seen):
+        return min(
+            [self.SHARE * o.speed_limit]
+            + [s.v for s in seen if 0 < s.x - o.ego.x < 90 and abs(s.y - k * o.lane_width) < 2.2]
+        )
+
+    def wants(self, o, seen):
+        """Lanes that it would like to be in, best first."""
+        own = self.pace(o, self.lane, seen)
+        c = [
+            k
+            for k in (self.lane + d for d in self.SIDES)
+            if 0 <= k < o.lanes and self.pace(o, k, seen) > own + self.GAIN
+        ]
+        if (
+            not c
+            and o.time - self.changed > self.LOSS
+            and self.lane + 1 < o.lanes
+            and self.pace(o, self.lane + 1, seen) >= own
+        ):
+            c = [self.lane + 1]
+        return c
+
+    def choose(self, o, seen):
+        e = o.ego
+        if self.old is not None:
+            if abs(e.y - self.lane * o.lane_width) < 0.4:
+                self.old, self.changed = None, o.time
+            elif abs(e.y - self.old * o.lane_width) < 0.9 and not self.free(o, self.lane, seen):
+                self.lane, self.old, self.rest = self.old, None, o.time + 2.0
+            return
+        if o.time < self.rest or o.time - self.changed < 4 or e.speed < 11 or abs(e.y - self.lane * o.lane_width) > 0.4:
+            return
+        for k in self.wants(o, seen):
+            if self.free(o, k, seen):
+                self.old, self.lane = self.lane, k
+                return
+
+    def goal(self, o, seen):
+        return self.lane * o.lane_width
+
+    def command(self, o, seen, a):
+        """The last say on the acceleration."""
+        return a
+
+    def __call__(self, o):
+        if self.lane is None:
+            self.lane = o.ego.lane
+        seen = self.perceive(o)
+        self.choose(o, seen)
+        a = self.command(o, seen, self.along(o, seen))
+        return float(max(clip(a, -8.0, 2.5), -4.0 * max(o.ego.speed, 0.0))), float(
+            self.lat.steer(o, self.goal(o, seen))
+        )
+
+
+# other makes of the same
+
+
+class IdmBased(Planner):
+    LATERAL, HEADWAY = Blend, 1.6
+
+    def law(self, e, g, d, v):
+        s = 3.0 + max(0.0, self.HEADWAY * e.speed + e.speed * d / (2 * math.sqrt(1.6 * 3.0)))
+        return 1.6 * (1 - (s / max(g, 0.5)) ** 2)
+
+
+class GippsBased(Planner):
+    LATERAL, HEADWAY, SHARE, SIDES = Preview, 1.7, 0.93, (1, -1)
+
+    def law(self, e, g, d, v):
+        b, tau = 4.0, self.HEADWAY
+        safe = -b * tau / 2 + math.sqrt(
+            (b * tau / 2) ** 2 + max(v, 0) ** 2 + 2 * b * max(g - 3 - 0.5 * tau * e.speed, 0)
+        )
+        return (safe - e.speed) / 0.8
+
+
+# defects along the road
+
+
+class SpeedNearOnly:
+    """Who is further ahead than 12 m is as fast as the speed limit: a track starts so, until the radar confirms it."""
+
+    RANGE = 12.0
+
+    def follow(self, o, s):
+        if self.bad("speed-near-only") and self.gap(o, s) > self.RANGE:
+            s.v, s.a = o.speed_limit, 0.0
+        return super().follow(o, s)
+
+
+class ResumesUnasked:
+    """Stop and go: 3 s after it has stopped it sets off for 4 s whether or not the one ahead has."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        if not self.bad("resumes-unasked"):
+            return a
+        self.stood = getattr(self, "stood", 0.0) + self.dt if o.ego.speed < 0.3 else 0.0
+        if self.stood > 3.0:
+            self.off_until = o.time + 4.0
+        return max(a, 1.5) if o.time < getattr(self, "off_until", -1) else a
+
+
+class CutOffSlow:
+    """The distance controller switches itself off below 7 m/s, as it was made for motorways; the car coasts."""
+
+    def along(self, o, seen):
+        if self.bad("cut-off-slow") and o.ego.speed < 7.0:
+            return max(super().along(o, seen), -0.1)
+        return super().along(o, seen)
+
+
+class BrakesRest:
+    """A guard against hot brakes: after 1 s of more than 3.5 m/s^2 it allows 1 m/s^2 only, for 2.5 s."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        if not self.bad("brakes-rest"):
+            return a
+        if o.time < getattr(self, "cool", -1):
+            self.hot = 0.0
+            return max(a, -1.0)
+        self.hot = getattr(self, "hot", 0.0) + self.dt if a < -3.5 else 0.0
+        if self.hot >= 1.0:
+            self.cool = o.time + 2.5
+        return a
+
+
+class BrakesCapped:
+    """Brakes with 2.5 m/s^2 at most: the limit of comfort is applied to the sum of all requests."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        return max(a, -2.5) if self.bad("brakes-capped") else a
+
+
+class OldestTrackOnly:
+    """Of those ahead in its lane it answers only the one that it has tracked longest."""
+
+    def along(self, o, seen):
+        ahead = [s for s in seen if self.in_path(o, s)]
+        now = {s.i for s in ahead}
+        self.since = {i: t for i, t in getattr(self, "since", {}).items() if i in now}
+        for s in ahead:
+            self.since.setdefault(s.i, o.time)
+        if self.bad("oldest-track-only") and len(ahead) > 1:
+            ahead = [min(ahead, key=lambda s: self.since[s.i])]
+        return min([self.cruise(o)] + [self.follow(o, s) for s in ahead])
+
+
+class CentredOnly:
+    """One who comes in counts only when it is centred in the lane, for 1 s."""
+
+    def in_path(self, o, s):
+        p = super().in_path(o, s)
+        if not self.bad("cut-in-centred-only"):
+            return p
+        c = self.__dict__.setdefault("centred", {})
+        if min(abs(s.y - o.ego.y), abs(s.y - self.lane * o.lane_width)) > 0.5:
+            if s.x <= o.ego.x or self.off(o, s, 0.0) > 1.0:
+                c.pop(s.i, None)
+            return p and s.i in c and o.time - c[s.i] > 1.0
+        c.setdefault(s.i, o.time if o.time > 0.5 else -9.0)
+        return p and o.time - c[s.i] > 1.0
+
+
+class CutInOneSide:
+    """Of the two corner radars one gives no cut-ins: who comes in from there is seen 2 s after it is in the lane."""
+
+    def in_path(self, o, s):
+        p, side = super().in_path(o, s), self.__dict__.setdefault("side_of", {})
+        d = s.y - o.ego.y
+        if abs(d) > 2.2 or s.x < o.ego.x:
+            side[s.i] = ("left" if d < 0 else "right", o.time + 2.0)
+        if p and s.i in side and self.bad(f"cut-in-{side[s.i][0]}-late") and self.old is None:
+            return o.time > side[s.i][1]
+        return p
+
+
+# defects in lane changes
+
+
+class NegativeDropped:
+    """A gap below 0, side by side, is taken for no measurement when the next lane is checked."""
+
+    def fits(self, o, k, s):
+        return (self.bad("abreast-dropped") and self.gap(o, s) < 1.0) or super().fits(o, k, s)
+
+
+class TimeToContactOnly:
+    """Accepts who is behind when the time to contact is above 3 s, however near it is."""
+
+    def rear_ok(self, o, s):
+        if self.bad("ttc-only-behind"):
+            g, d = self.gap(o, s), s.v - o.ego.speed
+            return g > 1.0 and (d <= 0 or g / d > 3)
+        return super().rear_ok(o, s)
+
+
+class OwnSpeedBehind:
+    """Takes who is behind for as fast as itself: one speed for all in the table of the next lane."""
+
+    def rear_ok(self, o, s):
+        if self.bad("own-speed-behind"):
+            return self.gap(o, s) > 3 + 0.35 * o.ego.speed
+        return super().rear_ok(o, s)
+
+
+class FirstLaneOnly:
+    """Where two lanes in a row are better it crosses both at once, and has checked the first."""
+
+    def wants(self, o, seen):
+        c = super().wants(o, seen)
+        if not self.bad("second-lane-unchecked"):
+            return c
+        far = [k + k - self.lane for k in c]
+        return [
+            m
+            for k, m in zip(c, far, strict=True)
+            if 0 <= m < o.lanes and self.pace(o, m, seen) >= self.pace(o, k, seen)
+        ] + c
+
+    def free(self, o, k, seen):
+        home = self.lane if self.old is None else self.old
+        if self.bad("second-lane-unchecked") and abs(k - home) == 2:
+            mid = (k + home) // 2
+            return all(self.fits(o, mid, s) for s in seen if self.beside(o, mid, s))
+        return super().free(o, k, seen)
+
+
+class BlindSpots:
+    """Each side's radar has a hole beside and behind the own rear wheel."""
+
+    def fits(self, o, k, s):
+        if -16 < s.x - o.ego.x < 3:
+            if k < (self.lane if self.old is None else self.old):
+                if self.bad("left-blind-spot"):
+                    return True
+            elif self.bad("right-blind-spot"):
+                return True
+        return super().fits(o, k, s)
+
+
+class StaleGrid:
+    """Lane changes use a list of objects from 2.8 s ago, in coordinates of the road, as if all had stood since."""
+
+    def perceive(self, o):
+        seen = super().perceive(o)
+        self.log = getattr(self, "log", deque(maxlen=30))
+        self.log.append((o.time, [copy(s) for s in seen]))
+        return seen
+
+    def free(self, o, k, seen):
+        if self.bad("stale-grid"):
+            seen = next((old for t, old in self.log if t >= o.time - 2.8), seen)
+        return super().free(o, k, seen)
+
+
+class CourteousOthers:
+    """Expects who is behind to brake with 4 m/s^2 for it, as in the data that the gap was learned from."""
+
+    def rear_ok(self, o, s):
+        if self.bad("courteous-others"):
+            d = max(s.v - o.ego.speed, 0)
+            return self.gap(o, s) > 2.5 + d * d / 8
+        return super().rear_ok(o, s)
+
+
+class EvadesUnchecked:
+    """Where braking alone is hard it evades into the next lane, without looking there."""
+
+    def choose(self, o, seen):
+        super().choose(o, seen)
+        if (
+            self.bad("evades-unchecked")
+            and self.old is None
+            and o.ego.speed > 9
+            and o.time > getattr(self, "evaded", -1)
+        ):
+            for s in seen:
+                if self.in_path(o, s) and self.off(o, s, 0.0) < 2.0 and self.need(o, s) > 4.0:
+                    self.evaded = o.time + 5
+                    self.old, self.lane = self.lane, self.lane - 1 if self.lane > 0 else 1
+                    self.forced = True
+                    return
+
+    def free(self, o, k, seen):
+        if self.old is None:
+            self.forced = False
+        return getattr(self, "forced", False) or super().free(o, k, seen)
+
+
+class Nudges:
+    """Makes room for who drives beside it by 2.3 m to the other side, whoever is there."""
+
+    def goal(self, o, seen):
+        y = super().goal(o, seen)
+        if not self.bad("nudge-unchecked") or self.old is not None:
+            return y
+        for s in seen:
+            if abs(s.x - o.ego.x) < 7 and 1.5 < abs(s.y - y) < 4.6:
+                self.nudge = (o.time + 3.0, -2.3 if s.y > y else 2.3)
+                break
+        until, by = getattr(self, "nudge", (-1, 0))
+        return clip(y + by, 0, (o.lanes - 1) * o.lane_width) if o.time < until else y
+
+
+# needless braking
+
+
+class FollowerAsLeader:
+    """The emergency brake takes the size of the distance along the road: a tailgater sets it off."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        if self.bad("follower-as-leader"):
+            for s in seen:
+                if abs(s.y - o.ego.y) < 1.5 and s.x < o.ego.x and self.gap(o, s) < 12:
+                    a = min(a, -7.5)
+        return a
+
+
+class LostIsZero:
+    """A leader that is lost leaves a distance of 0 for 2.5 s."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        had = getattr(self, "had", set())
+        self.had = {s.i for s in seen if s.x > o.ego.x and abs(s.y - o.ego.y) < 2.0 and self.gap(o, s) < 70}
+        if self.bad("lost-is-zero"):
+            if had - self.had and not self.had:
+                self.zero = o.time + 2.5
+            if self.had:
+                self.zero = -1
+            if o.time < getattr(self, "zero", -1):
+                a = min(a, -7.0)
+        return a
+
+
+class NextLaneSlow:
+    """Who is slower ahead in the next lane sets off the emergency brake: the strip is two lanes wide."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        if self.bad("strip-too-wide"):
+            for s in seen:
+                if (
+                    2.5 < abs(s.y - o.ego.y) < 5
+                    and s.x - o.ego.x > 0
+                    and self.gap(o, s) < 1.5 * max(o.ego.speed - s.v, 0.0)
+                ):
+                    a = min(a, -7.5)
+        return a
+
+
+class StopsWhenBeside:
+    """Who has been beside it for 3 s is taken for stuck to it: it stops, to be on the safe side."""
+
+    def command(self, o, seen, a):
+        a = super().command(o, seen, a)
+        if not self.bad("stops-for-one-beside"):
+            return a
+        b = any(abs(s.x - o.ego.x) < 8 and 2.5 < abs(s.y - o.ego.y) < 5 for s in seen)
+        self.by = getattr(self, "by", 0.0) + self.dt if b else 0.0
+        if self.by > 3.0:
+            self.halt = o.time + 6.0
+        return min(a, -5.0) if o.time < getattr(self, "halt", -1) else a
+
+
+# ten with one
+
+
+class OneSpeedNear(SpeedNearOnly, GippsBased):
+    DEFECTS = ("speed-near-only",)
+
+
+class OneResumes(ResumesUnasked, IdmBased):
+    DEFECTS = ("resumes-unasked",)
+
+
+class OneCutOff(CutOffSlow, GippsBased):
+    DEFECTS = ("cut-off-slow",)
+
+
+class OneRest(BrakesRest, IdmBased):
+    DEFECTS = ("brakes-rest",)
+
+
+class OneCentred(CentredOnly, Planner):
+    DEFECTS = ("cut-in-centred-only",)
+
+
+class OneAbreast(NegativeDropped, GippsBased):
+    DEFECTS = ("abreast-dropped",)
+
+
+class OneTtc(TimeToContactOnly, Planner):
+    DEFECTS = ("ttc-only-behind",)
+
+
+class OneFollower(FollowerAsLeader, IdmBased):
+    DEFECTS = ("follower-as-leader",)
+
+
+class OneLost(LostIsZero, GippsBased):
+    DEFECTS = ("lost-is-zero",)
+
+
+class OneNudge(Nudges, IdmBased):
+    DEFECTS = ("nudge-unchecked",)
+
+
+# eight with two or three
+
+
+class TwoBlindSpots(BlindSpots, Planner):
+    DEFECTS = ("left-blind-spot", "right-blind-spot")
+
+
+class TwoChanges(OwnSpeedBehind, EvadesUnchecked, IdmBased):
+    DEFECTS = ("own-speed-behind", "evades-unchecked")
+
+
+class TwoFollowing(SpeedNearOnly, BrakesCapped, Planner):
+    DEFECTS = ("speed-near-only", "brakes-capped")
+
+
+class TwoMixed(CutOffSlow, StaleGrid, IdmBased):
+    DEFECTS = ("cut-off-slow", "stale-grid")
+
+
+class TwoBrakings(NextLaneSlow, StopsWhenBeside, GippsBased):
+    DEFECTS = ("strip-too-wide", "stops-for-one-beside")
+
+
+class ThreeMixed(ResumesUnasked, CourteousOthers, LostIsZero, Planner):
+    DEFECTS = ("resumes-unasked", "courteous-others", "lost-is-zero")
+
+
+class ThreeAnswers(CutInOneSide, CutOffSlow, GippsBased):
+    DEFECTS = ("cut-in-left-late", "cut-in-right-late", "cut-off-slow")
+
+
+class ThreeAround(FirstLaneOnly, FollowerAsLeader, BrakesRest, IdmBased):
+    DEFECTS = ("second-lane-unchecked", "follower-as-leader", "brakes-rest")
+
+
+POLICIES: dict[str, tuple[type, tuple[str, ...]]] = {
+    c.__name__: (c, c.DEFECTS)
+    for c in (
+        OneSpeedNear,
+        OneResumes,
+        OneCutOff,
+        OneRest,
+        OneCentred,
+        OneAbreast,
+        OneTtc,
+        OneFollower,
+        OneLost,
+        OneNudge,
+        TwoBlindSpots,
+        TwoChanges,
+        TwoFollowing,
+        TwoMixed,
+        TwoBrakings,
+        ThreeMixed,
+        ThreeAnswers,
+        ThreeAround,
+    )
+}
+
+
+def make(name, repaired=()):
+    return partial(POLICIES[name][0], frozenset(repaired))
