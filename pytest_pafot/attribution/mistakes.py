@@ -34,16 +34,23 @@ BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
 
 
 def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
-    """What the ego did wrong, by a trace and its verdict; None where it does not answer for a collision.
+    """What the ego did wrong in a run that ended in a collision, by the verdict; None where it does not answer."""
+    if trace.collision is None or attribution.fault is None:
+        return None
+    return mistake_with(trace.collision.npc, attribution, RoadFrame(trace))
+
+
+def mistake_with(npc: int, attribution: Attribution, frame: RoadFrame) -> Mistake | None:
+    """What the ego did wrong in a conflict with an NPC, by the verdict; None where it does not answer for it.
 
     An ego that entered a lane is judged at the verdict's moment, when it came over the line: the other is ahead when
     there are more than 2 m between the boxes along the road, behind when it is further back than level, else beside.
     """
-    if trace.collision is None or attribution.fault is None or attribution.tick is None:
+    if attribution.fault is None or attribution.tick is None:
         return None
     if attribution.fault != "entered-lane":
         return BY_FAULT[attribution.fault]
-    frame, npc, tick = RoadFrame(trace), trace.collision.npc, attribution.tick
+    tick = attribution.tick
     ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
     if ahead > both + CLOSE_AHEAD:
         return "kept-no-distance"

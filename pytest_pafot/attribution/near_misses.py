@@ -12,7 +12,8 @@ from itertools import groupby
 
 import numpy as np
 
-from pytest_pafot.attribution.responsibility import Conflict, Dangers, Fault
+from pytest_pafot.attribution.mistakes import Mistake, mistake_with
+from pytest_pafot.attribution.responsibility import Conflict, Dangers
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.trace import Trace
 
@@ -27,26 +28,26 @@ class NearMiss:
     """A danger that no impact ended, though the ego would have answered for it.
 
     Attributes:
-        fault: of the ego, had they touched then.
+        mistake: of the ego, had they touched then.
         tick: of the greatest severity.
         severity: mean of the risks of the time to contact and of the gap of the boxes, 0 to 1.
     """
 
-    fault: Fault
+    mistake: Mistake
     npc: int
     tick: int
     severity: float
 
 
 def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
-    """The worst near-miss of each fault, in the order of the faults' names.
+    """The worst near-miss of each mistake of the ego, in the order of their names.
 
     A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
     :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego had touched the NPC when the
     danger was most severe. The danger that ended in the impact of the run is none of these.
     """
-    by_severity = sorted(_all(trace), key=lambda each: (each.fault, -each.severity))  # stable: of equals the first
-    return tuple(next(group) for _, group in groupby(by_severity, key=lambda each: each.fault))
+    by_severity = sorted(_all(trace), key=lambda each: (each.mistake, -each.severity))  # stable: of equals the first
+    return tuple(next(group) for _, group in groupby(by_severity, key=lambda each: each.mistake))
 
 
 def _all(trace: Trace) -> Iterator[NearMiss]:
@@ -62,6 +63,6 @@ def _all(trace: Trace) -> Iterator[NearMiss]:
             if trace.collision is not None and trace.collision.npc == npc and end == len(severity):
                 continue  # the impact itself
             tick = start + int(np.argmax(severity[start:end, npc]))
-            fault = Conflict(dangers, npc, start, tick).attribution.fault
-            if fault is not None:
-                yield NearMiss(fault=fault, npc=npc, tick=tick, severity=float(severity[tick, npc]))
+            mistake = mistake_with(npc, Conflict(dangers, npc, start, tick).attribution, dangers.frame)
+            if mistake is not None:
+                yield NearMiss(mistake=mistake, npc=npc, tick=tick, severity=float(severity[tick, npc]))

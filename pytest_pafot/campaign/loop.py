@@ -143,7 +143,7 @@ class SearchLoop:
             failing=verdict.failed,
             discarded=verdict.discarded,
             kind=signature,
-            fault=(None if signature is None else signature.fault) if check is None else check.name,
+            mistake=(None if signature is None else signature.mistake) if check is None else check.name,
             near_misses=() if self.near_misses is None else self.near_misses(run.trace),
             margins=worst_margins(verdict) if self.is_steered_by_checks else (),
         )

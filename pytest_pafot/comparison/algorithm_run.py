@@ -107,12 +107,13 @@ def evaluated(
 
     The text of a signature can be read, and is equal exactly for equal signatures.
     """
-    run, signature = Run(trace, world=reference_world(world)), None
+    run, signature, mistake = Run(trace, world=reference_world(world)), None, None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
     if failure is not None:
         found = of_failure(run, failure)
-        signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
-    responsibility, fault = run.attribution.responsibility, run.attribution.fault
+        mistake = found.mistake
+        signature = f"{mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
+    responsibility = run.attribution.responsibility
     is_blamed = blame == "any" or responsibility in ("ego", "both")
     failing = trace.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or (trace.outcome is Outcome.COLLISION and is_blamed)
     if failing and run.collision is not None and blame == "preventable":
@@ -122,7 +123,7 @@ def evaluated(
         fitness=fitness(trace),
         failing=failing,
         kind=signature if failing else None,
-        fault=fault if failing else None,
+        mistake=mistake if failing else None,
         near_misses=near_misses(trace) if is_near_missed else (),
     )
     facts = RunFacts(

@@ -16,8 +16,8 @@ from typing import ClassVar
 
 from numpy.random import Generator
 
+from pytest_pafot.attribution.mistakes import Mistake
 from pytest_pafot.attribution.near_misses import NearMiss
-from pytest_pafot.attribution.responsibility import Fault
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
@@ -27,7 +27,7 @@ from pytest_pafot.searching.operators import crossover, improves, mutate, tourna
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
 NO_IMPACT = (0, 0)  # the niche of all runs without a collision, in which the nearest miss stays
-NEAREST = 3  # near-misses of each fault, whose runs may be parents
+NEAREST = 3  # near-misses of each mistake, whose runs may be parents
 
 Niche = tuple[int, int]  # the cell of an impact, 1 to 8, and the index of its closing speed
 Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
@@ -39,10 +39,10 @@ class DistinctState(GenerationState):
     """Where a search is, between two calls."""
 
     kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
-    faults: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
+    mistakes: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
     # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
     elites: Elites = ()
-    # the worst near-misses of each fault that is not known, with their runs, the worst first
+    # the worst near-misses of each mistake that is not known, with their runs, the worst first
     near: tuple[tuple[Near, ...], ...] = ()
     # by the name of each check that has not failed, the runs with the worst margin in each niche
     strained: Mapping[str, Elites] = field(default_factory=dict)
@@ -54,14 +54,14 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     1. The first generations are random, as the paper's first one is.
     2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
-       impact displaces the others. So may the runs of the three worst near-misses of each fault of the ego
+       impact displaces the others. So may the runs of the three worst near-misses of each mistake of the ego
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
-       fault another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
+       mistake another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
        A child has one to three mutations.
        For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
        once more, by its worst margin in place of the fitness: every check is an objective, without a weight.
     3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
-       then on: simplifying it is the shrinker's work. Nor are near-misses of a fault that is known.
+       then on: simplifying it is the shrinker's work. Nor are near-misses of a mistake that is known.
 
     Attributes:
         most_mutations: of a child, whose number is uniform from 1.
@@ -81,7 +81,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         return DistinctState()
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
-        """Groups that have the same chance each: the elites, whoever came near to a fault, and those of each check.
+        """Groups that have the same chance each: the elites, whoever came near to a mistake, and those of each check.
 
         Those of checks are there as often as all others are, since what a test asserts is what it wants to see fail.
         """
@@ -102,14 +102,14 @@ class DistinctSearch(NicheSearch[DistinctState]):
         """The failures that are known now, and the runs that may be parents."""
         failed = [each for each in evaluations if each.failing]
         kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
-        faults = state.faults | {each.fault for each in failed if each.fault is not None}
+        mistakes = state.mistakes | {each.mistake for each in failed if each.mistake is not None}
         return replace(
             state,
             kinds=kinds,
-            faults=faults,
+            mistakes=mistakes,
             elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
-            near=_near(state.near, evaluations, faults),
-            strained=_strained(state.strained, evaluations, kinds, faults),
+            near=_near(state.near, evaluations, mistakes),
+            strained=_strained(state.strained, evaluations, kinds, mistakes),
         )
 
 
@@ -126,23 +126,23 @@ def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluatio
 
 
 def _near(
-    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], faults: frozenset[str]
+    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], mistakes: frozenset[str]
 ) -> tuple[tuple[Near, ...], ...]:
-    """The nearest of each fault that is not known, in the order of the faults; the first of equals.
+    """The nearest of each mistake that is not known, in the order of the mistakes; the first of equals.
 
     A child that differs from its parent only in what comes later, or in which NPC is which, has the same near-miss.
     """
     known = (near for group in before for near in group)
     judged = (each for each in evaluations if each.eligible and not each.failing)
     told = ((near_miss, each) for each in judged for near_miss in each.near_misses)
-    found: dict[Fault, dict[tuple[float, int], Near]] = {}
+    found: dict[Mistake, dict[tuple[float, int], Near]] = {}
     for near_miss, each in (*known, *told):
         same = (near_miss.severity, near_miss.tick)
-        found.setdefault(near_miss.fault, {}).setdefault(same, (near_miss, each))
+        found.setdefault(near_miss.mistake, {}).setdefault(same, (near_miss, each))
     return tuple(
-        tuple(sorted(found[fault].values(), key=lambda near: -near[0].severity)[:NEAREST])
-        for fault in sorted(found)
-        if fault not in faults
+        tuple(sorted(found[mistake].values(), key=lambda near: -near[0].severity)[:NEAREST])
+        for mistake in sorted(found)
+        if mistake not in mistakes
     )
 
 

@@ -50,7 +50,8 @@ class Evaluation:
         outran: whether the ego left all NPCs behind, see :func:`outran`.
         barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
-        fault: of the ego in the failure, or the name of the check that failed; None where there is none or nobody says.
+        mistake: of the ego in the failure, or the name of the check that failed; None where there is none or nobody
+            says.
         near_misses: what the ego nearly had to answer for; empty where nobody says.
         margins: of each check that the user's function made, its name and its worst margin
             (:attr:`pytest_pafot.checks.Check.margin`), in the order of the names; empty where they do not steer.
@@ -73,7 +74,7 @@ class Evaluation:
     outran: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
-    fault: str | None = None
+    mistake: str | None = None
     near_misses: tuple[NearMiss, ...] = ()
     margins: tuple[tuple[str, float], ...] = ()
     arrived: tuple[tuple[bool, ...], ...] = ()
@@ -96,7 +97,7 @@ class Evaluation:
         failing: bool,
         discarded: bool = False,
         kind: Hashable | None = None,
-        fault: str | None = None,
+        mistake: str | None = None,
         near_misses: tuple[NearMiss, ...] = (),
         margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
@@ -117,7 +118,7 @@ class Evaluation:
             outran=left_behind,
             barely_moved=barely_moved(trace),
             kind=kind,
-            fault=fault,
+            mistake=mistake,
             near_misses=near_misses,
             margins=margins,
             arrived=arrived,

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.attribution.mistakes import mistake
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.criticality import gap, ttc
@@ -35,19 +36,19 @@ def before(trace, ticks=1):
     return replace(trace, states=states, outcome=Outcome.SAFE, collision=None, actions=trace.actions[: len(states) - 1])
 
 
-def faults(trace):
-    return [near_miss.fault for near_miss in near_misses(trace)]
+def mistakes(trace):
+    return [near_miss.mistake for near_miss in near_misses(trace)]
 
 
 @pytest.mark.parametrize("fault", ["leader-unanswered", "cut-in-unanswered", "entered-lane"])
-def test_what_almost_was_a_collision_of_the_ego_is_a_near_miss_of_the_same_fault(fault):
+def test_what_almost_was_a_collision_of_the_ego_is_a_near_miss_of_the_same_mistake(fault):
     trace = COLLISIONS[fault]()
     assert rss_rule(trace).fault == fault
-    assert faults(before(trace)) == [fault]
+    assert mistakes(before(trace)) == [mistake(trace, rss_rule(trace))]
 
 
 def test_what_almost_was_a_collision_of_an_npc_is_none():
-    assert faults(before(COLLISIONS["npc"]())) == []
+    assert mistakes(before(COLLISIONS["npc"]())) == []
 
 
 @pytest.mark.parametrize("name", COLLISIONS)
@@ -59,7 +60,7 @@ def test_a_danger_before_the_impact_with_another_is_one():
     ego = driven(0.0)
     slow = driven(60.0, RIGHT, speed=12.0, shifts=[(1.0, OWN, 2.0), (5.0, RIGHT, 1.0)])
     trace = crash(ego, driven(-60.0, speed=26.0), slow, side="rear", cell=Cell.REAR)
-    assert [(near_miss.fault, near_miss.npc) for near_miss in near_misses(trace)] == [("cut-in-unanswered", 1)]
+    assert [(near_miss.mistake, near_miss.npc) for near_miss in near_misses(trace)] == [("kept-no-distance", 1)]
 
 
 def test_keeping_the_distance_is_none():
@@ -82,10 +83,10 @@ def test_the_later_the_ego_is_saved_the_more_severe(ticks):
 
 
 @given(seed=st.integers(0, 10_000), ticks=st.integers(1, 60), vehicles=st.integers(2, 4))
-def test_any_run_has_at_most_one_of_each_fault_within_its_time(seed, ticks, vehicles):
+def test_any_run_has_at_most_one_of_each_mistake_within_its_time(seed, ticks, vehicles):
     states = random_states(np.random.default_rng(seed), ticks + 1, vehicles)
     found = near_misses(trace_of(*states.swapaxes(0, 1)))
-    assert [each.fault for each in found] == sorted({each.fault for each in found})
+    assert [each.mistake for each in found] == sorted({each.mistake for each in found})
     for each in found:
         assert 0 <= each.tick <= ticks
         assert 0 <= each.npc < vehicles - 1
@@ -99,11 +100,11 @@ def test_a_cut_in_that_nobody_could_answer_is_none_whether_or_not_the_tracks_cam
     assert rss_rule(whole).reason.endswith("too late to avoid it")
     ego = driven(0.0)
     ticks = whole.ticks
-    assert faults(trace_of(ego[:ticks], npc[:ticks])) == []
+    assert mistakes(trace_of(ego[:ticks], npc[:ticks])) == []
 
 
 @given(ticks=st.integers(1, 6))
 def test_just_before_a_collision_by_a_cut_in_that_came_too_late_there_is_none(ticks):
     trace = crash(driven(0.0), driven(28.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 0.6)]))
     assert rss_rule(trace).reason.endswith("too late to avoid it")
-    assert faults(before(trace, ticks)) == []
+    assert mistakes(before(trace, ticks)) == []

@@ -20,7 +20,7 @@ from typing import Any
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.attribution.near_misses import near_misses
-from pytest_pafot.attribution.responsibility import is_ego_responsible, rss_rule
+from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
@@ -108,7 +108,7 @@ def measured(variant: Variant, seed: int, hours: float, blame: bool) -> Tally:
             fitness=fitness(trace),
             failing=is_blamed if blame else is_hit,
             kind=kind if variant.tells_kinds else None,
-            fault=rss_rule(trace).fault if is_blamed else None,
+            mistake=None if kind is None else kind.mistake,
             near_misses=near_misses(trace) if blame and variant.tells_near_misses else (),
         )
 

@@ -8,10 +8,10 @@ alone makes the scenario pass. The policies are those of ``policies_with_defects
 ``--development`` those of ``example_ads.defects``, and combinations of them, on which what tells findings apart was
 chosen.
 
-Prints for each policy the findings of each search, how many searches have a finding of every defect, the V-measure of
-its failing runs (Rosenberg and Hirschberg 2007; classes: defects, clusters: findings, each run in that which it counts
-for; without runs that no single repair, or more than one, makes pass), mean of the searches, and what the findings of
-each defect are called: the confusion matrix.
+Prints for each policy the findings of each search, in how many searches each defect has a finding of its own, and in
+how many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects,
+clusters: findings, each run in that which it counts for; without runs that no single repair, or more than one, makes
+pass), mean of the searches; and what the findings of each defect are called: the confusion matrix.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import permutations
 from typing import Any
 
 import pytest_pafot as pafot
@@ -46,7 +47,8 @@ COMBINED = (
 )
 """Of the policies of ``example_ads.defects``, besides each alone."""
 
-NONE, SEVERAL = "no single repair", "several"
+Label = frozenset[str]
+"""Defects of which the repair of any one makes a scenario pass."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,9 @@ class Subject:
     make: Callable[[Sequence[str]], Any]
     setting: Any = DEFAULT
 
-    def label(self, scenario: Scenario) -> str:
-        """The one defect whose repair alone makes the scenario pass."""
-        healing = [defect for defect in self.defects if not self._fails(scenario, (defect,))]
-        return healing[0] if len(healing) == 1 else (SEVERAL if healing else NONE)
+    def label(self, scenario: Scenario) -> Label:
+        """The defects that are to blame for a failing scenario."""
+        return frozenset(each for each in self.defects if not self._fails(scenario, (each,)))
 
     def signature(self, scenario: Scenario) -> Signature:
         """Of what the policy with all of its defects shows in a scenario."""
@@ -78,8 +79,8 @@ class Subject:
 class Searched:
     """One search: what tells each finding, and each failing run, with its label."""
 
-    findings: list[tuple[Signature, str]]
-    runs: list[tuple[Signature, str]]
+    findings: list[tuple[Signature, Label]]
+    runs: list[tuple[Signature, Label]]
 
 
 def holds(run: Run) -> None:
@@ -148,22 +149,29 @@ def v_measure(classes: Sequence[Hashable], clusters: Sequence[Hashable]) -> floa
 
 def agreement(search: Searched) -> float | None:
     """The V-measure of a search; None where no run has one defect to blame."""
-    told = [(label, signature) for signature, label in search.runs if label not in (NONE, SEVERAL)]
+    told = [(label, signature) for signature, label in search.runs if len(label) == 1]
     return v_measure(*zip(*told, strict=True)) if told else None
 
 
 def report(subject: Subject, searches: Sequence[Searched]) -> str:
     """A row of the table, and the confusion matrix where there is something to confuse."""
     counts = [len(search.findings) for search in searches]
-    complete = sum({label for _, label in each.findings} >= set(subject.defects) for each in searches)
-    exact = sum(Counter(label for _, label in each.findings) == Counter(subject.defects) for each in searches)
+    complete = [has_each(subject.defects, [label for _, label in search.findings]) for search in searches]
+    exact = sum(each and count == len(subject.defects) for each, count in zip(complete, counts, strict=True))
     values = [value for value in map(agreement, searches) if value is not None]
-    lines = [
+    row = (
         f"| {subject.name} | {len(subject.defects)} | {statistics.mean(counts):.2f} | {' '.join(map(str, counts))} "
-        f"| {complete} | {exact} | {statistics.mean(values) if values else math.nan:.2f} |"
-    ]
-    called = Counter((label, told(signature)) for each in searches for signature, label in each.findings)
-    return "\n".join([*lines, *(f"    {count:3} x {label}: {name}" for (label, name), count in sorted(called.items()))])
+        f"| {sum(complete)} | {exact} | {statistics.mean(values) if values else math.nan:.2f} |"
+    )
+    found = ((signature, " or ".join(sorted(label))) for search in searches for signature, label in search.findings)
+    called = Counter(f"{label or 'no single defect'}: {told(signature)}" for signature, label in found)
+    return "\n".join([row, *(f"    {count:3} x {name}" for name, count in sorted(called.items()))])
+
+
+def has_each(wanted: Sequence[str], labels: Sequence[Label]) -> bool:
+    """Whether each defect has a finding of its own."""
+    chosen = permutations(labels, len(wanted))
+    return any(all(name in label for name, label in zip(wanted, each, strict=True)) for each in chosen)
 
 
 def told(signature: Signature) -> str:

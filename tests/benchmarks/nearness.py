@@ -1,4 +1,4 @@
-"""Does nearness to a fault lead to it? How many children of the nearest runs fail, against those of other parents.
+"""Does nearness to a mistake lead to it? How many children of the nearest runs fail, against those of other parents.
 
     python -m tests.benchmarks.nearness [--scenarios 20000] [--parents 60] [--children 60] [--seed 0]
 
@@ -26,7 +26,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import Outcome
 
 SPACE = SearchSpace()
-FAULTS = ("entered-lane", "cut-in-unanswered", "leader-unanswered", "braked-for-nothing")
+MISTAKES = ("moved-in-front", "moved-into-side", "kept-no-distance", "braked-for-nothing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ def candidates(world: Highway, count: int, rng: np.random.Generator) -> Iterator
                 scenario=trace.executed,
                 fitness=fitness(trace),
                 is_collision=trace.outcome is Outcome.COLLISION,
-                severities={each.fault: each.severity for each in near_misses(trace)},
+                severities={each.mistake: each.severity for each in near_misses(trace)},
             )
 
 
@@ -83,9 +83,9 @@ def main() -> None:
         "first by the default fitness": first(lambda each: each.fitness, pool),
         "first by the default fitness, of those without a collision": first(lambda each: each.fitness, safe),
     }
-    for fault in FAULTS:
-        near = [each for each in pool if fault in each.severities]
-        groups[f"nearest to `{fault}`"] = first(lambda each, fault=fault: each.severities[fault], near)
+    for mistake in MISTAKES:
+        near = [each for each in pool if mistake in each.severities]
+        groups[f"nearest to `{mistake}`"] = first(lambda each, mistake=mistake: each.severities[mistake], near)
     print("| parents | children that fail by the ego's fault | parents with any |\n| --- | --- | --- |")
     for name, parents in groups.items():
         print(row(name, parents, arguments.children, world, rng), flush=True)

@@ -66,7 +66,7 @@ class Control:
             fitness=FITNESS(trace),
             failing=found,
             kind=signature,
-            fault=signature.fault if signature is not None else None,
+            mistake=signature.mistake if signature is not None else None,
             near_misses=near_misses(trace),
         )
 

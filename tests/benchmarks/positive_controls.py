@@ -150,7 +150,7 @@ class Search:
             fitness=fitness,
             failing=failing,
             kind=signature,
-            fault=signature.fault if signature is not None else None,
+            mistake=signature.mistake if signature is not None else None,
             near_misses=near_misses(trace),
         )
 

@@ -132,53 +132,53 @@ def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the
     assert found(DistinctSearch()) >= 1.5 * found(PafotSearch()) > 0
 
 
-def near(fault, severity):
-    return NearMiss(fault=fault, npc=0, tick=30, severity=severity)
+def near(mistake, severity):
+    return NearMiss(mistake=mistake, npc=0, tick=30, severity=severity)
 
 
 def severities(state):
-    return [(group[0][0].fault, [near_miss.severity for near_miss, _ in group]) for group in state.near]
+    return [(group[0][0].mistake, [near_miss.severity for near_miss, _ in group]) for group in state.near]
 
 
-def test_the_three_that_came_nearest_to_a_fault_stay_whatever_their_fitness(make_evaluation):
+def test_the_three_that_came_nearest_to_a_mistake_stay_whatever_their_fitness(make_evaluation):
     rng, algorithm = np.random.default_rng(0), DistinctSearch()
 
     def evaluate(index, scenario):
-        misses = (near("entered-lane", 0.1 * index), *([near("leader-unanswered", 0.7)] if index == 2 else []))
+        misses = (near("kept-no-distance", 0.1 * index), *([near("moved-in-front", 0.7)] if index == 2 else []))
         return make_evaluation(scenario, fitness=-index, near_misses=misses)
 
     state = told(algorithm, algorithm.start(rng), evaluate, rng)
     assert severities(state) == [
-        ("entered-lane", pytest.approx([0.3, 0.2, 0.1])), ("leader-unanswered", [0.7])
+        ("kept-no-distance", pytest.approx([0.3, 0.2, 0.1])), ("moved-in-front", [0.7])
     ]  # fmt: skip
-    later = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("entered-lane", 0.25),)), rng)
-    assert severities(later)[0] == ("entered-lane", pytest.approx([0.3, 0.25, 0.2]))
+    later = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("kept-no-distance", 0.25),)), rng)
+    assert severities(later)[0] == ("kept-no-distance", pytest.approx([0.3, 0.25, 0.2]))
     assert later.near[0][0] == state.near[0][0], "the same near-miss again takes no second place"
 
 
-def test_who_came_near_to_a_fault_that_is_known_is_no_parent_for_that(make_evaluation):
+def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_evaluation):
     rng, algorithm = np.random.default_rng(0), DistinctSearch()
 
     def evaluate(index, scenario):
         if index == 3:
-            return make_evaluation(scenario, failing=True, kind="a", fault="entered-lane")
-        return make_evaluation(scenario, near_misses=(near("braked-for-nothing", 0.2), near("entered-lane", 0.9)))
+            return make_evaluation(scenario, failing=True, kind="a", mistake="moved-in-front")
+        return make_evaluation(scenario, near_misses=(near("braked-for-nothing", 0.2), near("moved-in-front", 0.9)))
 
     state = told(algorithm, algorithm.start(rng), evaluate, rng)
     assert severities(state) == [("braked-for-nothing", [0.2])]
-    state = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("entered-lane", 1.0),)), rng)
+    state = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("moved-in-front", 1.0),)), rng)
     assert severities(state) == [("braked-for-nothing", [0.2])]
 
 
 @pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
 def test_runs_that_say_nothing_or_that_fail_came_near_to_nothing(make_evaluation, fields):
     rng, algorithm = np.random.default_rng(0), DistinctSearch()
-    misses = (near("entered-lane", 0.9),)
+    misses = (near("moved-in-front", 0.9),)
     state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, near_misses=misses, **fields), rng)
     assert state.near == ()
 
 
-def test_a_fault_without_failures_nearby_is_found_by_its_near_misses(make_evaluation):
+def test_a_mistake_without_failures_nearby_is_found_by_its_near_misses(make_evaluation):
     """The fitness says nothing of it: only what came near leads there."""
 
     def slow(scenario):
@@ -191,7 +191,7 @@ def test_a_fault_without_failures_nearby_is_found_by_its_near_misses(make_evalua
                     each,
                     failing=slow(each) >= 5,
                     kind="rare" if slow(each) >= 5 else None,
-                    near_misses=(near("entered-lane", slow(each) / 6),) if is_told else (),
+                    near_misses=(near("moved-in-front", slow(each) / 6),) if is_told else (),
                 )
                 for each in scenarios
             ]
@@ -249,7 +249,7 @@ def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
 
     def judged(index, scenario):
         failed = index == 2
-        fields = {"failing": failed, "kind": "jerk" if failed else None, "fault": "jerk" if failed else None}
+        fields = {"failing": failed, "kind": "jerk" if failed else None, "mistake": "jerk" if failed else None}
         return make_evaluation(scenario, margins=(("gap", 0.5), ("jerk", 0.1 - failed)), **fields)
 
     state = told(algorithm, algorithm.start(rng), judged, rng)
@@ -259,10 +259,10 @@ def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
 
 def test_half_of_all_draws_are_those_of_checks(make_evaluation):
     algorithm, rng = DistinctSearch(), np.random.default_rng(0)
-    near = tuple(NearMiss(fault=fault, npc=0, tick=9, severity=0.5) for fault in ("entered-lane", "leader-unanswered"))
+    misses = (near("kept-no-distance", 0.5), near("moved-in-front", 0.5))
 
     def judged(index, scenario):
-        return make_evaluation(scenario, near_misses=near, margins=(("jerk", 0.5),))
+        return make_evaluation(scenario, near_misses=misses, margins=(("jerk", 0.5),))
 
     groups = algorithm.parents(told(algorithm, algorithm.start(rng), judged, rng))
     assert len(groups) == 6
