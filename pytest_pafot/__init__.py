@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pytest_pafot import properties as properties
     from pytest_pafot import strategies as strategies
     from pytest_pafot.attribution.last_chance import LastChance as LastChance
     from pytest_pafot.campaign.explore import Exploration as Exploration
@@ -83,12 +84,12 @@ _HOMES = {
     "until": "criticality.temporal",
 }
 
-__all__ = sorted([*_HOMES, "strategies"])  # noqa: PLE0605
+__all__ = sorted([*_HOMES, "properties", "strategies"])  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    if name == "strategies":
-        return import_module("pytest_pafot.strategies")
+    if name in ("properties", "strategies"):
+        return import_module(f"pytest_pafot.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)

@@ -11,8 +11,8 @@ PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
     "errors", "text", "locks", "files", "versions", "grid", "scenario", "trace", "checks", "rejection", "criticality",
-    "attribution", "run", "findings", "searching", "corpus", "world", "execution", "strategies", "testing", "campaign",
-    "comparison", "report", "plugin", "__main__",
+    "attribution", "run", "properties", "findings", "searching", "corpus", "world", "execution", "strategies",
+    "testing", "campaign", "comparison", "report", "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""
 

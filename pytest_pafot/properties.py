@@ -1,0 +1,247 @@
+"""Ready properties: what is commonly asked of a driving policy, one line of a test function each.
+
+    @pafot.search(blame="ego")
+    def test_drives_well(run):
+        pafot.properties.comfort(run)
+
+Each is a check of a name of its own, with a margin that steers the search, or makes none where a run has nothing to
+judge; :func:`no_fault` alone has no margin. Each says where it is from and how sure that is: *read*, that the text of
+the source itself was read; *second hand*, that others quote it so; all other numbers are choices, and arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.attribution.lane_changes import DRIFTING, LanePlaces
+from pytest_pafot.attribution.needless_braking import (
+    HARD_BRAKING,
+    HARD_SECONDS,
+    REASON_SECONDS,
+    braking,
+    hard_braking,
+    reasons,
+)
+from pytest_pafot.attribution.responsibility import DISTANCES
+from pytest_pafot.checks import check
+from pytest_pafot.criticality import RoadFrame, RssRules, longitudinal_gap
+from pytest_pafot.criticality.signals import Signal
+from pytest_pafot.run import Run
+from pytest_pafot.trace import LANE, OFFSET, FloatArray, Trace, X, Y
+
+__all__ = [
+    "answers_cut_ins", "brakes_for_a_reason", "comfort", "keeps_up", "lane_change_gaps", "no_fault", "rss_distance",
+    "stays_on_road",
+]  # fmt: skip
+
+NEAR = 10.0
+"""What gaps to others are divided by for their margins [m]."""
+INTRUSION = 0.3
+"""Over the line of the ego's lane, from which on an NPC has come in; UN R157, 5.2.5.2, has it of the tyre [m]."""
+VISIBLE = 0.72
+"""For so long an NPC's motion must have been visible before that; UN R157, 5.2.5.2 [s]."""
+STEADY = 0.5
+"""An NPC that has lost no more speed since then has maintained it [m/s]."""
+CONTACT = 0.1
+"""Boxes that are closer touch [m]."""
+
+
+def no_fault(run: Run) -> None:
+    """The ego is at fault in no collision, neither alone nor with the NPC; an assertion, without a margin.
+
+    By the written rules of ``run.attribution``, whose sources docs/verdicts.md names.
+    """
+    __tracebackhide__ = True
+    assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
+
+
+def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
+    """Whoever is ahead or side by side is as far as Responsibility-Sensitive Safety asks, along or across the road.
+
+    What is checked is the gap beyond the safe distance [m], the greater one of along and across, of the worst NPC, at
+    least 0. An NPC behind owes the distance itself; :func:`lane_change_gaps` is about moving in ahead of one.
+
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
+    choice by which two seconds are always enough; ``pafot.properties.RssRules()`` has those that Intel suggests (read).
+    """
+    frame = RoadFrame(run.trace)
+    along = np.where(frame.gap_along <= 0, -np.inf, frame.gap_along - frame.safe_along(rules)).T
+    beyond = np.maximum(along, (frame.gap_across - frame.safe_across(rules)).T)
+    is_judged = ~(frame.ahead < 0) | (frame.gap_along.T <= 0)
+    _check_worst(run, np.where(is_judged, beyond, np.inf), name="RSS margin", at_least=0.0)
+
+
+def comfort(run: Run, *, jerk: float | None = 2.5, braking: float | None = 3.5) -> None:
+    """Gentle for who sits in it: jerk, the mean of 1 s, and deceleration, the mean of 2 s, are at most so much.
+
+    [m/s^3] and [m/s^2]; None leaves one out. Before the run it drove as at its first tick. A mean over time does not
+    punish a policy for deciding only a few times a second. Who has to brake for others is not comfortable.
+
+    Source: ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: of jerk it speaks only in braking).
+    """
+    if jerk is not None:
+        check(abs(_change(run.ego.acceleration, 1.0)), name="jerk", at_most=jerk, unit="m/s^3")
+    if braking is not None:
+        check(-_change(run.ego.speed, 2.0), name="braking", at_most=braking, unit="m/s^2")
+
+
+def stays_on_road(run: Run) -> None:
+    """The ego's centre stays on the road: its way to the nearer edge [m] is at least 0. The same as ``run.off_road``.
+
+    On roads that bend the edge is not known while the ego is on them: half its lane's width counts there. No source.
+    """
+    check(Signal(_to_edge(run.trace), hz=run.trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
+
+
+def keeps_up(
+    run: Run,
+    *,
+    share: float = 0.7,
+    speed: npt.ArrayLike | None = None,
+    headway: float = 3.0,
+    seconds: float = 10.0,
+) -> None:
+    """With nobody ahead for so many seconds, the ego has reached a share of a speed at some tick of them.
+
+    What is checked is the ego's highest speed of the last ``seconds`` over that speed, the limit of its lane unless
+    given [m/s], as a number or one a tick. Nobody is ahead where the gap to the leader in the ego's lane is at least
+    what it would drive in ``headway`` [s] with the speed that is asked. Shorter runs are not judged.
+
+    Source: Vienna Convention on Road Traffic, Art. 13 (4), on impeding others by driving slowly (read; it has no
+    numbers).
+    """
+    limits = np.array([lane.speed_limit for lane in run.trace.lanes])[np.maximum(run.ego.lane.astype(np.intp), 0)]
+    full = np.broadcast_to(limits if speed is None else np.asarray(speed, dtype=np.float64), len(limits))
+    ahead, ticks = run.leader, np.arange(len(full))
+    gaps = np.column_stack((longitudinal_gap(run.trace), np.full(len(full), np.inf)))[ticks, ahead]  # -1: nobody
+    paces = np.where(gaps < headway * share * full, np.inf, np.asarray(run.ego.speed) / full)
+    window = round(seconds * run.trace.physics_hz)
+    held = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.full(window, np.inf), paces)), window + 1)
+    if not np.isposinf(held.max(axis=1)).all():
+        check(Signal(held.max(axis=1), hz=run.trace.physics_hz), name="pace", at_least=share)
+
+
+def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> None:
+    """The ego changes lanes only into gaps of so many seconds [s], of whoever is behind in them.
+
+    When its centre comes into the other lane: ahead, the gap to each NPC in that lane over the ego's speed; behind,
+    over that NPC's speed. 0 side by side. A run without a lane change is not judged.
+
+    Source: 1 s is what UN R79, 5.6.4.7, leaves the one behind (formula read); that of the one ahead is a choice.
+    """
+    gaps = longitudinal_gap(run.trace)
+    for change in run.lane_changes:
+        for index, npc in enumerate(run.npcs):
+            if npc.lane[change.tick] != change.to_lane:
+                continue
+            follows = not npc.ahead[change.tick] < 0
+            speed, gap = (run.ego if follows else npc).speed[change.tick], gaps[change.tick, index]
+            seconds = 0.0 if gap <= 0 else math.inf if speed <= 0 else gap / speed
+            where, least = ("ahead", ahead) if follows else ("behind", behind)
+            check(
+                seconds, name=f"lane change gap {where}", at_least=least, unit="s", at=change.time, npc=index, scale=1.0
+            )
+
+
+def brakes_for_a_reason(run: Run) -> None:
+    """The ego never brakes hard, more than 5 m/s^2 for 0.4 s, with nothing in its way, whether somebody hits it or not.
+
+    What is checked is the deceleration that lasts for 0.4 s from a tick on [m/s^2], 0 where there is a reason, at most
+    5. A reason of docs/verdicts.md, rule 7, must be there when the braking began, up to 1.6 s before, or 0.4 s after.
+
+    Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
+    """
+    trace = run.trace
+    lasts, back = math.ceil(HARD_SECONDS * trace.physics_hz), round(REASON_SECONDS * trace.physics_hz)
+    later = np.concatenate((braking(trace)[1:], np.zeros(lasts)))
+    lasting = np.lib.stride_tricks.sliding_window_view(later, lasts).min(axis=1)
+    reason = np.concatenate((np.zeros(back, dtype=np.bool_), _reasons(trace), np.zeros(lasts, dtype=np.bool_)))
+    excused = np.asarray(np.lib.stride_tricks.sliding_window_view(reason, back + lasts + 1).any(axis=1))
+    stop = hard_braking(trace, 0, 0, trace.ticks)
+    while stop is not None:
+        excused[stop.begin : stop.end + 1] = excused[stop.begin]
+        stop = hard_braking(trace, 0, 0, stop.begin)
+    needless = np.where(excused, 0.0, lasting)
+    name = "braking for nothing"
+    check(Signal(needless, hz=trace.physics_hz, unit="m/s^2"), name=name, at_most=HARD_BRAKING)
+
+
+def answers_cut_ins(run: Run) -> None:
+    """No collision follows a cut-in that UN R157 has an automated vehicle avoid.
+
+    A cut-in counts where an NPC ahead that is slower comes 0.3 m over the line of the ego's lane, has been visible in
+    its motion for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, with v by how much it is
+    slower. From there on the gap of the boxes [m] is checked, at least 0.1, until the ego is no faster, one of the two
+    is out of the lane, or the NPC has lost 0.5 m/s; what happens later is no matter of the cut-in. A run without such a
+    cut-in is not judged.
+
+    Source: UN R157, 5.2.5.2 (formula read). Choices are: half the NPC's width beside its centre in place of the tyre,
+    visible once it moves sideways with 0.3 m/s without a pause, 0.5 m/s, 0.1 m.
+    """
+    gaps = np.full((len(run.npcs), run.trace.ticks + 1), np.inf)
+    for npc, first, end in _cut_ins(run.trace):
+        gaps[npc, first:end] = run.npcs[npc].gap[first:end]
+    _check_worst(run, gaps, name="UN R157 cut-in gap", at_least=CONTACT)
+
+
+def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:
+    """Check metres of shape [NPCs, ticks + 1], the least at each tick; inf is nothing to judge."""
+    if values.size and not np.isposinf(values).all():
+        npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
+        least = Signal(values.min(axis=0), hz=run.trace.physics_hz, unit="m")
+        check(least, name=name, at_least=at_least, npc=npc, scale=NEAR)
+
+
+def _change(signal: Signal, seconds: float) -> Signal:
+    """Mean change per second over the seconds up to each tick; before the first one it was as there."""
+    before = np.concatenate((np.full(round(seconds * (signal.hz or 1)), signal[0]), signal))[: len(signal)]
+    change: Signal = (signal - before) / seconds
+    return change
+
+
+def _to_edge(trace: Trace) -> FloatArray:
+    """From the ego's centre to the nearer edge of the road [m], shape [ticks + 1]; negative beyond it."""
+    lane = trace.ego[:, LANE].astype(np.intp)
+    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
+    if trace.track is not None:
+        return np.asarray(np.where(lane < 0, np.minimum(half - np.abs(trace.track_of(0)[:, OFFSET]), -1e-6), half))
+    cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
+    across = trace.ego[:, Y] * cos - trace.ego[:, X] * sin
+    edges = [(each.y * cos - each.x * sin, each.width / 2) for each in trace.lanes]
+    left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
+    return np.asarray(np.minimum(across - left, right - across))
+
+
+def _reasons(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Whether the ego had a reason to brake, at each tick, by the lane in which it is then."""
+    frame, rows = RoadFrame(trace), trace.ticks + 1
+    bounds = [0, *(np.flatnonzero(np.diff(trace.ego[:, LANE])) + 1).tolist(), rows]
+    parts = (slice(first, end) for first, end in pairwise(bounds))
+    return np.concatenate([reasons(trace, frame, DISTANCES, 0, part) for part in parts])
+
+
+def _cut_ins(trace: Trace) -> Iterator[tuple[int, int, int]]:
+    """Cut-ins that UN R157 has avoided: the NPC, its first tick in the ego's lane, and the first that is none of it."""
+    frame = RoadFrame(trace)
+    lane = trace.ego[:, LANE].astype(np.intp)
+    beside = frame.right + LanePlaces(trace, frame).offset(0)  # of the NPCs' centres from that of the ego's lane
+    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
+    is_in = half + trace.sizes[1:, 1:] / 2 - np.abs(beside) >= INTRUSION
+    keeps = (lane[1:] == lane[:-1]) & (lane[1:] >= 0)
+    closing = frame.speed[:1] - frame.speed[1:]
+    gaps = frame.ahead - frame.half_along[:1] - frame.half_along[1:]
+    for npc, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
+        tick = int(before) + 1
+        faster, gap = closing[npc, tick], gaps[npc, tick]
+        towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
+        began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
+        is_seen = tick - began >= VISIBLE * trace.physics_hz
+        if is_seen and faster > 0 and gap > faster * (faster / (2 * 6.0) + 0.35):
+            slowed = frame.speed[npc + 1, tick:] < frame.speed[npc + 1, tick] - STEADY
+            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | (lane[tick:] != lane[tick]) | slowed
+            yield int(npc), tick, tick + int(over.argmax()) if over.any() else trace.ticks + 1
