@@ -63,15 +63,16 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Whoever is ahead or side by side is as far as Responsibility-Sensitive Safety asks, along or across the road.
 
-    What is checked is the gap beyond the safe distance [m], the greater one of along and across, of the worst NPC, at
-    least 0. An NPC behind owes the distance itself; :func:`lane_change_gaps` is about moving in ahead of one.
+    What is checked is the gap beyond the safe distance [m] of the worst NPC, at least 0: across the road side by side,
+    along it where the gap across is too small, else the greater one of both. An NPC behind owes the distance itself;
+    :func:`lane_change_gaps` is about moving in ahead of one.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
     choice by which two seconds are always enough; ``pafot.properties.RssRules()`` has those that Intel suggests (read).
     """
     frame = RoadFrame(run.trace)
-    along = np.where(frame.gap_along <= 0, -np.inf, frame.gap_along - frame.safe_along(rules)).T
-    beyond = np.maximum(along, (frame.gap_across - frame.safe_across(rules)).T)
+    along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
+    beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
     is_judged = ~(frame.ahead < 0) | (frame.gap_along.T <= 0)
     _check_worst(run, np.where(is_judged, beyond, np.inf), name="RSS margin", at_least=0.0)
 

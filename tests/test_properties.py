@@ -1,0 +1,394 @@
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot import properties
+from pytest_pafot.attribution.needless_braking import braking, reasons
+from pytest_pafot.attribution.responsibility import DISTANCES
+from pytest_pafot.checks import Recording, recorded
+from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.trace import ACCELERATION, LANE, AdsError, Outcome
+from tests.support.drives import HZ, bent
+from tests.support.situations import FAR, LEFT, OWN, RIGHT, SITUATIONS, at_ramp, driven, hit, in_bend
+from tests.support.traces import LENGTH, straight_lanes, trace_of, vehicle
+
+FARTHER = 500.0
+"""Where an NPC is out of everybody's way [m]."""
+COLLISIONS = [each for group in SITUATIONS.values() for each in group]
+
+
+def judged(holds, trace, **arguments):
+    """The checks that a property made of a run, in its order."""
+    recording = Recording(hz=trace.physics_hz, ticks=trace.ticks)
+    with recorded(recording), suppress(AssertionError):
+        holds(pafot.Run(trace), **arguments)
+    return recording.checks
+
+
+def only(holds, trace, **arguments):
+    """The one check that a property made of a run."""
+    (made,) = judged(holds, trace, **arguments)
+    return made
+
+
+def following(gap, *, speed=20.0, leader=20.0):
+    """The ego behind another in its lane for a tick."""
+    return trace_of(vehicle(0.0, OWN, speed=speed), vehicle(gap + LENGTH, OWN, speed=leader))
+
+
+def test_all_of_them_are_public_and_loaded_when_used():
+    assert "properties" in pafot.__all__
+    assert set(properties.__all__) == {name for name, each in vars(properties).items() if is_property(name, each)}
+
+
+def is_property(name, each):
+    return callable(each) and each.__module__ == properties.__name__ and not name.startswith("_")
+
+
+# No fault.
+
+
+@pytest.mark.parametrize("situation", COLLISIONS[::9], ids=lambda each: each.name)
+def test_a_collision_breaks_it_where_the_ego_answers_for_it(situation):
+    run = pafot.Run(situation.trace())
+    if situation.responsibility == "npc":
+        properties.no_fault(run)
+    else:
+        with pytest.raises(AssertionError, match="responsible: "):
+            properties.no_fault(run)
+
+
+def test_without_a_collision_nobody_is_at_fault_and_there_is_no_margin():
+    assert judged(properties.no_fault, following(1.0)) == []
+
+
+# The distance of RSS.
+
+
+@pytest.mark.parametrize(("speed", "leader", "safe"), [(20.0, 20.0, 85 / 3), (20.0, 10.0, 565 / 12), (0.0, 8.0, 0.0)])
+@pytest.mark.parametrize("beyond", [-0.5, 0.5])
+def test_behind_another_it_is_the_gap_less_one_second_of_driving_and_the_difference_of_the_stopping_ways(
+    speed, leader, safe, beyond
+):
+    # v + v^2 / 12 - u^2 / 16
+    if safe + beyond > 0:
+        made = only(properties.rss_distance, following(safe + beyond, speed=speed, leader=leader))
+        assert made.value == pytest.approx(beyond)
+        assert (made.holds, made.npc, made.margin) == (beyond > 0, 0, pytest.approx(beyond / 10))
+
+
+def test_exactly_the_safe_distance_is_enough():
+    assert only(properties.rss_distance, following(12.0 + 12.0 - 9.0, speed=12.0, leader=12.0)).value == 0.0
+    assert only(properties.rss_distance, following(15.0, speed=12.0, leader=12.0)).holds
+
+
+def test_side_by_side_it_is_the_gap_across():
+    # 2 m, less 0.1 m and twice what a second of 0.2 m/s^2 and braking with 0.8 m/s^2 come to
+    abreast = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(1.0, LEFT, speed=20.0))
+    assert only(properties.rss_distance, abreast).value == pytest.approx(2.0 - 0.1 - 2 * (0.1 + 0.04 / 1.6))
+    nearer = trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-1.0, 1.7, speed=20.0))
+    assert only(properties.rss_distance, nearer).value == pytest.approx(0.3 - 0.35)
+
+
+def test_who_is_behind_owes_the_distance_itself():
+    assert (
+        judged(properties.rss_distance, trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-6.0, OWN, speed=30.0))) == []
+    )
+
+
+def test_the_worst_npc_at_its_tick_is_named():
+    ego, near = driven(0.0, seconds=4.0), driven(60.0, speed=15.0, seconds=4.0)
+    made = only(properties.rss_distance, trace_of(ego, driven(200.0, seconds=4.0), near))
+    assert (made.npc, made.time) == (1, 4.0)
+    assert made.value == pytest.approx(60.0 - 5.0 * 4 - LENGTH - (20 + 400 / 12 - 225 / 16))
+
+
+def test_other_rules_ask_for_other_distances():
+    intel = properties.RssRules()
+    # 1 s of speeding up with 3.5 m/s^2, then braking with 4 m/s^2; the leader brakes with 8 m/s^2
+    safe = 20 + 3.5 / 2 + 23.5**2 / 8 - 400 / 16
+    assert only(properties.rss_distance, following(60.0), rules=intel).value == pytest.approx(60.0 - safe)
+
+
+def test_every_collision_is_below_it_when_it_happens():
+    for situation in COLLISIONS:
+        trace = situation.trace()
+        frame = RoadFrame(trace)
+        if frame.ahead[trace.collision.npc, -1] >= 0:
+            assert not only(properties.rss_distance, trace).holds, situation.name
+
+
+# Comfort.
+
+
+@pytest.mark.parametrize(("seconds", "mean"), [(1.0, 2.0), (1.6, 3.2), (2.0, 4.0), (3.0, 4.0)])
+def test_braking_is_the_mean_of_two_seconds(seconds, mean):
+    trace = trace_of(driven(0.0, brakes=[(5.0, 4.0, 20.0 - 4.0 * seconds)]), driven(FARTHER))
+    made = only(properties.comfort, trace, jerk=None)
+    assert made.value == pytest.approx(mean)
+    assert made.margin == pytest.approx((3.5 - mean) / 3.5)
+    assert made.holds == (mean <= 3.5)
+
+
+@pytest.mark.parametrize(("step", "holds"), [(-2.4, True), (-2.5, True), (-2.6, False), (2.6, False)])
+def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
+    ego = driven(0.0)
+    ego[60:90, ACCELERATION] = step
+    made = only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None)
+    assert (made.value, made.holds) == (pytest.approx(abs(step)), holds)
+    assert (made.name, made.unit, made.time) == ("jerk", "m/s^3", 4.0)
+
+
+def test_a_jerk_that_is_over_at_once_does_not_count_in_full():
+    ego = driven(0.0)
+    ego[60, ACCELERATION], ego[61:, ACCELERATION] = -2.0, 0.0
+    assert only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None).value == pytest.approx(2.0)
+    assert [made.name for made in judged(properties.comfort, trace_of(ego, driven(FARTHER)))] == ["jerk", "braking"]
+
+
+# The road.
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7])
+@pytest.mark.parametrize(
+    ("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)]
+)
+def test_it_is_the_way_of_the_centre_to_the_nearer_edge(y, to_edge, heading):
+    x, across = -y * np.sin(heading), y * np.cos(heading)
+    ego = vehicle(x, across, heading=heading, speed=20.0, lane=1)
+    made = only(properties.stays_on_road, trace_of(ego, ego, lanes=straight_lanes(heading=heading)))
+    assert made.value == pytest.approx(to_edge)
+    assert made.holds == (to_edge > 0)
+
+
+def test_in_a_bend_it_is_kept_until_the_ego_is_off_the_road():
+    vehicles, road = bent(driven(0.0), driven(60.0, LEFT))
+    assert only(properties.stays_on_road, trace_of(*vehicles, **road)).value == 2.0
+    vehicles[0][-1, LANE] = -1
+    road["track"][-1, 0, 3] = 2.4
+    made = only(properties.stays_on_road, trace_of(*vehicles, **road))
+    assert (made.value, made.holds) == (pytest.approx(-0.4), False)
+
+
+# Keeping up.
+
+
+def test_it_is_the_highest_speed_of_ten_seconds_over_the_limit():
+    trace = trace_of(driven(0.0, speed=20.0, brakes=[(2.0, 1.0, 15.0)]), driven(-FARTHER))
+    made = only(properties.keeps_up, trace)
+    assert made.value == pytest.approx(15.0 / 26.8)
+    assert made.margin == pytest.approx((15.0 / 26.8 - 0.7) / 0.7)
+    assert made.time == pytest.approx(17.0)  # 5 s to slow down, and ten at 15 m/s
+
+
+@pytest.mark.parametrize(("speed", "holds"), [(0.7 * 26.8 - 0.1, False), (0.7 * 26.8 + 0.1, True)])
+def test_it_holds_from_the_share_of_the_limit_on(speed, holds):
+    assert only(properties.keeps_up, trace_of(driven(0.0, speed=speed), driven(-FARTHER))).holds == holds
+
+
+def test_a_shorter_wait_and_a_shorter_run_are_not_held_against_it():
+    waits = driven(0.0, speed=24.0, brakes=[(1.0, 8.0, 0.0), (6.0, -4.0, 24.0)], seconds=20.0)
+    assert only(properties.keeps_up, trace_of(waits, driven(-FARTHER))).holds
+    assert (
+        judged(properties.keeps_up, trace_of(driven(0.0, speed=1.0, seconds=9.9), driven(-FARTHER, seconds=9.9))) == []
+    )
+
+
+def test_whoever_is_behind_somebody_near_need_not_be_faster():
+    near, far = 3.0 * 0.7 * 26.8 + LENGTH - 0.1, 3.0 * 0.7 * 26.8 + LENGTH + 0.1
+    assert judged(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(near, speed=5.0))) == []
+    assert not only(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(far, speed=5.0))).holds
+    assert not only(properties.keeps_up, trace_of(driven(0.0, speed=0.0), driven(far, speed=0.0))).holds
+    assert not only(properties.keeps_up, trace_of(driven(0.0, speed=5.0), driven(near, LEFT, speed=5.0))).holds
+
+
+def test_another_speed_than_the_limit_may_be_asked_for_at_each_tick():
+    trace = trace_of(driven(0.0, speed=10.0), driven(-FARTHER, speed=12.0))
+    assert only(properties.keeps_up, trace, speed=pafot.Run(trace).npcs[0].speed).value == pytest.approx(10 / 12)
+    assert only(properties.keeps_up, trace, speed=20.0, share=0.5).margin == 0.0
+
+
+# Lane changes.
+
+
+@pytest.mark.parametrize(
+    ("npc", "side", "seconds"),
+    [
+        (driven(60.0), "ahead", 55.0 / 20),
+        (driven(24.9), "ahead", 19.9 / 20),
+        (driven(2.0), "ahead", 0.0),
+        (driven(-24.9), "behind", 19.9 / 20),
+        (driven(-125.0, speed=40.0), "behind", (125.0 - 20 * 3.0 - LENGTH) / 40),
+        (driven(-25.1, speed=0.0), "behind", np.inf),
+    ],
+)
+def test_the_gap_at_a_lane_change_is_in_seconds_of_the_one_behind(npc, side, seconds):
+    trace = trace_of(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=10.0), npc[: 10 * HZ + 1])
+    made = only(properties.lane_change_gaps, trace)
+    assert (made.name, made.npc, made.unit) == (f"lane change gap {side}", 0, "s")
+    assert made.time == pytest.approx(3.0, abs=0.1)
+    assert made.value == pytest.approx(seconds, abs=0.05)
+    assert made.margin == pytest.approx(made.value - 1.0)
+
+
+def test_only_lane_changes_into_a_lane_with_somebody_in_it_are_judged():
+    beside = driven(0.0, RIGHT)
+    assert judged(properties.lane_change_gaps, trace_of(driven(0.0), beside)) == []
+    assert judged(properties.lane_change_gaps, trace_of(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), beside)) == []
+
+
+def test_each_npc_there_is_judged_and_the_bounds_are_yours():
+    ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
+    made = judged(properties.lane_change_gaps, trace_of(ego, driven(16.0), driven(-46.0)), ahead=0.5, behind=2.0)
+    assert [(each.npc, each.at_least, each.holds) for each in made] == [(0, 0.5, True), (1, 2.0, True)]
+
+
+# Braking for a reason.
+
+
+def braked(deceleration, seconds, *npcs):
+    return trace_of(driven(0.0, brakes=[(5.0, deceleration, 20.0 - deceleration * seconds)]), *npcs)
+
+
+@pytest.mark.parametrize(
+    ("deceleration", "seconds", "value"), [(6.0, 1.0, 6.0), (4.9, 2.0, 4.9), (7.5, 0.4, 7.5), (8.0, 0.2, 0.0)]
+)
+def test_it_is_the_deceleration_that_lasts_with_nothing_in_the_way(deceleration, seconds, value):
+    made = only(properties.brakes_for_a_reason, braked(deceleration, seconds, driven(FARTHER)))
+    assert made.value == pytest.approx(value)
+    assert made.margin == pytest.approx((5.0 - value) / 5.0)
+    assert (made.time >= 5.0) == (value > 0)
+
+
+def test_a_leader_that_is_near_is_a_reason_and_one_in_another_lane_is_none():
+    assert only(properties.brakes_for_a_reason, braked(6.0, 1.5, driven(85.0, speed=10.0))).value == 0.0
+    assert not only(properties.brakes_for_a_reason, braked(6.0, 1.5, driven(85.0, LEFT, speed=10.0))).holds
+
+
+def expected_needless(trace):
+    """Whether any hard braking has no reason, stretch by stretch in plain loops."""
+    hard, frame, found = (braking(trace) > 5.0).tolist(), RoadFrame(trace), False
+    first = None
+    for tick, is_hard in enumerate([*hard, False]):
+        if is_hard and first is None:
+            first = tick
+        elif not is_hard and first is not None:
+            if tick - first >= 0.4 * HZ:
+                around = slice(max(first - 1 - 24, 0), min(first - 1 + 7, trace.ticks + 1))
+                found |= not reasons(trace, frame, DISTANCES, 0, around).any()
+            first = None
+    return found
+
+
+@pytest.mark.parametrize("situation", COLLISIONS, ids=lambda each: each.name)
+def test_every_hard_braking_of_a_run_is_judged_as_the_rule_does(situation):
+    trace = situation.trace()
+    made = only(properties.brakes_for_a_reason, trace)
+    assert made.holds != expected_needless(trace)
+    assert made.holds <= (situation.fault != "braked-for-nothing")
+
+
+# Cut-ins.
+
+
+def cut_in(gap, *, slower=10.0, lasts=3.0, npc_brakes=(), ego_brakes=()):
+    """An NPC that comes from the left from 2 s on, and is 0.3 m over the line a gap ahead of the ego."""
+    when = 2.0 + np.ceil(lasts * 1.3 / 4.0 * HZ) / HZ
+    npc = driven(LENGTH + gap + slower * when, LEFT, speed=20 - slower, brakes=npc_brakes, shifts=[(2.0, OWN, lasts)])
+    return driven(0.0, brakes=ego_brakes), npc
+
+
+LEAST = 10.0 * (10.0 / 12 + 0.35)
+"""The gap that an NPC that is 10 m/s slower must leave [m]."""
+
+
+def test_a_collision_after_a_cut_in_with_time_enough_breaks_it():
+    made = only(properties.answers_cut_ins, hit(*cut_in(LEAST + 1.0)))
+    assert (made.holds, made.value, made.npc) == (False, 0.0, 0)
+    assert made.margin == pytest.approx(-0.1 / 10)
+
+
+def test_whoever_brakes_for_it_has_the_least_gap_until_it_is_no_faster_as_its_margin():
+    trace = trace_of(*cut_in(30.0, ego_brakes=[(3.0, 6.0, 9.0)]))
+    made = only(properties.answers_cut_ins, trace)
+    slow = int(np.argmax(trace.ego[:, 3] <= 10.0))
+    along = trace.npcs[slow - 1, 0, 0] - trace.ego[slow - 1, 0] - LENGTH
+    assert made.value == pytest.approx(along, abs=0.2)
+    assert made.holds
+    assert made.time == pytest.approx((slow - 1) / HZ)
+
+
+@pytest.mark.parametrize(
+    ("why", "vehicles"),
+    [
+        ("too near", cut_in(LEAST - 1.0)),
+        ("a swerve", cut_in(LEAST + 8.0, lasts=1.5)),
+        ("it is faster", cut_in(20.0, slower=-2.0)),
+        ("no cut-in at all", (driven(0.0), driven(60.0, speed=10.0))),
+        ("the ego changes lanes", (driven(0.0, LEFT, shifts=[(2.0, OWN, 3.0)]), driven(60.0, speed=10.0))),
+    ],
+)
+def test_what_the_regulation_does_not_have_avoided_is_not_judged(why, vehicles):
+    assert judged(properties.answers_cut_ins, trace_of(*vehicles)) == []
+
+
+def test_a_collision_that_comes_of_later_braking_is_not_the_cut_in_s():
+    trace = hit(*cut_in(30.0, npc_brakes=[(3.5, 8.0, 0.0)]))
+    assert only(properties.answers_cut_ins, trace).holds
+
+
+def test_in_a_bend_it_is_the_same():
+    assert not only(properties.answers_cut_ins, in_bend(*cut_in(25.0))).holds
+
+
+# All of them.
+
+
+def broken_ads():
+    error = AdsError(kind="ValueError", message="no", traceback="", tick=0)
+    return trace_of(vehicle(0.0, OWN), vehicle(30.0, OWN), outcome=Outcome.ADS_ERROR, error=error)
+
+
+def left_the_road():
+    ego = driven(0.0, -30.0, shifts=[(1.0, -60.0, 3.0)])
+    ego[:, LANE] = -1
+    return trace_of(ego, driven(30.0), off_road_tick=0, outcome=Outcome.OFF_ROAD)
+
+
+ODD = {
+    "one tick": lambda: following(10.0),
+    "two ticks": lambda: trace_of(vehicle(0.0, OWN, speed=20.0, ticks=1), vehicle(30.0, OWN, ticks=1)),
+    "off the road": left_the_road,
+    "an error of the ADS": broken_ads,
+    "nobody ahead": lambda: trace_of(driven(0.0), driven(-30.0)),
+    "a bend": lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
+    "a ramp": lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
+    "everybody stands": lambda: trace_of(driven(0.0, speed=0.0), driven(8.0, speed=0.0)),
+    "one drives backwards": lambda: trace_of(driven(0.0, speed=-3.0), driven(40.0, FAR)),
+}
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("name", properties.__all__)
+def test_odd_runs_are_judged_without_an_error(name, odd):
+    for made in judged(getattr(properties, name), ODD[odd]()):
+        assert not np.isnan(made.value)
+
+
+def test_ordinary_traffic_is_no_trouble_for_a_careful_driver():
+    """But for comfort and the distances of RSS where somebody cuts in on it, or brakes hard: it has to brake then."""
+    world, rng = pafot.Highway(duration=20.0), np.random.default_rng(0)
+    quiet = 0
+    for _ in range(30):
+        trace = world.rollout_reference(sample(SearchSpace(genes=2), rng), "careful-human")
+        run = pafot.Run(trace)
+        hard = [((npc.acceleration < -5) & (run.leader == index)).any() for index, npc in enumerate(run.npcs)]
+        is_quiet = run.min_ttc > 3 and run.headway.min() > 1.4 and not any(hard)
+        quiet += is_quiet
+        for name in properties.__all__:
+            if is_quiet or name not in ("comfort", "rss_distance"):
+                getattr(properties, name)(run)
+    assert quiet > 5
