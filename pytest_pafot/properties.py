@@ -39,6 +39,8 @@ __all__ = [
     "stays_on_road",
 ]  # fmt: skip
 
+__tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+
 NEAR = 10.0
 """What gaps to others are divided by for their margins [m]."""
 INTRUSION = 0.3
@@ -56,7 +58,6 @@ def no_fault(run: Run) -> None:
 
     By the written rules of ``run.attribution``, whose sources docs/verdicts.md names.
     """
-    __tracebackhide__ = True
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
 
@@ -68,7 +69,7 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     :func:`lane_change_gaps` is about moving in ahead of one.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
-    choice by which two seconds are always enough; ``pafot.properties.RssRules()`` has those that Intel suggests (read).
+    choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel suggests (read).
     """
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)

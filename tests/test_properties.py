@@ -8,7 +8,7 @@ from pytest_pafot import properties
 from pytest_pafot.attribution.needless_braking import braking, reasons
 from pytest_pafot.attribution.responsibility import DISTANCES
 from pytest_pafot.checks import Recording, recorded
-from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.trace import ACCELERATION, LANE, AdsError, Outcome
 from tests.support.drives import HZ, bent
@@ -107,7 +107,7 @@ def test_the_worst_npc_at_its_tick_is_named():
 
 
 def test_other_rules_ask_for_other_distances():
-    intel = properties.RssRules()
+    intel = RssRules()
     # 1 s of speeding up with 3.5 m/s^2, then braking with 4 m/s^2; the leader brakes with 8 m/s^2
     safe = 20 + 3.5 / 2 + 23.5**2 / 8 - 400 / 16
     assert only(properties.rss_distance, following(60.0), rules=intel).value == pytest.approx(60.0 - safe)

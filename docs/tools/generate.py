@@ -14,7 +14,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, strategies
+from pytest_pafot import criticality, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
@@ -22,6 +22,7 @@ from pytest_pafot.checks import check
 from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.criticality import RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.findings.finding import Expect, Finding, Found
@@ -110,6 +111,7 @@ def sections() -> dict[str, str]:
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
+        "properties": _ready_table(),
         "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "last-chance": _properties_table(LastChance),
@@ -365,6 +367,21 @@ def _temporal_table() -> str:
         for each in functions
     ]
     return _table(["Function", "Margin"], rows)
+
+
+def _ready_table() -> str:
+    rows = []
+    for name in properties.__all__:
+        function: Callable[..., Any] = getattr(properties, name)
+        defaults = [each for each in inspect.signature(function).parameters.values() if each.name != "run"]
+        arguments = ", ".join(f"`{each.name}={_told(each.default)}`" for each in defaults)
+        paragraphs = [_plain(" ".join(each.split())) for each in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
+        rows.append([f"`pafot.properties.{name}(run)`", " ".join(paragraphs), arguments])
+    return _table(["Property", "What is checked, and whence", "Arguments, all by keyword"], rows)
+
+
+def _told(default: object) -> str:
+    return "attribution's" if isinstance(default, RssRules) else repr(default)
 
 
 def _strategies_table() -> str:
