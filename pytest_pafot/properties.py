@@ -47,8 +47,6 @@ INTRUSION = 0.3
 """Over the line of the ego's lane, from which on an NPC has come in; UN R157, 5.2.5.2, has it of the tyre [m]."""
 VISIBLE = 0.72
 """For so long an NPC's motion must have been visible before that; UN R157, 5.2.5.2 [s]."""
-STEADY = 0.5
-"""An NPC that has lost no more speed since then has maintained it [m/s]."""
 CONTACT = 0.1
 """Boxes that are closer touch [m]."""
 
@@ -69,7 +67,8 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     :func:`lane_change_gaps` is about moving in ahead of one.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default with the numbers of attribution, a
-    choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel suggests (read).
+    choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
+    suggests (read).
     """
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
@@ -179,11 +178,11 @@ def answers_cut_ins(run: Run) -> None:
     A cut-in counts where an NPC ahead that is slower comes 0.3 m over the line of the ego's lane, has been visible in
     its motion for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, with v by how much it is
     slower. From there on the gap of the boxes [m] is checked, at least 0.1, until the ego is no faster, one of the two
-    is out of the lane, or the NPC has lost 0.5 m/s; what happens later is no matter of the cut-in. A run without such a
-    cut-in is not judged.
+    is out of the lane, or the NPC is so slow that at this speed the cut-in had not counted. What happens later is no
+    matter of the cut-in. A run without such a cut-in is not judged.
 
-    Source: UN R157, 5.2.5.2 (formula read). Choices are: half the NPC's width beside its centre in place of the tyre,
-    visible once it moves sideways with 0.3 m/s without a pause, 0.5 m/s, 0.1 m.
+    Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: up to that lower speed, half
+    the NPC's width beside its centre in place of the tyre, visible once it moves sideways with 0.3 m/s, 0.1 m.
     """
     gaps = np.full((len(run.npcs), run.trace.ticks + 1), np.inf)
     for npc, first, end in _cut_ins(run.trace):
@@ -239,11 +238,10 @@ def _cut_ins(trace: Trace) -> Iterator[tuple[int, int, int]]:
     gaps = frame.ahead - frame.half_along[:1] - frame.half_along[1:]
     for npc, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
         tick = int(before) + 1
-        faster, gap = closing[npc, tick], gaps[npc, tick]
         towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
         began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
-        is_seen = tick - began >= VISIBLE * trace.physics_hz
-        if is_seen and faster > 0 and gap > faster * (faster / (2 * 6.0) + 0.35):
-            slowed = frame.speed[npc + 1, tick:] < frame.speed[npc + 1, tick] - STEADY
-            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | (lane[tick:] != lane[tick]) | slowed
+        slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
+        is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
+        if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and gaps[npc, tick] > 0 and is_asked[0]:
+            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | (lane[tick:] != lane[tick]) | ~is_asked
             yield int(npc), tick, tick + int(over.argmax()) if over.any() else trace.ticks + 1

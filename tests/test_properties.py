@@ -340,6 +340,13 @@ def test_a_collision_that_comes_of_later_braking_is_not_the_cut_in_s():
     assert only(properties.answers_cut_ins, trace).holds
 
 
+def test_an_npc_that_slows_down_counts_as_long_as_even_at_that_speed_there_was_time_enough():
+    gap = 13.0 * (13.0 / 12 + 0.35)
+    for beyond, holds in ((-0.5, True), (0.5, False)):
+        trace = hit(*cut_in(gap + beyond, npc_brakes=[(3.3, 6.0, 7.0)]))
+        assert only(properties.answers_cut_ins, trace).holds == holds
+
+
 def test_in_a_bend_it_is_the_same():
     assert not only(properties.answers_cut_ins, in_bend(*cut_in(25.0))).holds
 
