@@ -16,7 +16,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
-from pytest_pafot.findings.finding import Finding, event_of
+from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
@@ -147,7 +147,8 @@ class Replays:
 def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
     """What happens in a replay, beside what the file tells of the same outcome."""
     if failure is not None and failure.check is not None:
-        return f"{failure.check.name} failed at {event_of(run, failure).time:.1f} s"
+        when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
+        return f"{failure.check.name} failed{when}"
     if finding.expect.check is not None:
         return ending(run)
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)

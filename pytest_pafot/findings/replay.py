@@ -52,18 +52,18 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 
     ``still failing``: it fails with the saved event. ``drifted``: what happens is another event than the saved
     one, or it passes under other versions, so that the file may no longer test what it was saved for. ``fixed``:
-    it passes under the same versions, and nothing else happened instead. A check is told by its name and its time,
-    whatever else happened, and is fixed where the run went on past that time. The run is the one of now, with its
-    failure, if any, and the versions of today's packages; these are compared where the file names them.
+    it passes under the same versions, and nothing else happened instead. A check is told by its name and, where it says
+    one, its time, whatever else happened; it is fixed where the run went on past that time. The run is the one of now,
+    with its failure, if any, and the versions of today's packages; these are compared where the file names them.
     """
     expect, side = finding.expect, None if run.collision is None else run.collision.side
-    now = event_of(run, failure)
-    if expect.check is not None:
-        is_same = failure is not None and failure.assertion == expect.assertion
+    now, then = event_of(run, failure), (expect.outcome, expect.npc, expect.cell, expect.side)
+    is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
+    if expect.check is None:
+        is_same = is_then and (run.outcome, now.npc, now.cell, side) == then
     else:
-        then = (expect.outcome, expect.npc, expect.cell, expect.side)
-        is_same = (run.outcome, now.npc, now.cell, side) == then
-    is_same = is_same and abs(now.time - expect.time) <= SAME_TIME + 1e-9
+        check = None if failure is None else failure.check
+        is_same = check is not None and check.name == expect.assertion and (is_then or check.time is None)
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):

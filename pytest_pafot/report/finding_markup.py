@@ -125,7 +125,7 @@ def _check_figures(check: CheckView) -> str:
 
 
 def _who(finding: FindingView) -> str:
-    return "check" if finding.check is not None and finding.responsibility == "none" else finding.responsibility
+    return finding.responsibility if finding.check is None else "check"
 
 
 def _kind(finding: FindingView) -> str:
@@ -134,7 +134,10 @@ def _kind(finding: FindingView) -> str:
 
 def _tags(finding: FindingView) -> list[str]:
     """What tells a finding from others at a glance."""
-    tags = [WHO.get(_who(finding), finding.responsibility), plural(finding.runs, "run")]
+    tags = [WHO.get(_who(finding), finding.responsibility)]
+    if finding.check is not None and finding.responsibility != "none":
+        tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
+    tags.append(plural(finding.runs, "run"))
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
 

@@ -23,6 +23,8 @@ SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "campaign.js", "main.
 
 FRAME_HEIGHT = 1010
 """Of a finding inside another page [px]."""
+CURVE_HEIGHT = 180
+"""What the curve of a check needs besides [px]."""
 
 
 def render_page(report: Report, *, embedded: bool = False) -> str:
@@ -56,9 +58,10 @@ def render_frame(finding: FindingView) -> str:
     The frame may run its own scripts and nothing else.
     """
     page = render_page(Report(title=finding.headline, findings=(finding,)), embedded=True)
+    height = FRAME_HEIGHT + (CURVE_HEIGHT if finding.check is not None and finding.check.values else 0)
     return (
         f'<iframe class="pafot-finding" title="{text(finding.headline)}" sandbox="allow-scripts" '
-        f'loading="lazy" width="100%" height="{FRAME_HEIGHT}" style="border:0" srcdoc="{escape(page)}"></iframe>'
+        f'loading="lazy" width="100%" height="{height}" style="border:0" srcdoc="{escape(page)}"></iframe>'
     )
 
 

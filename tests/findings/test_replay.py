@@ -134,7 +134,13 @@ def jerk(time=1.0, name="jerk"):
 @pytest.mark.parametrize("run", [run_of(), crash()])
 @pytest.mark.parametrize(
     ("now", "expected"),
-    [(jerk(1.2), "still failing"), (jerk(1.3), "drifted"), (jerk(name="headway"), "drifted"), (FAILS, "drifted")],
+    [
+        (jerk(1.2), "still failing"),
+        (jerk(1.3), "drifted"),
+        (jerk(time=None), "still failing"),
+        (jerk(name="headway"), "drifted"),
+        (FAILS, "drifted"),
+    ],
 )
 def test_a_check_is_told_by_its_name_and_its_own_time_whatever_else_happens(run, now, expected):
     assert label(run, now, finding=saved(run_of(), jerk())) == expected

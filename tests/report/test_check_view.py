@@ -12,6 +12,7 @@ from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.report.animation import moments
 from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.finding_view import finding_view
+from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, render_frame
 from pytest_pafot.run import Run
 from tests.report.builders import finding_of
 from tests.support.traces import trace_of, vehicle
@@ -113,6 +114,18 @@ def test_a_list_calls_it_a_failed_check_and_blames_nobody():
     assert '<p class="summary">2 failed checks</p>' in listed
     assert 'data-outcome="failed check"' in listed
     assert "nobody" not in listed
+
+
+def test_a_collision_of_the_run_is_told_besides():
+    view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
+    assert '<p class="summary">1 failed check</p>' in finding_list([view])
+    assert "<li>NPC responsible for the collision</li>" in finding_article(view, 0)
+
+
+def test_a_frame_in_another_page_has_room_for_the_curve():
+    view = shown(peaks(t61=35.1), at_most=20)
+    assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(view)
+    assert f'height="{FRAME_HEIGHT}"' in render_frame(replace(view, check=replace(view.check, values=())))
 
 
 def test_an_animation_shows_the_moment():
