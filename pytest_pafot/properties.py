@@ -242,6 +242,6 @@ def _cut_ins(trace: Trace) -> Iterator[tuple[int, int, int]]:
         began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
         slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
         is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
-        if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and gaps[npc, tick] > 0 and is_asked[0]:
-            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | (lane[tick:] != lane[tick]) | ~is_asked
+        if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and is_asked[0]:
+            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | ~is_asked
             yield int(npc), tick, tick + int(over.argmax()) if over.any() else trace.ticks + 1

@@ -268,6 +268,14 @@ def test_a_leader_that_is_near_is_a_reason_and_one_in_another_lane_is_none():
     assert not only(properties.brakes_for_a_reason, braked(6.0, 1.5, driven(85.0, LEFT, speed=10.0))).holds
 
 
+def test_a_reason_that_goes_while_the_ego_still_brakes_has_been_one():
+    ego = driven(0.0, speed=35.0, brakes=[(5.0, 6.0, 5.0)])
+    leaves = driven(120.0, speed=20.0, shifts=[(5.4, LEFT, 1.0)])
+    assert only(properties.brakes_for_a_reason, trace_of(ego, leaves)).holds
+    never_there = driven(120.0, LEFT, speed=20.0)
+    assert not only(properties.brakes_for_a_reason, trace_of(ego, never_there)).holds
+
+
 def expected_needless(trace):
     """Whether any hard braking has no reason, stretch by stretch in plain loops."""
     hard, frame, found = (braking(trace) > 5.0).tolist(), RoadFrame(trace), False
@@ -328,11 +336,26 @@ def test_whoever_brakes_for_it_has_the_least_gap_until_it_is_no_faster_as_its_ma
         ("a swerve", cut_in(LEAST + 8.0, lasts=1.5)),
         ("it is faster", cut_in(20.0, slower=-2.0)),
         ("no cut-in at all", (driven(0.0), driven(60.0, speed=10.0))),
+        (
+            "both change lanes",
+            (driven(0.0, LEFT, shifts=[(2.0, OWN, 3.0)]), driven(60.0, RIGHT, speed=10.0, shifts=[(2.0, OWN, 3.2)])),
+        ),
         ("the ego changes lanes", (driven(0.0, LEFT, shifts=[(2.0, OWN, 3.0)]), driven(60.0, speed=10.0))),
     ],
 )
 def test_what_the_regulation_does_not_have_avoided_is_not_judged(why, vehicles):
     assert judged(properties.answers_cut_ins, trace_of(*vehicles)) == []
+
+
+def test_a_cut_in_that_is_seen_for_less_than_a_second_is_judged():
+    assert not only(properties.answers_cut_ins, hit(*cut_in(LEAST + 1.0, lasts=2.5))).holds
+
+
+def test_what_happens_once_it_is_out_of_the_lane_again_is_not_judged():
+    ego, npc = driven(0.0), driven(80.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 3.0), (5.1, LEFT, 1.0)])
+    made = only(properties.answers_cut_ins, trace_of(ego, npc))
+    assert made.value == pytest.approx(80.0 - 10.0 * made.time - LENGTH, abs=0.2)
+    assert made.value > 15
 
 
 def test_a_collision_that_comes_of_later_braking_is_not_the_cut_in_s():
