@@ -1,42 +1,57 @@
 """Does a check find a property's failure as soon as a fitness written by hand? Runs until the first failure.
 
-    python -m tests.benchmarks.margins [--seeds 20] [--first-seed 0] [--generations 60] [--workers 2]
+    python -m tests.benchmarks.margins [--policies idm careful-human] [--seeds 20] [--first-seed 0] [--generations 60]
+        [--workers 2]
 
-Four properties whose bounds random scenarios break once in some hundred runs: a headway, a jerk, a gap, a mean speed.
-Each is searched for as a check, as a plain assertion with a fitness written by hand, as a plain assertion alone (the
-search is steered by danger then), and by random scenarios.
+Four measures (a headway, a jerk, a gap, a mean speed) of each policy; the bound of each is broken by one of 200
+random runs. Each is searched for as a check, as a plain assertion with a fitness written by hand, as a plain assertion
+alone (the search is steered by danger then), and by random scenarios. Prints a row for each measure, and for all.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
+from example_ads import defects
 from pytest_pafot import Run, Trace
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.world.reference_drivers import REFERENCES
 
+POLICIES: Mapping[str, Any] = {
+    "idm": IDMVehicle,
+    "careful-human": REFERENCES["careful-human"],
+    "healthy": defects.make("healthy"),
+    "brakes-weakly": defects.make("brakes-weakly"),
+}
+ONE_IN, RANDOM_GENERATIONS = 200, 200
+
 
 @dataclass(frozen=True)
 class Property:
-    """A value of a run, higher = worse, that must not be above a bound."""
+    """A measure of a policy's runs, higher = worse, that must not be above a bound."""
 
-    name: str
-    ads: Any
-    worst: Callable[[Run], float]
-    bound: float
+    policy: str
+    measure: str
+    bound: float = 0.0
+    scale: float = 1.0
+
+    def worst(self, run: Run) -> float:
+        """In a run."""
+        return MEASURES[self.measure](run)
 
     def check(self, run: Run) -> None:
         """With a margin."""
-        pafot.check(self.worst(run), name=self.name, at_most=self.bound, scale=max(abs(self.bound), 0.1))
+        pafot.check(self.worst(run), name=self.measure, at_most=self.bound, scale=self.scale)
 
     def plainly(self, run: Run) -> None:
         """Without one."""
@@ -63,19 +78,31 @@ def _slowness(run: Run) -> float:
     return -float(np.mean(run.ego.speed))
 
 
-PROPERTIES = (
-    Property("headway", IDMVehicle, _headway, -0.01),
-    Property("jerk", REFERENCES["careful-human"], _jerk, 133.4),
-    Property("gap", IDMVehicle, _gap, -0.12),
-    Property("keeps-up", IDMVehicle, _slowness, -4.5),
-)
+MEASURES: Mapping[str, Callable[[Run], float]] = {
+    "headway": _headway, "jerk": _jerk, "gap": _gap, "keeps-up": _slowness
+}  # fmt: skip
 ARMS = ("check", "by hand", "plain", "random")
 
 
-def runs_until_found(index: int, arm: str, seed: int, generations: int) -> int | None:
+def bounded(policy: str, measure: str) -> Property:
+    """With the bound that one of 200 random runs breaks."""
+    values: list[float] = []
+
+    def note(event: Any) -> None:
+        if isinstance(event, Judged) and event.verdict.kind == "passed":
+            values.append(MEASURES[measure](event.run))
+
+    pafot.explore(
+        POLICIES[policy], holds=lambda run: None, generations=RANDOM_GENERATIONS, algorithm="random", on_event=note,
+        blame="ego", seed=12345,
+    )  # fmt: skip
+    finite = sorted(value for value in values if np.isfinite(value))
+    return Property(policy, measure, bound=finite[-max(len(values) // ONE_IN, 1)], scale=finite[-1] - finite[0] or 1.0)
+
+
+def runs_until_found(each: Property, arm: str, seed: int, generations: int) -> int | None:
     """Runs until the first failure; None where there was none."""
-    each, runs = PROPERTIES[index], 0
-    found: list[int] = []
+    runs, found = 0, []
 
     def count(event: Any) -> None:
         nonlocal runs
@@ -86,7 +113,7 @@ def runs_until_found(index: int, arm: str, seed: int, generations: int) -> int |
 
     more = {"by hand": {"fitness": each.fitness}, "random": {"algorithm": "random"}}.get(arm, {})
     pafot.explore(
-        each.ads,
+        POLICIES[each.policy],
         holds=each.check if arm == "check" else each.plainly,
         generations=generations,
         seed=seed,
@@ -103,19 +130,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in (("seeds", 20), ("first-seed", 0), ("generations", 60), ("workers", 2)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=["idm", "careful-human"])
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    print(
-        "| property | arm | found | median runs until then | mean, a miss counted as all runs |\n|---|---|---|---|---|"
-    )
     with ProcessPoolExecutor(options.workers) as pool:
-        for index, each in enumerate(PROPERTIES):
-            for arm in ARMS:
-                jobs = [pool.submit(runs_until_found, index, arm, seed, options.generations) for seed in seeds]
-                runs = [job.result() or 4 * options.generations for job in jobs]
-                found = sum(job.result() is not None for job in jobs)
-                row = (each.name, arm, f"{found} of {len(jobs)}", f"{statistics.median(runs):.0f}")
-                print(f"| {' | '.join(row)} | {statistics.mean(runs):.0f} |", flush=True)
+        properties = list(pool.map(bounded, *zip(*product(options.policies, MEASURES), strict=True)))
+        jobs = {
+            (each, arm, seed): pool.submit(runs_until_found, each, arm, seed, options.generations)
+            for each, arm, seed in product(properties, ARMS, seeds)
+        }
+        print("| measure | arm | found | median runs until then | mean, a miss counted as all runs |")
+        print("|---|---|---|---|---|")
+        for measure, arm in product((*MEASURES, "all"), ARMS):
+            found = [
+                job.result() for (each, by, _), job in jobs.items() if by == arm and measure in (each.measure, "all")
+            ]
+            runs = [4 * options.generations if each is None else each for each in found]
+            shown = f"{sum(each is not None for each in found)} of {len(found)}"
+            print(f"| {measure} | {arm} | {shown} | {statistics.median(runs):.0f} | {statistics.mean(runs):.0f} |")
 
 
 if __name__ == "__main__":
