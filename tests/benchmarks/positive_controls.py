@@ -183,7 +183,7 @@ def report(title: str, mechanism: str, searches: Sequence[Search]) -> str:
         f"generations {' '.join('-' if first is None else str(first) for first in firsts)}; as the "
         f"mechanism shows on {sum(telling)}; {len(finds)} finds in "
         f"{sum(search.runs for search in searches)} runs; signatures per seed {per_seed}, {len(kinds)} in all",
-        *(f"    {count:4} x {signature.slug}" for signature, count in kinds.most_common()),
+        *(f"    {count:4} x {signature.mistake or signature.slug}" for signature, count in kinds.most_common()),
     ]
     if kinds:
         usual = kinds.most_common(1)[0][0]

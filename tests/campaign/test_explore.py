@@ -11,7 +11,10 @@ from example_ads import constant_speed
 from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.summary import SearchSummary
+from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.signature import Failure
 
 SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
 
@@ -183,3 +186,50 @@ def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_ne
     saved = {path.name.removesuffix(".pafot.yaml"): pafot.load(path) for path in corpus.rglob("*.pafot.yaml")}
     assert [finding.id for finding in found] == [name for name in saved if name.endswith("-2")]
     assert [saved[finding.id].scenario for finding in found] == [finding.scenario for finding in found]
+
+
+class ChangesLanesBlindly:
+    """From 4 s on it alternates between two lanes, every 5 s, and sees nobody."""
+
+    def __call__(self, observation):
+        ego, to_left = observation.ego, observation.time % 10 < 4
+        goal = observation.lane_width * (1 if to_left else 2)
+        heading = max(-0.1, min(0.1, 0.03 * (goal - ego.y)))
+        return 0.0, max(-0.1, min(0.1, 0.8 * (heading - ego.heading)))
+
+
+SHORT_ROAD = pafot.Highway(duration=20.0)
+
+
+def mistakes_of_one_who_changes_blindly(**settings):
+    return pafot.explore(
+        ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", genes=2, generations=8,
+        shrink_rollouts=60, **settings,
+    )  # fmt: skip
+
+
+def signature_of(scenario):
+    return of_failure(pafot.Run(SHORT_ROAD.rollout(scenario, ChangesLanesBlindly)), Failure(kind="AssertionError"))
+
+
+def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name():
+    findings = mistakes_of_one_who_changes_blindly(seed=1).findings
+    signatures = [signature_of(finding.scenario) for finding in findings]
+    assert sorted(each.mistake for each in signatures) == ["kept-no-distance", "moved-in-front", "moved-into-side"]
+    for finding, signature in zip(findings, signatures, strict=True):
+        assert signature_of(finding.original) == signature
+        assert finding.id == f"{signature.slug}-{finding.original.id}"
+
+
+def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(tmp_path):
+    first = mistakes_of_one_who_changes_blindly(seed=1, corpus=str(tmp_path))
+    again = mistakes_of_one_who_changes_blindly(seed=2, corpus=str(tmp_path))
+    assert again.findings == ()
+    assert again.summary.known.keys() == {finding.id for finding in first.findings}
+    kept, gone, *_ = sorted(tmp_path.rglob("entered-lane-*.yaml"))
+    accepted = kept.read_text().replace('# xfail: "reason"', 'xfail: "reason"')
+    gone_mistake = signature_of(load(gone).scenario)
+    kept.write_text(accepted)
+    gone.unlink()
+    (found,) = mistakes_of_one_who_changes_blindly(seed=3, corpus=str(tmp_path)).findings
+    assert signature_of(found.scenario) == gone_mistake
