@@ -1,8 +1,7 @@
 """What the ego did wrong in a collision that it answers for, in the few words that tell one defect from another.
 
-A verdict's *fault* is the branch of the rules that blames the ego, and one defect takes several of them: who never
-brakes in time runs into those who drive ahead, who cut in, and those behind whom it changes lanes. What a defect has in
-common is where the other was when the ego had to take it into account.
+A verdict's *fault* is the branch of the rules that blames the ego. In a lane change that is one for all defects: where
+the other was, when the ego had to take it into account, tells them apart.
 """
 
 from __future__ import annotations
@@ -15,9 +14,17 @@ from pytest_pafot.attribution.responsibility import Attribution, Fault
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.trace import Trace
 
-Mistake = Literal["kept-no-distance", "moved-into-side", "moved-in-front", "braked-for-nothing", "stopped-for-nothing"]
-"""It did not keep off a vehicle ahead, whoever had come into whose lane; it changed lanes into a vehicle beside it, or
-into the way of one behind; it braked hard, or stopped, with nothing in its way."""
+Mistake = Literal[
+    "kept-no-distance",
+    "cut-in-unanswered",
+    "moved-into-side",
+    "moved-in-front",
+    "braked-for-nothing",
+    "stopped-for-nothing",
+]
+"""It did not keep off a vehicle ahead, which it followed or behind which it changed lanes, or one that had cut in; it
+changed lanes into a vehicle beside it, or into the way of one behind; it braked hard, or stopped, with nothing in its
+way."""
 
 CLOSE_AHEAD = 2.0
 """Who begins no further ahead, between the boxes along the road, is beside the ego that changes lanes [m]."""
@@ -25,7 +32,7 @@ CLOSE_AHEAD = 2.0
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
         "leader-unanswered": "kept-no-distance",
-        "cut-in-unanswered": "kept-no-distance",
+        "cut-in-unanswered": "cut-in-unanswered",
         "braked-for-nothing": "braked-for-nothing",
         "stopped-for-nothing": "stopped-for-nothing",
     }

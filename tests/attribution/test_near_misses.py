@@ -60,7 +60,7 @@ def test_a_danger_before_the_impact_with_another_is_one():
     ego = driven(0.0)
     slow = driven(60.0, RIGHT, speed=12.0, shifts=[(1.0, OWN, 2.0), (5.0, RIGHT, 1.0)])
     trace = crash(ego, driven(-60.0, speed=26.0), slow, side="rear", cell=Cell.REAR)
-    assert [(near_miss.mistake, near_miss.npc) for near_miss in near_misses(trace)] == [("kept-no-distance", 1)]
+    assert [(near_miss.mistake, near_miss.npc) for near_miss in near_misses(trace)] == [("cut-in-unanswered", 1)]
 
 
 def test_keeping_the_distance_is_none():

@@ -4,9 +4,8 @@
         [--policies NAME ...] [--development]
 
 Searches policies whose defects are known, and asks of each failing run which defect is to blame: the one whose repair
-alone makes the scenario pass. The policies are those of ``policies_with_defects``, which nothing is tuned on; with
-``--development`` those of ``example_ads.defects``, and combinations of them, on which what tells findings apart was
-chosen.
+alone makes the scenario pass. The policies are those of ``policies_with_defects``; with ``--development`` those of
+``example_ads.defects``, and combinations of them, on which what tells findings apart was developed.
 
 Prints for each policy the findings of each search, in how many searches each defect has a finding of its own, and in
 how many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects,

@@ -1,7 +1,7 @@
 """Planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
 
-They were written before what tells findings apart was chosen, and nothing is tuned on them: they measure it. Units are
-metres, seconds and radians throughout.
+They were written before what tells findings apart was chosen, to measure it. Units are metres, seconds and radians
+throughout.
 """
 
 from __future__ import annotations

@@ -97,9 +97,10 @@ def test_the_time_and_the_speeds_do_not_matter():
 
 def test_the_fault_names_a_failure_and_tells_none_from_another():
     told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
-    leader, cut_in = (Signature(**told, fault=fault) for fault in ("leader-unanswered", "cut-in-unanswered"))
-    assert leader == cut_in
-    assert (leader.slug, cut_in.slug) == ("leader-unanswered", "cut-in-unanswered")
+    followed = Signature(**told, fault="leader-unanswered")
+    entered = Signature(**told, fault="entered-lane", mistake="kept-no-distance")
+    assert followed == entered != Signature(**told, fault="cut-in-unanswered")
+    assert (followed.slug, entered.slug) == ("leader-unanswered", "entered-behind")
 
 
 @pytest.mark.parametrize("name", SITUATIONS_BY_SLUG)
