@@ -77,6 +77,8 @@ class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
     __module__ = "pytest_pafot"  # where users find it, and as a traceback names it
 
     def __init__(self, check: Check) -> None:
+        if not isinstance(check, Check):
+            raise TypeError(f"CheckFailed: expected a Check, received {check!r:.80}; pafot.check(...) raises it")
         super().__init__(str(check))
         self.check = check
 
@@ -91,10 +93,12 @@ class Recording:
     Attributes:
         hz: ticks of the run a second.
         ticks: how many values one a tick are.
+        npcs: of the run; None where nobody says.
     """
 
     hz: int
     ticks: int
+    npcs: int | None = None
     checks: list[Check] = field(default_factory=list)
 
 
@@ -134,7 +138,7 @@ def check(
         unit: such as ``"m/s^3"``; that of a signal by default.
         at: when it happened [s]; by default the time of an array's worst tick, or of the one that decides a formula,
             where that can be told: not where ``within`` bounds the outermost one.
-        npc: that it is about.
+        npc: that it is about; -1, as of ``run.leader``, is none.
         scale: what a margin is divided by [unit], so that checks of any unit compare; by default the bound, or 1
             where that is 0.
 
@@ -164,9 +168,9 @@ def check(
         margin=float(margins[tick]),
         at_most=None if at_most is None else float(at_most),
         at_least=None if at_least is None else float(at_least),
-        unit=unit or str(getattr(value, "unit", "")),
-        time=time if at is None else float(at),
-        npc=npc,
+        unit=_unit(name, unit or str(getattr(value, "unit", ""))),
+        time=time if at is None else _moment(name, at),
+        npc=_npc(name, npc),
         values=None if clock is None else values,
         start=0 if clock is None else clock[0],
     )
@@ -197,7 +201,7 @@ def _record(made: Check) -> None:
 def _values(value: Any, name: str) -> FloatArray:
     try:
         values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"check {name!r}: expected a number or an array of them, received {value!r:.80}") from error
     if values.ndim != 1 or not values.size:
         raise ValueError(
@@ -217,9 +221,31 @@ def _scale(name: str, bound: float, scale: float | None) -> float:
     if not isinstance(bound, Real) or not math.isfinite(bound):
         raise ValueError(f"check {name!r}: expected a finite bound, received {bound!r}")
     divisor = abs(float(bound)) or 1.0 if scale is None else scale
-    if not math.isfinite(divisor) or divisor <= 0:
+    if not isinstance(divisor, Real) or not math.isfinite(divisor) or divisor <= 0:
         raise ValueError(f"check {name!r}: expected a scale above 0, received {scale!r}")
     return float(divisor)
+
+
+def _unit(name: str, unit: object) -> str:
+    if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
+        raise ValueError(f"check {name!r}: expected a short printable unit such as 'm/s^3', received {unit!r:.100}")
+    return unit
+
+
+def _moment(name: str, at: object) -> float:
+    if isinstance(at, bool) or not isinstance(at, Real) or not 0 <= float(at) < math.inf:
+        raise ValueError(f"check {name!r}: expected at= as seconds since the run began, received {at!r:.100}")
+    return float(at)
+
+
+def _npc(name: str, npc: Any) -> int | None:
+    recording = _RECORDING.get()
+    most = None if recording is None else recording.npcs
+    is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
+    if npc is not None and not (is_index and (most is None or npc < most)):
+        there = "" if most is None else f", at most {most - 1}"
+        raise ValueError(f"check {name!r}: expected npc= as the index of an NPC{there}, received {npc!r:.100}")
+    return None if npc is None or npc < 0 else int(npc)
 
 
 def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
@@ -245,7 +271,13 @@ def _verdict_tick(values: FloatArray) -> int | None:
 
 
 def _short(value: float, bound: float | None) -> str:
-    """In few digits, and in more where it would read as its bound."""
+    """In few digits, and in more where it would read as its bound, or as one beyond it."""
     texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
     texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
-    return next((text for text in texts if float(text) != bound), f"{value:g}")
+    if bound is None or math.isnan(value):
+        return texts[0]
+    if value == bound:
+        return f"{value:g}"
+    return next(
+        (text for text in texts if float(text) != bound and (float(text) > bound) == (value > bound)), texts[-1]
+    )

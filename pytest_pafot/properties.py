@@ -111,16 +111,29 @@ def keeps_up(
 
     What is checked is the ego's highest speed of the last ``seconds`` over that speed, the limit of its lane unless
     given [m/s], as a number or one a tick. Nobody is ahead where the gap to the leader in the ego's lane is at least
-    what it would drive in ``headway`` [s] with the speed that is asked. Shorter runs are not judged.
+    what it would drive in ``headway`` [s] with the speed that is asked. Where that is 0 nothing is asked. Shorter
+    runs are not judged.
+
+    Raises:
+        ValueError: for a speed that is no number or none for each tick, or is below 0, and for negative seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 13 (4), on impeding others by driving slowly (read; it has no
     numbers).
     """
     limits = np.array([lane.speed_limit for lane in run.trace.lanes])[np.maximum(run.ego.lane.astype(np.intp), 0)]
-    full = np.broadcast_to(limits if speed is None else np.asarray(speed, dtype=np.float64), len(limits))
+    full = np.array(limits if speed is None else speed, dtype=np.float64)
+    if full.shape not in ((), limits.shape) or not (full >= 0).all() or not seconds >= 0:
+        raise ValueError(
+            f"keeps_up: expected a speed of at least 0 as a number or one a tick, and seconds of at least 0, received "
+            f"speed={speed!r:.80}, seconds={seconds!r:.20}"
+        )
+    if run.duration < seconds:
+        return
+    full = np.broadcast_to(full, limits.shape)
     ahead, ticks = run.leader, np.arange(len(full))
     gaps = np.column_stack((longitudinal_gap(run.trace), np.full(len(full), np.inf)))[ticks, ahead]  # -1: nobody
-    paces = np.where(gaps < headway * share * full, np.inf, np.asarray(run.ego.speed) / full)
+    is_free = (full > 0) & (gaps >= headway * share * full)
+    paces = np.where(is_free, np.asarray(run.ego.speed) / np.where(full > 0, full, 1.0), np.inf)
     window = round(seconds * run.trace.physics_hz)
     held = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.full(window, np.inf), paces)), window + 1)
     if not np.isposinf(held.max(axis=1)).all():

@@ -116,6 +116,15 @@ def test_a_failure_travels_between_processes():
         (np.array([]), {"at_most": 1.0}, "one value a tick"),
         (1.0, {"at_most": math.nan}, "expected a finite bound"),
         (1.0, {"at_most": 1.0, "scale": 0.0}, "expected a scale above 0"),
+        (1.0, {"at_most": 1.0, "scale": "big"}, "expected a scale above 0"),
+        (10**400, {"at_most": 1.0}, "expected a number or an array of them"),
+        (1.0, {"at_most": 2.0, "npc": 1.0}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "npc": True}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "npc": -2}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "at": -1.0}, "expected at= as seconds since the run began"),
+        (1.0, {"at_most": 2.0, "at": math.nan}, "expected at= as seconds since the run began"),
+        (1.0, {"at_most": 2.0, "unit": 5}, "expected a short printable unit"),
+        (1.0, {"at_most": 2.0, "unit": "m\n"}, "expected a short printable unit"),
     ],
 )
 def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
@@ -128,3 +137,21 @@ def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
 def test_a_check_needs_a_name(name):
     with pytest.raises(ValueError, match="printable text"):
         pafot.check(1.0, name=name, at_most=2.0)
+
+
+def test_the_index_of_an_npc_may_come_from_an_array():
+    leader = np.array([1, -1])
+    assert type(made(1.0, at_most=2.0, npc=leader[0]).npc) is int
+    assert made(1.0, at_most=2.0, npc=leader[1]).npc is None
+    with recorded(Recording(hz=2, ticks=4, npcs=1)), pytest.raises(ValueError, match="at most 0, received 1"):
+        pafot.check(1.0, name="gap", at_most=2.0, npc=1)
+
+
+def test_a_value_never_reads_as_one_beyond_its_bound():
+    assert str(made(20.04, at_most=20.03)) == "jerk 20.04 > 20.03"
+    assert str(made(5.56, at_least=5.57)) == "jerk 5.56 < 5.57"
+
+
+def test_only_a_check_makes_a_failed_one():
+    with pytest.raises(TypeError, match="expected a Check, received 'slow'"):
+        CheckFailed("slow")

@@ -422,3 +422,15 @@ def test_ordinary_traffic_is_no_trouble_for_a_careful_driver():
             if is_quiet or name not in ("comfort", "rss_distance"):
                 getattr(properties, name)(run)
     assert quiet > 5
+
+
+def test_keeping_up_with_traffic_that_stands_asks_for_nothing():
+    trace = trace_of(driven(0.0, speed=0.0), driven(-FARTHER))
+    assert judged(properties.keeps_up, trace, speed=0.0) == []
+    assert only(properties.keeps_up, trace, speed=10.0).value == 0.0
+
+
+@pytest.mark.parametrize("arguments", [{"speed": [1.0, 2.0]}, {"speed": -1.0}, {"speed": np.nan}, {"seconds": -1.0}])
+def test_keeping_up_with_what_is_no_speed_is_refused(arguments):
+    with pytest.raises(ValueError, match="expected a speed of at least 0 as a number or one a tick"):
+        properties.keeps_up(pafot.Run(trace_of(driven(0.0), driven(-FARTHER))), **arguments)

@@ -150,7 +150,7 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
         when = "" if failure.check.time is None else f" at {failure.check.time:.1f} s"
         return f"{failure.check.name} failed{when}"
     if finding.expect.check is not None:
-        return ending(run)
+        return ending(run) if failure is None else failure.kind
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
 
 

@@ -101,7 +101,7 @@ def worst_margins(verdict: Verdict) -> tuple[tuple[str, float], ...]:
 
 
 def _asked(run: Run, test: Test, test_file: str) -> Verdict:
-    recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks)
+    recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs))
     try:
         with recorded(recording):
             result = test(run)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,9 @@ _Array: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 Worse = Literal["low", "high", "both", "neither"]
 """Which values are worse for the ego: the lowest, the highest, those farthest from 0, or none."""
 
+
+_REORDER = frozenset({np.flip, np.sort, np.roll, np.partition})
+"""Functions of numpy that leave no value at its tick."""
 
 _KEEP_UNIT = frozenset({np.absolute, np.fabs, np.negative, np.positive})
 
@@ -79,6 +82,8 @@ class Signal(_Array):
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
         """Numpy's functions that are no arithmetic, some of which return plain arrays."""
         result = super().__array_function__(func, types, args, kwargs)
+        if func in _REORDER:
+            return np.asarray(result)
         return self.__array_wrap__(result) if isinstance(result, np.ndarray) else result
 
     def __getitem__(self, key: Any) -> Any:
@@ -119,6 +124,11 @@ class Measure:
     worse: Worse
     source: str
     function: Callable[[Trace], npt.ArrayLike]
+
+    def __post_init__(self) -> None:
+        if self.worse not in get_args(Worse):
+            expected = ", ".join(map(repr, get_args(Worse)))
+            raise ValueError(f"measure {self.name!r}: expected worse= as one of {expected}, received {self.worse!r}")
 
     def values(self, trace: Trace) -> FloatArray:
         """All values of a run, shape [ticks + 1] or [NPCs, ticks + 1].

@@ -36,6 +36,13 @@ class Margin(Signal):
 
     is_formula: bool = False
 
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        """What numpy computed of margins is a formula where one of them is."""
+        result = super().__array_wrap__(array, context, return_scalar)
+        if isinstance(result, Margin) and context is not None:
+            result.is_formula = any(getattr(each, "is_formula", False) for each in context[1])
+        return result
+
     def __and__(self, other: Any) -> Margin:
         """Both hold: the lesser margin."""
         return _joined(np.minimum, self, other)
@@ -93,15 +100,21 @@ def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
         ValueError: for margins over different ticks, and for windows as in :func:`always`.
     """
     either = left | right
+    if within is None and not np.isnan(either).any():
+        best, later = [], -math.inf
+        for holds, comes in zip(reversed(left.tolist()), reversed(right.tolist()), strict=True):
+            later = max(comes, min(holds, later))
+            best.append(later)
+        return _like(either, best[::-1], is_formula=True)
     first, last = _window(either, within)
     ticks = len(either)
-    best, held = np.full(ticks, -np.inf), np.full(ticks, np.inf)
+    greatest, held = np.full(ticks, -np.inf), np.full(ticks, np.inf)
     for ahead in range(min(last + 1, ticks)):
         now = slice(0, ticks - ahead)
         if ahead >= first:
-            best[now] = np.maximum(best[now], np.minimum(held[now], right[ahead:]))
+            greatest[now] = np.maximum(greatest[now], np.minimum(held[now], right[ahead:]))
         held[now] = np.minimum(held[now], left[ahead:])
-    return _like(either, best, is_formula=True)
+    return _like(either, greatest, is_formula=True)
 
 
 def _like(signal: Signal, values: npt.ArrayLike, *, is_formula: bool) -> Margin:

@@ -57,7 +57,7 @@ class Expect:
         outcome: how the run ended.
         time: of the event [s]: of the failed check where it has one, else :attr:`~pytest_pafot.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
-            check the NPC that it names, and no cell.
+            check without a collision the NPC that it names, and no cell.
         side: of the ego that was hit; None without a collision.
         responsibility: who caused the collision.
         fault: what the ego answers for; None where it does not.
@@ -236,8 +236,10 @@ def _bounded(check: Check) -> Bounded:
 
 
 def _told(value: float | None, digits: int) -> float | None:
-    """As a file can hold it."""
-    return round(value, digits) if value is not None and abs(value) <= MAX_NUMBER else None
+    """As a file can hold it: to so many decimals, of what is below 1 so many figures."""
+    if value is None or not abs(value) <= MAX_NUMBER:
+        return None
+    return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
 
 
 def of_failure(run: Run, failure: Failure) -> Signature:

@@ -33,7 +33,7 @@ SLOW_DECISION = "SlowDecision"
 
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
-     "last_chance"}
+     "last_chance", "explain"}
 )  # fmt: skip
 """What an assertion that speaks of the collision names of a run."""
 
@@ -116,8 +116,8 @@ class Signature:
             return True
         if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or self.failure == SLOW_DECISION:
             return False
-        named = _named_of_a_run(self.assertion)
-        return bool(named) and not named & _OF_COLLISIONS
+        named, measures = _named(self.assertion)
+        return bool(measures) and not named & _OF_COLLISIONS
 
     @property
     def slug(self) -> str:
@@ -164,15 +164,21 @@ class _Numberless(ast.NodeTransformer):
         return inner if signs_a_number and inner.id == NUMBER else ast.UnaryOp(op=node.op, operand=inner)
 
 
-def _named_of_a_run(assertion: str) -> frozenset[str]:
-    """The attributes that an expression names, the first of each chain: ``run.ego.jerk.max()`` names ``ego``."""
+def _named(assertion: str) -> tuple[set[str], set[str]]:
+    """All attributes that an expression names, and those of a name, of a run as a rule, that are no helper's call.
+
+    ``run.ego.jerk.max()`` names all three, and of a run ``ego``; ``helpers.is_fine(run)`` names nothing of a run.
+    """
     try:
         nodes = list(ast.walk(ast.parse(assertion, mode="eval")))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return frozenset()
-    return frozenset(
-        node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
-    )
+        cut = set(re.findall(r"\b[A-Za-z_]\w*\.(\w+)", assertion)) if len(assertion) > MAX_ASSERTION - 9 else set()
+        return cut, cut  # of one that was cut short
+    calls = (node for node in nodes if isinstance(node, ast.Call))
+    helpers = [call.func for call in calls if any(isinstance(argument, ast.Name) for argument in call.args)]
+    attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
+    measures = {each.attr for each in attributes if isinstance(each.value, ast.Name) and each not in helpers}
+    return {each.attr for each in attributes}, measures
 
 
 def _from_source(assertion: str) -> str:

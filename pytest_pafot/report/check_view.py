@@ -42,13 +42,14 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
     if check.values is None or check.start + len(check.values) > trace.ticks + 1:
         return view
     end, (low, high) = check.start + len(check.values), _axis(check, check.values)
+    digits = max(4, 4 - math.floor(math.log10(high - low)))
     values, excess = np.full(trace.ticks + 1, np.nan), np.full(trace.ticks + 1, -np.inf)
     values[check.start : end], excess[check.start : end] = check.values, _excess(check, check.values)
     spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
     worst = [values[span[int(excess[span].argmax())]] for span in spans]
     return replace(
         view,
-        values=tuple(None if np.isnan(value) else round(float(value), 4) for value in np.clip(worst, low, high)),
+        values=tuple(None if np.isnan(value) else round(float(value), digits) for value in np.clip(worst, low, high)),
         low=low,
         high=high,
         is_cut=(bool((values < low).any()), bool((values > high).any())),
@@ -76,7 +77,7 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     if check.at_most is None:
         high = min(high, bounds[0] + reach)
     step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
-    return round(math.floor(low / step) * step, 6), round(max(math.ceil(high / step) * step, low + step), 6)
+    return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
 
 
 def _stretches(broken: npt.NDArray[np.bool_], hz: int) -> Iterator[tuple[float, float]]:

@@ -265,3 +265,13 @@ def test_every_measure_is_a_number_a_tick_of_a_run_that_collides_too():
     for measure in MEASURES:
         assert measure.values(run.trace).shape[-1] == 2, measure.name
         assert pickle.loads(pickle.dumps(measure)).values(run.trace).tolist() == measure.values(run.trace).tolist()
+
+
+@pytest.mark.parametrize("reordered", [np.flip(SPEED_OF_ALL), np.sort(SPEED_OF_ALL), np.roll(SPEED_OF_ALL, 1)])
+def test_what_leaves_no_value_at_its_tick_is_no_signal(reordered):
+    assert not isinstance(reordered, Signal)
+
+
+def test_a_measure_says_which_values_are_worse():
+    with pytest.raises(ValueError, match="expected worse= as one of 'low', 'high', 'both', 'neither', received 'lo'"):
+        Measure("x", "", "lo", "", lambda trace: trace.ego[:, 3])

@@ -197,3 +197,16 @@ def test_a_property_of_a_run_is_written_as_it_is_said():
         max(run.npcs[0].ttc[tick] - 2.0, *(-1.0 - run.ego.acceleration[tick : tick + 16])) for tick in range(40)
     )
     assert formula[0] == pytest.approx(expected)
+
+
+def test_until_without_a_window_is_what_it_is_with_one_of_all_ticks():
+    rng = np.random.default_rng(0)
+    for ticks in (1, 2, 30):
+        left, right = (pafot.above(pafot.Signal(rng.normal(size=ticks), hz=2), 0.0) for _ in range(2))
+        assert pafot.until(left, right).tolist() == pafot.until(left, right, within=(0, 99)).tolist()
+
+
+def test_what_numpy_makes_of_a_margin_and_a_formula_is_a_formula():
+    plain = pafot.above(pafot.Signal([1.0, -1.0], hz=2), 0.0)
+    assert np.minimum(plain, pafot.eventually(plain)).is_formula
+    assert not np.minimum(plain, plain).is_formula

@@ -84,7 +84,17 @@ def test_a_failed_check_is_told_by_its_name_however_the_run_ended():
     assert (signature.assertion, signature.slug) == ("jerk", "jerk")
 
 
-@pytest.mark.parametrize("source", ["is_fine(run)", "run.outcome == 'safe'", "not run.collision or run.min_ttc > 1.0"])
+@pytest.mark.parametrize(
+    "source",
+    [
+        "is_fine(run)",
+        "helpers.is_fine(run)",
+        "run.outcome == 'safe'",
+        "run.trace.collision is None",
+        "run.explain() == ''",
+        "not run.collision or run.min_ttc > 1.0",
+    ],
+)
 def test_what_may_speak_of_the_collision_is_told_by_how_the_run_ended(source):
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
     assert of_failure(crash(), failure).fault == "leader-unanswered"
@@ -230,3 +240,9 @@ def test_a_slug_is_short_and_safe_in_file_names(assertion, kind):
     assert 0 < len(text) <= 40
     assert set(text) <= set("abcdefghijklmnopqrstuvwxyz0123456789-")
     assert text == text.strip("-")
+
+
+def test_an_assertion_on_measures_that_is_cut_short_is_still_told_by_its_text():
+    source = " and ".join(f"run.npcs[{npc}].gap.min() > 1.5" for npc in range(9))
+    failure = Failure(kind="AssertionError", assertion=f"assert {source}")
+    assert of_failure(crash(), failure) == of_failure(Run(approaching()), failure)
