@@ -191,6 +191,12 @@ def _run_start(holds: npt.NDArray[np.bool_], tick: int) -> int:
     return int(fails[-1]) + 1 if fails.size else 0
 
 
+def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where each unbroken stretch begins in which a condition holds, and where it has just ended, in their order."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def first_lasting(holds: npt.NDArray[np.bool_], ticks: int) -> int | None:
     """Where a condition first begins to hold for so many ticks; None if it never does."""
     count = np.concatenate(([0], np.cumsum(holds)))

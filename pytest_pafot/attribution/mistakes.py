@@ -44,7 +44,7 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     """What the ego did wrong in a run that ended in a collision, by the verdict; None where it does not answer."""
     if trace.collision is None or attribution.fault is None:
         return None
-    return mistake_with(trace.collision.npc, attribution, RoadFrame(trace))
+    return BY_FAULT.get(attribution.fault) or mistake_with(trace.collision.npc, attribution, RoadFrame(trace))
 
 
 def mistake_with(npc: int, attribution: Attribution, frame: RoadFrame) -> Mistake | None:
@@ -55,7 +55,7 @@ def mistake_with(npc: int, attribution: Attribution, frame: RoadFrame) -> Mistak
     """
     if attribution.fault is None or attribution.tick is None:
         return None
-    if attribution.fault != "entered-lane":
+    if attribution.fault in BY_FAULT:
         return BY_FAULT[attribution.fault]
     tick = attribution.tick
     ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]

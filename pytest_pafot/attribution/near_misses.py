@@ -12,6 +12,7 @@ from itertools import groupby
 
 import numpy as np
 
+from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.mistakes import Mistake, mistake_with
 from pytest_pafot.attribution.responsibility import Conflict, Dangers
 from pytest_pafot.criticality import Encounters
@@ -57,9 +58,7 @@ def _all(trace: Trace) -> Iterator[NearMiss]:
     encounters = Encounters(trace)
     severity = (1 / (1 + encounters.ttc.T / NEAR_SECONDS) + 1 / (1 + encounters.gap.T / NEAR_METRES)) / 2
     for npc in range(len(trace.scenario.npcs)):
-        # First ticks of stretches in which it is dangerous and the ticks after their last, by turns.
-        edges = np.flatnonzero(np.diff(dangers.is_dangerous[:, npc].astype(np.int8), prepend=0, append=0)).tolist()
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in stretches(dangers.is_dangerous[:, npc]):
             if trace.collision is not None and trace.collision.npc == npc and end == len(severity):
                 continue  # the impact itself
             tick = start + int(np.argmax(severity[start:end, npc]))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.attribution.lane_changes import DRIFTING
+from pytest_pafot.attribution.lane_changes import DRIFTING, stretches
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.trace import LANE, SPEED, FloatArray, Lane, Trace, X, Y
 
@@ -60,9 +60,7 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
     """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
-    hard = np.concatenate(([False], braking(trace, vehicle)[: last + 1] > HARD_BRAKING, [False]))
-    edges = np.flatnonzero(np.diff(hard.astype(np.int8)))
-    for begin, end in zip(edges[-2::-2].tolist(), edges[::-2].tolist(), strict=True):
+    for begin, end in reversed(stretches(braking(trace, vehicle)[: last + 1] > HARD_BRAKING)):
         if end - 1 < first:
             return None
         if end - begin >= HARD_SECONDS * trace.physics_hz:
@@ -96,7 +94,10 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
     is_ahead[vehicle] = False
     is_near = along <= NEAR_SECONDS * speed
     slowed = -np.diff(frame.speed, prepend=frame.speed[:, :1])[:, ticks] * trace.physics_hz
-    safe = np.where(ahead >= 0, rules.safe_along(speed, speeds), rules.safe_along(speeds, speed))
+    delays = np.where(np.arange(len(speeds)) == 0, rules.ego_response, rules.npc_response)[:, None]
+    safe = np.where(
+        ahead >= 0, rules.safe_along(speed, speeds, delays[vehicle]), rules.safe_along(speeds, speed, delays)
+    )
     is_close = (
         (along < np.maximum(safe, STANDSTILL_GAP))
         | (along < NEAR_SECONDS * (speed - speeds))

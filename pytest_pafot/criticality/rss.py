@@ -52,8 +52,8 @@ class RssRules:
                 bound = "more than 0" if divides else "at least 0"
                 raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
 
-    def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray = 1.0) -> FloatArray:
-        """What a follower has to keep at speeds along the road [m]; equation in :func:`rss_longitudinal`."""
+    def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
+        """What a follower, with its response time [s], has to keep along the road [m]; see :func:`rss_longitudinal`."""
         fastest = follower + response * self.acceleration
         travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
         return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))

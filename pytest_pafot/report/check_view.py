@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.checks import Check
 from pytest_pafot.report.page_data import CheckView
 from pytest_pafot.trace import FloatArray, Trace
@@ -30,14 +30,14 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
 
     There is a curve where it is known which ticks its values belong to.
     """
-    tick = check_tick(trace, check)
+    tick, hz = check_tick(trace, check), trace.physics_hz
     view = CheckView(
         name=check.name,
         unit=check.unit,
         value=check.value if math.isfinite(check.value) else None,
         at_most=check.at_most,
         at_least=check.at_least,
-        time=None if tick is None else round(tick / trace.physics_hz, 3),
+        time=None if tick is None else round(tick / hz, 3),
     )
     if check.values is None or check.start + len(check.values) > trace.ticks + 1:
         return view
@@ -53,7 +53,7 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
         low=low,
         high=high,
         is_cut=(bool((values < low).any()), bool((values > high).any())),
-        broken=tuple(_stretches(excess > 0, trace.physics_hz)),
+        broken=tuple((round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0)),
     )
 
 
@@ -78,10 +78,3 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
         high = min(high, bounds[0] + reach)
     step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
     return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
-
-
-def _stretches(broken: npt.NDArray[np.bool_], hz: int) -> Iterator[tuple[float, float]]:
-    """From when to when each run of ticks lasts [s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], broken, [False]))))
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
-        yield round(int(first) / hz, 3), round((int(end) - 1) / hz, 3)
