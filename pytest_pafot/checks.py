@@ -136,8 +136,7 @@ def check(
         name: what a finding is called, and what makes two failures the same.
         at_most, at_least: bounds [unit]; at least one, but for a formula.
         unit: such as ``"m/s^3"``; that of a signal by default.
-        at: when it happened [s]; by default the time of an array's worst tick, or of the one that decides a formula,
-            where that can be told: not where ``within`` bounds the outermost one.
+        at: when it happened [s]; by default the time of an array's worst tick, or of the one that decides a formula.
         npc: that it is about; -1, as of ``run.leader``, is none.
         scale: what a margin is divided by [unit], so that checks of any unit compare; by default the bound, or 1
             where that is 0.
@@ -160,8 +159,8 @@ def check(
     is_formula = getattr(value, "is_formula", False)
     tick = 0 if is_formula else int(margins.argmin())
     clock = _clock(value, values)
-    moment = _verdict_tick(values) if is_formula else tick
-    time = None if clock is None or moment is None else (clock[0] + moment) / clock[1]
+    moment = float(value.deciders[0]) if is_formula else tick
+    time = None if clock is None or math.isinf(moment) else (clock[0] + moment) / clock[1]
     made = Check(
         name=_named(name),
         value=float(values[tick]),
@@ -259,15 +258,6 @@ def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
         return value.start, value.hz
     recording = _RECORDING.get()
     return None if recording is None or values.size != recording.ticks + 1 else (0, recording.hz)
-
-
-def _verdict_tick(values: FloatArray) -> int | None:
-    """The tick up to which a formula is what it is at the first one; None where that does not say what made it so.
-
-    Where its values go up and down, later windows see what the first one does not.
-    """
-    is_known = bool((values[1:] >= values[:-1]).all() or (values[1:] <= values[:-1]).all())
-    return int((values == values[0]).sum()) - 1 if is_known else None
 
 
 def _short(value: float, bound: float | None) -> str:

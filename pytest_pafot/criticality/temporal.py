@@ -15,6 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality.signals import Signal
+from pytest_pafot.trace import FloatArray
+
+IntArray = npt.NDArray[np.intp]
 
 Within = tuple[float, float]
 """From so many seconds later to so many, both included."""
@@ -34,14 +37,43 @@ class Margin(Signal):
             each value is one on its own tick.
     """
 
+    __slots__ = ("_deciders",)  # not in __dict__: what numpy copies has none, until somebody says which
     is_formula: bool = False
+
+    @property
+    def deciders(self) -> FloatArray:
+        """The tick that makes each value what it is, counted from the first value; inf where none does, or any may.
+
+        Shape [ticks]. The first one of several, and of NaN. Numpy's functions of one margin and of numbers keep it,
+        as does a slice of known ticks; those of several arrays do not, but for margins that are no formulas.
+        """
+        if not self.is_formula:
+            return np.arange(len(self), dtype=np.float64)
+        return getattr(self, "_deciders", np.full(len(self), np.inf))
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         """What numpy computed of margins is a formula where one of them is."""
         result = super().__array_wrap__(array, context, return_scalar)
         if isinstance(result, Margin) and context is not None:
-            result.is_formula = any(getattr(each, "is_formula", False) for each in context[1])
+            arrays = [each for each in context[1] if np.ndim(each)]
+            result.is_formula = _looks_ahead(arrays)
+            if result.is_formula and len(arrays) == 1:
+                result._decide(self.deciders)
         return result
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Likewise for functions that are no arithmetic, such as ``np.where``."""
+        result = super().__array_function__(func, types, args, kwargs)
+        if isinstance(result, Margin):
+            result.is_formula = _looks_ahead((*args, *kwargs.values()))
+        return result
+
+    def __getitem__(self, key: Any) -> Any:
+        """A value, or some of them."""
+        part = super().__getitem__(key)
+        if isinstance(part, Margin) and part.is_formula and part.hz is not None:
+            part._decide(self.deciders[key] - (part.start - self.start))
+        return part
 
     def __and__(self, other: Any) -> Margin:
         """Both hold: the lesser margin."""
@@ -53,13 +85,17 @@ class Margin(Signal):
 
     def __invert__(self) -> Margin:
         """It does not hold: the negative margin."""
-        return _like(self, np.negative(self), is_formula=self.is_formula)
+        return _like(self, -np.asarray(self), self.deciders if self.is_formula else None)
+
+    def _decide(self, deciders: FloatArray) -> None:
+        """Be a formula that these ticks decide, whose values cannot become others."""
+        self._deciders, self.is_formula, self.flags.writeable = deciders, True, False
 
 
 def above(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
     """By how much a signal is above a bound, a number or one for each tick, at each tick; 0 at the bound."""
     signal = signal if isinstance(signal, Signal) else Signal(signal)
-    return _like(signal, np.subtract(signal, bound), is_formula=False)
+    return _like(signal, np.subtract(signal, bound))
 
 
 def below(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
@@ -84,10 +120,8 @@ def eventually(margin: Margin, within: Within | None = None) -> Margin:
         TypeError: for what is no margin.
         ValueError: for a window in which no tick lies, or in seconds where nobody knows how many ticks those are.
     """
-    first, last = _window(_checked(margin), within)
-    later = np.concatenate((np.asarray(margin), np.full(last, -np.inf)))[first:]
-    greatest = np.lib.stride_tricks.sliding_window_view(later, last - first + 1).max(axis=1)
-    return _like(margin, greatest, is_formula=True)
+    at = _greatest(np.asarray(margin), *_window(_checked(margin), within))
+    return _like(margin, np.append(margin, -np.inf)[at], np.append(margin.deciders, np.inf)[at])
 
 
 def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
@@ -100,28 +134,73 @@ def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
         ValueError: for margins over different ticks, and for windows as in :func:`always`.
     """
     either = left | right
-    if within is None and not np.isnan(either).any():
-        best, later = [], -math.inf
-        for holds, comes in zip(reversed(left.tolist()), reversed(right.tolist()), strict=True):
-            later = max(comes, min(holds, later))
-            best.append(later)
-        return _like(either, best[::-1], is_formula=True)
     first, last = _window(either, within)
-    ticks = len(either)
-    greatest, held = np.full(ticks, -np.inf), np.full(ticks, np.inf)
-    for ahead in range(min(last + 1, ticks)):
-        now = slice(0, ticks - ahead)
-        if ahead >= first:
-            greatest[now] = np.maximum(greatest[now], np.minimum(held[now], right[ahead:]))
-        held[now] = np.minimum(held[now], left[ahead:])
-    return _like(either, greatest, is_formula=True)
+    at = _holding_until(np.asarray(left), np.asarray(right), first, last)
+    deciders = np.concatenate((left.deciders, right.deciders, [np.inf]))
+    return _like(either, np.concatenate((left, right, [-np.inf]))[at], deciders[at])
 
 
-def _like(signal: Signal, values: npt.ArrayLike, *, is_formula: bool) -> Margin:
-    """Values over the ticks and in the unit of a signal."""
+def _greatest(values: FloatArray, first: int, last: int) -> IntArray:
+    """Where the greatest value of each tick's window is, the first one of several or of NaN; one beyond without any."""
+    later = np.append(values, np.full(last, -np.inf))[first:]
+    ahead = np.lib.stride_tricks.sliding_window_view(later, last - first + 1).argmax(axis=1)
+    at: IntArray = np.minimum(ahead + np.arange(first, first + len(values)), len(values))
+    return at
+
+
+def _holding_until(left: FloatArray, right: FloatArray, first: int, last: int) -> IntArray:
+    """Where the value of ``until`` is for each tick, in an array of all of the left, the right, and minus infinity.
+
+    In a window it is the least of ``always`` left up to the window, ``until`` from there on, and ``eventually`` right
+    in it (Donze, Ferrere and Maler, "Efficient Robust Monitoring for STL", CAV 2013).
+    """
+    values = np.concatenate((left, right, [-np.inf]))
+    is_nan = np.isnan(values)
+    values[is_nan] = 0.0
+    ticks, end = np.arange(len(left)), len(left)
+    at = np.append(_until_ever(values[:end].tolist(), values[end:-1].tolist()), np.full(first, 2 * end))[first:]
+    if first > 0:
+        before = _greatest(-values[:end], 0, first - 1)
+        at = np.where((values[before] <= values[at]) & (ticks + first < end), before, at)
+    comes = end + _greatest(values[end:-1], first, last)
+    at = np.where(values[comes] < values[at], comes, at)
+    held, come = _next(is_nan[:end], ticks), _next(is_nan[end:-1], ticks + first)
+    looks_at = np.maximum(held + 1, ticks + first)  # when the left one must have held at that tick
+    is_lost = np.minimum(looks_at, come) <= np.minimum(ticks + last, end - 1)
+    return np.where(is_lost, np.where(come < looks_at, end + come, held), at)
+
+
+def _until_ever(left: list[float], right: list[float]) -> list[int]:
+    """Likewise without a window, and without NaN."""
+    best, at, places = -math.inf, 2 * len(left), []
+    for tick in range(len(left) - 1, -1, -1):
+        if left[tick] <= best:
+            best, at = left[tick], tick
+        if right[tick] >= best:
+            best, at = right[tick], len(left) + tick
+        places.append(at)
+    return places[::-1]
+
+
+def _next(mask: npt.NDArray[np.bool_], ticks: IntArray) -> IntArray:
+    """The next true one from each of these ticks on; beyond them all without one."""
+    places = np.append(np.flatnonzero(mask), 2 * len(mask) + 1)
+    return places[np.searchsorted(places, ticks)]
+
+
+def _like(signal: Signal, values: npt.ArrayLike, deciders: FloatArray | None = None) -> Margin:
+    """Values over the ticks and in the unit of a signal; a formula where it is told what decides it."""
     margin = Margin(values, hz=signal.hz, start=signal.start, unit=signal.unit)
-    margin.is_formula = is_formula
+    if deciders is not None:
+        margin._decide(deciders)
     return margin
+
+
+def _looks_ahead(given: Any) -> bool:
+    """Whether a formula is among what a function of numpy was given."""
+    return any(
+        _looks_ahead(each) if isinstance(each, (list, tuple)) else getattr(each, "is_formula", False) for each in given
+    )
 
 
 def _joined(choose: Any, left: Margin, right: Any) -> Margin:
@@ -133,9 +212,12 @@ def _joined(choose: Any, left: Margin, right: Any) -> Margin:
             f"expected margins over the same ticks, received {texts[0]}, and {texts[1]}; cut one to the ticks of the "
             "other, such as signal[1:] beside np.diff(signal)"
         )
-    values = choose(np.asarray(left), np.asarray(right))
-    is_formula = left.is_formula or right.is_formula
-    margin = _like(right if left.hz is None else left, values, is_formula=is_formula)
+    sides = [np.asarray(left), np.asarray(right)]
+    values, deciders = choose(*sides), None
+    if left.is_formula or right.is_formula:
+        chosen = [(side == values) | np.isnan(side) for side in sides]
+        deciders = np.where(chosen, (left.deciders, right.deciders), np.inf).min(axis=0)
+    margin = _like(right if left.hz is None else left, values, deciders)
     margin.unit = left.unit if left.unit == right.unit else ""
     return margin
 

@@ -29,34 +29,38 @@ formulas = st.recursive(
 )
 
 
-def pairs_of_signals(least):
+def pairs_of_signals(least, values=numbers):
     """Two lists of one length, of so many ticks at least."""
     lengths = st.integers(least, 12)
-    return lengths.flatmap(lambda ticks: st.tuples(*[st.lists(numbers, min_size=ticks, max_size=ticks)] * 2))
+    return lengths.flatmap(lambda ticks: st.tuples(*[st.lists(values, min_size=ticks, max_size=ticks)] * 2))
+
+
+def chosen(cells, choose, default):
+    """The least or the greatest of values with the ticks that decide them: the first NaN, else the first one."""
+    lost = [cell for cell in cells if math.isnan(cell[0])]
+    return lost[0] if lost else choose(cells, key=lambda cell: cell[0], default=(default, math.inf))
 
 
 def by_definition(formula, values, tick):
-    """The robustness of a formula at a tick, as the papers write it; windows are in ticks."""
+    """The robustness of a formula at a tick, as the papers write it, and the tick that has it; windows are in ticks."""
     kind, *rest = formula
     ticks = len(values["x"])
     if kind in ("above", "below"):
-        return (values[rest[0]][tick] - BOUND) * (1 if kind == "above" else -1)
+        return (values[rest[0]][tick] - BOUND) * (1 if kind == "above" else -1), tick
     if kind == "not":
-        return -by_definition(rest[0], values, tick)
+        value, decider = by_definition(rest[0], values, tick)
+        return -value, decider
     if kind in ("and", "or"):
-        return (min if kind == "and" else max)(by_definition(each, values, tick) for each in rest)
+        both = sorted((by_definition(each, values, tick) for each in rest), key=lambda cell: cell[1])
+        return chosen(both, min if kind == "and" else max, None)
     first, last = rest[0] or (0, ticks)
     there = [at for at in range(tick + first, tick + last + 1) if at < ticks]
     if kind == "until":
-        return max(
-            (
-                min([by_definition(rest[2], values, at), *(by_definition(rest[1], values, k) for k in range(tick, at))])
-                for at in there
-            ),
-            default=-math.inf,
-        )
+        held = [by_definition(rest[1], values, at) for at in range(tick, max(there, default=tick))]
+        ways = [chosen([*held[: at - tick], by_definition(rest[2], values, at)], min, None) for at in there]
+        return chosen(ways, max, -math.inf)
     inner = [by_definition(rest[1], values, at) for at in there]
-    return min(inner, default=math.inf) if kind == "always" else max(inner, default=-math.inf)
+    return chosen(inner, min, math.inf) if kind == "always" else chosen(inner, max, -math.inf)
 
 
 def margin_of(formula, values):
@@ -86,11 +90,12 @@ def text_of(formula):
 
 
 @settings(max_examples=1000)
-@given(formulas, pairs_of_signals(1))
-def test_a_formula_has_the_robustness_that_its_definition_gives_at_every_tick(formula, both):
+@given(formulas, pairs_of_signals(1, numbers | st.just(math.nan)))
+def test_a_formula_has_the_robustness_and_the_deciding_tick_that_its_definition_gives_at_every_tick(formula, both):
     values = dict(zip("xy", both, strict=True))
     expected = [by_definition(formula, values, tick) for tick in range(len(values["x"]))]
-    assert margin_of(formula, values).tolist() == expected
+    margin = margin_of(formula, values)
+    np.testing.assert_array_equal(np.column_stack((margin, margin.deciders)), expected)
 
 
 @settings(max_examples=1000, deadline=None)
@@ -210,3 +215,49 @@ def test_what_numpy_makes_of_a_margin_and_a_formula_is_a_formula():
     plain = pafot.above(pafot.Signal([1.0, -1.0], hz=2), 0.0)
     assert np.minimum(plain, pafot.eventually(plain)).is_formula
     assert not np.minimum(plain, plain).is_formula
+
+
+FORMULA = pafot.eventually(pafot.above(pafot.Signal([1.0, 2.0, 5.0, 3.0, 4.0], hz=2, start=4), 0.0), within=(0, 1))
+
+
+class TestDeciders:
+    @pytest.mark.parametrize(
+        "same", [-FORMULA, 2 * FORMULA, FORMULA / 10, abs(FORMULA), np.minimum(FORMULA, 4.0), FORMULA[:], ~~FORMULA]
+    )
+    def test_what_is_made_of_a_formula_and_numbers_is_decided_by_the_same_ticks(self, same):
+        assert FORMULA.deciders.tolist() == same.deciders.tolist() == [2, 2, 2, 4, 4]
+
+    def test_those_of_a_part_are_counted_from_its_first_tick(self):
+        assert FORMULA[1:4].deciders.tolist() == [1, 1, 3]
+        assert FORMULA[1:][1:].deciders.tolist() == [0, 2, 2]
+
+    @pytest.mark.parametrize(
+        "other",
+        [
+            FORMULA + FORMULA,
+            FORMULA * np.arange(5.0),
+            FORMULA[::-1],
+            FORMULA[[4, 3, 2, 1, 0]],
+            FORMULA.copy(),
+            np.where(np.arange(5) > 2, FORMULA, 0.0),
+            np.where(np.arange(5) > 2, pafot.above(np.zeros(5), 1.0), FORMULA),
+            np.select([np.arange(5) > 2], [pafot.above(np.zeros(5), 1.0)], FORMULA),
+            np.cumsum(FORMULA),
+            np.maximum.accumulate(FORMULA),
+            np.add(FORMULA, 1.0, out=FORMULA.copy()),
+            pickle.loads(pickle.dumps(FORMULA)),
+        ],
+    )
+    def test_of_what_may_be_decided_otherwise_none_is_known(self, other):
+        assert other.is_formula
+        assert pafot.always(other).deciders.tolist() == [math.inf] * 5
+
+    def test_what_is_known_cannot_be_overwritten(self):
+        with pytest.raises(ValueError, match="read-only"):
+            (2 * FORMULA)[0] = 9.0
+
+    def test_margins_that_are_no_formulas_are_decided_by_their_own_ticks_whatever_they_are_made_of(self):
+        plain = pafot.above(SPEED, 2.0)
+        for own in (plain + plain, np.where([True, False, True], plain, 9.0), plain[::-1], plain.copy()):
+            assert own.deciders.tolist() == [0, 1, 2]
+        assert pafot.always(np.where([True, False, True], plain, 9.0)).deciders.tolist() == [2, 2, 2]

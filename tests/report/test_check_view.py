@@ -94,6 +94,13 @@ def test_values_that_are_cut_out_of_a_run_stay_at_their_ticks():
     assert view.check.values[view.times.index(view.check.time)] == 35.1
 
 
+def test_a_formula_is_shown_at_the_tick_that_decides_it():
+    far = pafot.above(pafot.Signal(peaks(t61=-35.1, t62=-30.0), hz=15), 0.0)
+    view = shown(pafot.always(pafot.eventually(far, within=(0, 0.04)), within=(0, 5)))
+    assert view.moment == view.check.time == pytest.approx(61 / 15, abs=0.001)
+    assert view.check.time in view.times
+
+
 def test_values_of_unknown_ticks_have_no_curve():
     assert shown(peaks(t61=35.1)[1::2], at_most=20).check.values == ()
 
