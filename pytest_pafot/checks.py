@@ -152,7 +152,7 @@ def check(
     if at_most is None and at_least is None:
         raise ValueError(f"check {name!r}: expected at_most=, at_least= or both, received neither; see pafot.target")
     values = _values(value, name)
-    bounds = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
+    bounds = [(_bound(name, bound), sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
     with np.errstate(invalid="ignore"):
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
     margins = np.where(np.isnan(margins), -np.inf, margins)
@@ -216,10 +216,14 @@ def _named(name: str) -> str:
     return name.strip()
 
 
+def _bound(name: str, bound: float) -> float:
+    if isinstance(bound, bool) or not isinstance(bound, Real) or not math.isfinite(bound):
+        raise ValueError(f"check {name!r}: expected a finite bound, received {bound!r:.80}")
+    return float(bound)
+
+
 def _scale(name: str, bound: float, scale: float | None) -> float:
-    if not isinstance(bound, Real) or not math.isfinite(bound):
-        raise ValueError(f"check {name!r}: expected a finite bound, received {bound!r}")
-    divisor = abs(float(bound)) or 1.0 if scale is None else scale
+    divisor = abs(bound) or 1.0 if scale is None else scale
     if not isinstance(divisor, Real) or not math.isfinite(divisor) or divisor <= 0:
         raise ValueError(f"check {name!r}: expected a scale above 0, received {scale!r}")
     return float(divisor)

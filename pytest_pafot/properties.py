@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -70,6 +71,8 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     choice by which two seconds are always enough; ``pytest_pafot.criticality.RssRules()`` has those that Intel
     suggests (read).
     """
+    if not isinstance(rules, RssRules):
+        raise TypeError(f"rss_distance: expected rules= as RssRules(...) of criticality, received {rules!r:.80}")
     frame = RoadFrame(run.trace)
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
@@ -85,6 +88,7 @@ def comfort(run: Run, *, jerk: float | None = 2.5, braking: float | None = 3.5) 
 
     Source: ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: of jerk it speaks only in braking).
     """
+    _refuse_odd("comfort", jerk=0.0 if jerk is None else jerk, braking=0.0 if braking is None else braking)
     if jerk is not None:
         check(abs(_change(run.ego.acceleration, 1.0)), name="jerk", at_most=jerk, unit="m/s^3")
     if braking is not None:
@@ -115,18 +119,18 @@ def keeps_up(
     runs are not judged.
 
     Raises:
-        ValueError: for a speed that is no number or none for each tick, or is below 0, and for negative seconds.
+        ValueError: for what is no finite number of at least 0, and for speeds that are not one for each tick.
 
     Source: Vienna Convention on Road Traffic, Art. 13 (4), on impeding others by driving slowly (read; it has no
     numbers).
     """
     limits = np.array([lane.speed_limit for lane in run.trace.lanes])[np.maximum(run.ego.lane.astype(np.intp), 0)]
-    full = np.array(limits if speed is None else speed, dtype=np.float64)
-    if full.shape not in ((), limits.shape) or not (full >= 0).all() or not seconds >= 0:
-        raise ValueError(
-            f"keeps_up: expected a speed of at least 0 as a number or one a tick, and seconds of at least 0, received "
-            f"speed={speed!r:.80}, seconds={seconds!r:.20}"
-        )
+    full = np.asarray(limits if speed is None else speed)
+    is_number = full.dtype.kind in "iuf" and full.shape in ((), limits.shape)
+    if not is_number or not ((full >= 0) & (full < math.inf)).all():
+        expected = "a finite speed of at least 0 as a number or one a tick"
+        raise ValueError(f"keeps_up: expected {expected}, received speed={speed!r:.80}")
+    _refuse_odd("keeps_up", share=share, headway=headway, seconds=seconds)
     if run.duration < seconds:
         return
     full = np.broadcast_to(full, limits.shape)
@@ -148,6 +152,7 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 
     Source: 1 s is what UN R79, 5.6.4.7, leaves the one behind (formula read); that of the one ahead is a choice.
     """
+    _refuse_odd("lane_change_gaps", ahead=ahead, behind=behind)
     gaps = longitudinal_gap(run.trace)
     for change in run.lane_changes:
         for index, npc in enumerate(run.npcs):
@@ -201,6 +206,13 @@ def answers_cut_ins(run: Run) -> None:
     for npc, first, end in _cut_ins(run.trace):
         gaps[npc, first:end] = run.npcs[npc].gap[first:end]
     _check_worst(run, gaps, name="UN R157 cut-in gap", at_least=CONTACT)
+
+
+def _refuse_odd(name: str, **given: object) -> None:
+    """Refuse what is no finite number of at least 0."""
+    for each, value in given.items():
+        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) < math.inf:
+            raise ValueError(f"{name}: expected {each}= as a finite number of at least 0, received {value!r:.80}")
 
 
 def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:

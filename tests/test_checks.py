@@ -130,6 +130,8 @@ def test_a_failure_travels_between_processes():
         (np.zeros((2, 3)), {"at_most": 1.0}, "shape (2, 3); check each NPC by itself"),
         (np.array([]), {"at_most": 1.0}, "one value a tick"),
         (1.0, {"at_most": math.nan}, "expected a finite bound"),
+        (1.0, {"at_least": "2"}, "expected a finite bound, received '2'"),
+        (1.0, {"at_most": True}, "expected a finite bound, received True"),
         (1.0, {"at_most": 1.0, "scale": 0.0}, "expected a scale above 0"),
         (1.0, {"at_most": 1.0, "scale": "big"}, "expected a scale above 0"),
         (10**400, {"at_most": 1.0}, "expected a number or an array of them"),

@@ -430,7 +430,30 @@ def test_keeping_up_with_traffic_that_stands_asks_for_nothing():
     assert only(properties.keeps_up, trace, speed=10.0).value == 0.0
 
 
-@pytest.mark.parametrize("arguments", [{"speed": [1.0, 2.0]}, {"speed": -1.0}, {"speed": np.nan}, {"seconds": -1.0}])
-def test_keeping_up_with_what_is_no_speed_is_refused(arguments):
-    with pytest.raises(ValueError, match="expected a speed of at least 0 as a number or one a tick"):
-        properties.keeps_up(pafot.Run(trace_of(driven(0.0), driven(-FARTHER))), **arguments)
+@pytest.mark.parametrize("speed", [[1.0, 2.0], -1.0, np.nan, np.inf, "2", True])
+def test_keeping_up_with_what_is_no_speed_is_refused(speed):
+    with pytest.raises(ValueError, match=r"expected a finite speed of at least 0 as a number or one a tick, received"):
+        properties.keeps_up(pafot.Run(trace_of(driven(0.0), driven(-FARTHER))), speed=speed)
+
+
+@pytest.mark.parametrize("odd", [-1.0, np.nan, np.inf, "2", True])
+@pytest.mark.parametrize(
+    ("holds", "argument"),
+    [
+        (properties.comfort, "jerk"),
+        (properties.comfort, "braking"),
+        (properties.keeps_up, "share"),
+        (properties.keeps_up, "headway"),
+        (properties.keeps_up, "seconds"),
+        (properties.lane_change_gaps, "ahead"),
+        (properties.lane_change_gaps, "behind"),
+    ],
+)
+def test_what_is_no_finite_number_of_at_least_0_is_refused_whatever_the_run(holds, argument, odd):
+    with pytest.raises(ValueError, match=f"expected {argument}= as a finite number of at least 0, received {odd!r}"):
+        holds(pafot.Run(following(100.0)), **{argument: odd})
+
+
+def test_rules_of_another_kind_are_refused():
+    with pytest.raises(TypeError, match=r"expected rules= as RssRules\(\.\.\.\) of criticality, received 2\.0"):
+        properties.rss_distance(pafot.Run(following(100.0)), rules=2.0)
