@@ -42,6 +42,7 @@ class SearchLoop:
     repeats: Counter[str] = field(default_factory=Counter)  # further runs of each new find, by id
     known: Counter[str] = field(default_factory=Counter)  # failing runs by the id of the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
+    caught: Counter[str] = field(default_factory=Counter)  # passed runs by the name of a check that failed in them
     health: Health = field(default_factory=Health)
     generation: int = 0  # of the main search, from 0
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
@@ -56,7 +57,7 @@ class SearchLoop:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The search's health, and whether the test function was asked at all."""
+        """The search's health, and whether the test function was asked at all, and kept to itself what failed."""
         warnings = self.health.warnings()
         excused = self.verdicts["npc"] + self.verdicts["unpreventable"]
         if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
@@ -67,6 +68,11 @@ class SearchLoop:
                 f"the test function judged nothing: all runs that it could judge were {what}, which "
                 f'blame="{blame}" leaves out; search longer'
             )
+        warnings += [
+            f"check {name!r} failed in {runs} of {self.verdicts['passed']} runs that passed: the test function caught "
+            "it; let it through, or take pafot.target, which never fails"
+            for name, runs in sorted(self.caught.items())
+        ]
         return tuple(warnings)
 
     def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
@@ -125,6 +131,8 @@ class SearchLoop:
             verdict = self.simulation.judge(run)
             self.listener(Judged(run=run, verdict=verdict))
         self.verdicts[verdict.kind] += 1
+        if verdict.kind == "passed":
+            self.caught.update({check.name for check in verdict.checks if not check.holds})
         self.doubt = self.doubt or unit_doubt(run.trace)
         if self.first.is_alike:
             self.first.see(run, verdict)

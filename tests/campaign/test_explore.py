@@ -3,6 +3,7 @@
 import math
 import sys
 import traceback
+from contextlib import suppress
 
 import pytest
 
@@ -133,6 +134,19 @@ def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_wit
     summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", **SHORT).summary
     assert summary.unpreventable > summary.failing == 0
     assert "the test function judged nothing" in summary.warnings[-1]
+
+
+def test_a_check_whose_failure_the_property_catches_finds_nothing_and_the_search_says_so():
+    def holds(run):
+        with suppress(AssertionError):
+            pafot.check(run.duration, name="shorter", at_most=1.0)
+        pafot.check(run.duration, name="longer", at_least=0.0)
+
+    exploration = pafot.explore(constant_speed.make, holds=holds, seed=5, **SHORT)
+    passed = exploration.summary.runs - exploration.summary.invalid
+    assert exploration.findings == ()
+    (warning,) = [each for each in exploration.summary.warnings if each.startswith("check")]
+    assert f"check 'shorter' failed in {passed} of {passed} runs that passed: the test function caught it" in warning
 
 
 def test_of_an_ads_that_fails_no_file_tells_what_reference_drivers_do():
