@@ -1,5 +1,8 @@
 """Configuration of the project's own tests."""
 
+import gc
+from collections.abc import Generator
+
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -17,3 +20,18 @@ settings.load_profile("project")
 def pytest_configure(config: pytest.Config) -> None:
     """From here on every warning is an error; of what other plugins warn while they are configured is their matter."""
     config.addinivalue_line("filterwarnings", "error")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is made meanwhile stays to the end: looking for garbage in it, then or after every few tests, finds none."""
+    gc.disable()
+    collected = yield
+    gc.freeze()
+    gc.enable()
+    return collected
+
+
+def pytest_unconfigure() -> None:
+    """Let the interpreter find all garbage at its end."""
+    gc.unfreeze()

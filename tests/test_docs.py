@@ -43,6 +43,7 @@ import pytest_pafot.world.engines.object_engine  # noqa: F401
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
+from tests.support.sessions import in_process
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -210,7 +211,7 @@ class Folder:
             return
         assert program == "pytest", block.first
         # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
-        result = self.pytester.runpytest_inprocess("-p", "pafot", "-p", "no:unraisableexception", *arguments)
+        result = in_process(self.pytester, "-p", "pafot", "-p", "no:unraisableexception", *arguments)
         self.compare(block, result.stdout.str())
         check_end(block, result)
 

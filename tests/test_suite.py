@@ -7,6 +7,7 @@ import statistics
 import tomllib
 import warnings
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,7 @@ def test_wheels_are_built_for_every_python_that_is_supported():
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in supported]
 
 
+@cache
 def trees():
     """Every module of the package with what it says."""
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}

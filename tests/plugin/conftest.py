@@ -14,6 +14,7 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
+from tests.support.sessions import in_process
 
 CONFTEST = """
 import pytest
@@ -67,8 +68,10 @@ class Project:
             options.append(f"--pafot-generations={generations}")
         if seed is not None:
             options.append(f"--pafot-seed={seed}")
-        run = self.pytester.runpytest_subprocess if subprocess else self.pytester.runpytest_inprocess
-        return run(*options, *map(str, args), **inline)
+        options += map(str, args)
+        if subprocess:
+            return self.pytester.runpytest_subprocess(*options, **inline)
+        return in_process(self.pytester, *options, **inline)
 
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
         """What a process leaves behind that died while a test ran a scenario, or several at once."""
@@ -137,3 +140,21 @@ def failing(project):
     """A project whose only test fails for every run, so that a search finds one failure at once."""
     project.write(FAILING)
     return project
+
+
+@pytest.fixture(scope="session")
+def found():
+    """Every corpus file of the failing project, once a session has searched it."""
+    return {}
+
+
+@pytest.fixture
+def saved(failing, found):
+    """The failing project after a session that has saved its failure; one search is enough for all tests."""
+    if not found:
+        failing.run()
+        found.update(failing.contents)
+    for name, text in found.items():
+        (failing.path / name).parent.mkdir(parents=True, exist_ok=True)
+        (failing.path / name).write_text(text, encoding="utf-8")
+    return failing

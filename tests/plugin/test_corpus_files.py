@@ -27,42 +27,38 @@ GARBLED = {
 
 
 @pytest.mark.parametrize("fault", GARBLED)
-def test_a_garbled_file_is_one_failing_item_with_its_place(failing, fault):
-    failing.run()
+def test_a_garbled_file_is_one_failing_item_with_its_place(saved, fault):
     pattern, replacement, field = GARBLED[fault]
-    text = failing.only_file.read_text()
+    text = saved.only_file.read_text()
     garbled = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
     assert garbled != text
-    failing.only_file.write_text(garbled)
-    failing.write("def test_other():\n    pass\n", name="test_other")
-    result = failing.run(generations=0)
+    saved.only_file.write_text(garbled)
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    result = saved.run(generations=0)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*{failing.only_file.name}*{field}*expected *, received *"])
+    result.stdout.fnmatch_lines([f"*{saved.only_file.name}*{field}*expected *, received *"])
 
 
 @pytest.mark.parametrize("name", ["with space", "\xfcber", "a%b", "copy (1)", "[x]"])
-def test_a_file_whose_name_is_no_id_is_one_failing_item(failing, name):
-    failing.run()
-    failing.only_file.rename(failing.only_file.with_name(f"{name}.pafot.yaml"))
-    result = failing.run(generations=0)
+def test_a_file_whose_name_is_no_id_is_one_failing_item(saved, name):
+    saved.only_file.rename(saved.only_file.with_name(f"{name}.pafot.yaml"))
+    result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*: expected a name of letters, digits*; rename the file"])
 
 
-def test_crlf_line_ends_are_accepted(failing):
-    failing.run()
-    failing.only_file.write_bytes(failing.only_file.read_bytes().replace(b"\n", b"\r\n"))
-    result = failing.run(generations=0)
+def test_crlf_line_ends_are_accepted(saved):
+    saved.only_file.write_bytes(saved.only_file.read_bytes().replace(b"\n", b"\r\n"))
+    result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replay: still failing"])
 
 
-def test_a_garbled_file_does_not_stop_the_search_of_its_item(failing):
-    failing.run()
-    failing.only_file.write_text("[")
-    result = failing.run()
+def test_a_garbled_file_does_not_stop_the_search_of_its_item(saved):
+    saved.only_file.write_text("[")
+    result = saved.run()
     assert result.parseoutcomes()["failed"] == 3
-    assert len(failing.files) == 2
+    assert len(saved.files) == 2
 
 
 def test_a_deleted_file_is_found_again_under_its_name(failing):
@@ -120,25 +116,23 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(projec
     assert b"Planner object at ADDRESS> of <_MainThread(MainThread, started N)>, pid N: no TMP/model.bin in" in texts[0]
 
 
-def test_what_a_killed_process_left_half_written_goes_with_the_next_session(failing):
-    failing.run()
-    leftover = failing.only_file.with_name(".pafot-1-0123456789abcdef.tmp")
+def test_what_a_killed_process_left_half_written_goes_with_the_next_session(saved):
+    leftover = saved.only_file.with_name(".pafot-1-0123456789abcdef.tmp")
     leftover.write_text("half a fi")
-    failing.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
     assert not leftover.exists()
 
 
-def test_a_name_that_another_finding_has_taken_is_not_overwritten(failing):
-    failing.run()
-    text = failing.only_file.read_text().replace("AssertionError", "ValueError")
-    failing.only_file.write_text(text)
-    (failing.path / "test_it.py").write_text(
-        (failing.path / "test_it.py")
+def test_a_name_that_another_finding_has_taken_is_not_overwritten(saved):
+    text = saved.only_file.read_text().replace("AssertionError", "ValueError")
+    saved.only_file.write_text(text)
+    (saved.path / "test_it.py").write_text(
+        (saved.path / "test_it.py")
         .read_text()
         .replace("assert run.duration < 1", "assert run.duration < 1 or run.scenario.seed")
     )
-    failing.run()
-    assert text in failing.contents.values()
+    saved.run()
+    assert text in saved.contents.values()
 
 
 def test_a_file_that_is_copied_to_another_parametrisation_keeps_its_id(project):

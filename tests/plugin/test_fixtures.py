@@ -97,9 +97,8 @@ def test_search(run):
     )
 
 
-def test_pafot_corpus_gives_the_saved_scenarios_of_the_module(failing):
-    failing.run()
-    failing.write(
+def test_pafot_corpus_gives_the_saved_scenarios_of_the_module(saved):
+    saved.write(
         """
 @pafot.search(SHORT, stop_after=1)
 def test_fails(run):
@@ -112,7 +111,7 @@ def test_corpus(pafot_corpus, pafot_simulate):
     assert pafot_simulate(finding.scenario, lambda: lambda observation: (0.0, 0.0)).duration > 1
 """
     )
-    failing.run("-k", "test_corpus").assert_outcomes(passed=1, deselected=2)
+    saved.run("-k", "test_corpus").assert_outcomes(passed=1, deselected=2)
 
 
 def test_pafot_corpus_is_empty_where_nothing_is_saved(project):

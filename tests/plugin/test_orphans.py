@@ -3,22 +3,20 @@
 import pytest
 
 
-def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(failing):
-    failing.run()
-    failing.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
-    result = failing.run()
+def test_a_renamed_test_leaves_an_orphan_that_is_reported_and_kept(saved):
+    saved.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
+    result = saved.run()
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
         ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails", "*--pafot-prune"]
     )
-    assert failing.files
+    assert saved.files
 
 
-def test_a_renamed_module_leaves_an_orphan(failing):
-    failing.run()
-    failing.write("def test_other():\n    pass\n", name="test_other")
-    (failing.path / "test_it.py").unlink()
-    failing.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
+def test_a_renamed_module_leaves_an_orphan(saved):
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    (saved.path / "test_it.py").unlink()
+    saved.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_fails"])
 
 
 METHOD = """
@@ -55,38 +53,36 @@ def test_it(run, limit):
 
 
 @pytest.mark.parametrize("place", ["pafot_corpus/test_it", "pafot_corpus", "."])
-def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(failing, place):
-    failing.run()
-    home, id_ = failing.only_file.parent, failing.only_id
-    failing.only_file.rename(failing.path / place / failing.only_file.name)
-    result = failing.run(generations=0)
+def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(saved, place):
+    home, id_ = saved.only_file.parent, saved.only_id
+    saved.only_file.rename(saved.path / place / saved.only_file.name)
+    result = saved.run(generations=0)
     result.assert_outcomes(skipped=1)
     assert told(result) == [
-        f"{failing.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
+        f"{saved.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
     ]
-    failing.only_file.rename(home / failing.only_file.name)
-    again = failing.run(generations=0)
+    saved.only_file.rename(home / saved.only_file.name)
+    again = saved.run(generations=0)
     again.assert_outcomes(failed=1, skipped=1)
-    assert (failing.only_id, told(again)) == (id_, [])
+    assert (saved.only_id, told(again)) == (id_, [])
 
 
 def told(result):
     return [line.removeprefix("not run: ") for line in result.stdout.lines if line.startswith("not run: ")]
 
 
-def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(failing):
-    failing.run()
+def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_looked_for(saved):
     for folder in ("safety/near", "notes"):
-        (failing.path / folder).mkdir(parents=True)
-    (failing.path / "test_it.py").rename(failing.path / "safety" / "near" / "test_it.py")
-    content = failing.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
-    failing.only_file.unlink()
+        (saved.path / folder).mkdir(parents=True)
+    (saved.path / "test_it.py").rename(saved.path / "safety" / "near" / "test_it.py")
+    content = saved.only_file.read_text().replace("test: test_it", "test: safety/near/test_it")
+    saved.only_file.unlink()
     for folder in ("safety", "notes"):
-        (failing.path / folder / "a.pafot.yaml").write_text(content)
+        (saved.path / folder / "a.pafot.yaml").write_text(content)
     place = "safety/near/pafot_corpus/test_it/test_fails"
     expected = [f"safety/a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
-    assert told(failing.run(generations=0)) == expected
-    assert told(failing.run("--pafot-corpus", failing.path / "all", generations=0)) == [
+    assert told(saved.run(generations=0)) == expected
+    assert told(saved.run("--pafot-corpus", saved.path / "all", generations=0)) == [
         expected[0].replace(place, "all/safety/near/test_it/test_fails")
     ]
 
@@ -145,20 +141,18 @@ class TestOther:
     assert "orphaned:" not in project.run(*selection, generations=0).stdout.str()
 
 
-def test_a_skipped_test_is_no_orphan(failing):
-    failing.run()
-    source = (failing.path / "test_it.py").read_text()
-    (failing.path / "test_it.py").write_text(source.replace("def test_fails", "@pytest.mark.skip\ndef test_fails"))
-    assert "orphaned:" not in failing.run(generations=0).stdout.str()
-    (failing.path / "test_it.py").write_text(f"import pytest\npytest.skip('all', allow_module_level=True)\n{source}")
-    assert "orphaned:" not in failing.run(generations=0).stdout.str()
+def test_a_skipped_test_is_no_orphan(saved):
+    source = (saved.path / "test_it.py").read_text()
+    (saved.path / "test_it.py").write_text(source.replace("def test_fails", "@pytest.mark.skip\ndef test_fails"))
+    assert "orphaned:" not in saved.run(generations=0).stdout.str()
+    (saved.path / "test_it.py").write_text(f"import pytest\npytest.skip('all', allow_module_level=True)\n{source}")
+    assert "orphaned:" not in saved.run(generations=0).stdout.str()
 
 
-def test_a_module_that_cannot_be_imported_makes_no_orphans(failing):
-    failing.run()
-    failing.write("import nothing_of_this_name\n")
-    assert "orphaned:" not in failing.run("--pafot-prune").stdout.str()
-    assert failing.files
+def test_a_module_that_cannot_be_imported_makes_no_orphans(saved):
+    saved.write("import nothing_of_this_name\n")
+    assert "orphaned:" not in saved.run("--pafot-prune").stdout.str()
+    assert saved.files
 
 
 def test_prune_removes_orphans_and_nothing_else(project):

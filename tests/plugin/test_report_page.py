@@ -68,12 +68,11 @@ def test_the_text_of_the_file_is_on_the_page(failing, page):
     assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
 
 
-def test_a_saved_scenario_that_still_fails_is_on_the_page(failing, page):
-    failing.run()
-    failing.run("--pafot-report=report.html", generations=0)
+def test_a_saved_scenario_that_still_fails_is_on_the_page(saved, page):
+    saved.run("--pafot-report=report.html", generations=0)
     data = data_of(page)
     assert labels_of(data) == ["still failing"]
-    assert data["findings"][0]["id"] == failing.only_id
+    assert data["findings"][0]["id"] == saved.only_id
     assert data["campaigns"] == []
     assert "1 saved scenario: 1 still failing" in page.read_text(encoding="utf-8")
 
@@ -87,18 +86,16 @@ def test_a_known_failure_has_the_number_of_runs_that_it_covers(project, page):
     assert sum(finding["runs"] for finding in data["findings"]) == data["campaigns"][0]["simulated"] > 2
 
 
-def test_an_accepted_failure_is_on_the_page_with_its_reason(failing, page):
-    failing.run()
-    with failing.only_file.open("a") as file:
+def test_an_accepted_failure_is_on_the_page_with_its_reason(saved, page):
+    with saved.only_file.open("a") as file:
         file.write('xfail: "planner issue 12"\n')
-    failing.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
+    saved.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
     assert labels_of(data_of(page)) == ["still failing, accepted: planner issue 12"]
 
 
-def test_a_fixed_scenario_is_counted_and_not_shown(failing, page):
-    failing.run()
-    failing.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
-    failing.run("--pafot-report=report.html", generations=0)
+def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):
+    saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
+    saved.run("--pafot-report=report.html", generations=0)
     assert data_of(page)["findings"] == []
     assert "1 saved scenario: 1 fixed" in page.read_text(encoding="utf-8")
 

@@ -240,17 +240,15 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(project):
     assert project.contents != first
 
 
-def test_pytest_takes_a_corpus_file_and_runs_that_item_alone(failing):
-    failing.run()
-    result = failing.run("-v", failing.files[0])
+def test_pytest_takes_a_corpus_file_and_runs_that_item_alone(saved):
+    result = saved.run("-v", saved.files[0])
     result.assert_outcomes(failed=1, deselected=1)
-    result.stdout.fnmatch_lines([f"test_it.py::test_fails[[]saved-{failing.only_id}[]] FAILED*"])
+    result.stdout.fnmatch_lines([f"test_it.py::test_fails[[]saved-{saved.only_id}[]] FAILED*"])
 
 
-def test_a_corpus_file_beside_other_arguments_adds_its_item(failing):
-    failing.run()
-    failing.write("def test_other():\n    pass\n", name="test_other")
-    failing.run("test_other.py", failing.files[0]).assert_outcomes(failed=1, passed=1, deselected=1)
+def test_a_corpus_file_beside_other_arguments_adds_its_item(saved):
+    saved.write("def test_other():\n    pass\n", name="test_other")
+    saved.run("test_other.py", saved.files[0]).assert_outcomes(failed=1, passed=1, deselected=1)
 
 
 def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):

@@ -98,7 +98,7 @@ def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(two
     if args:
         pytest.importorskip("xdist")
     begun = time.monotonic()
-    result = two.run("--pafot-total-time=4", *args, generations=9999, subprocess=True)
+    result = two.run("--pafot-total-time=2", *args, generations=9999, subprocess=True)
     assert time.monotonic() - begun < 60  # each would take many minutes
     result.assert_outcomes(passed=2)
     text = result.stdout.str()

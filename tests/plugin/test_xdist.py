@@ -141,7 +141,7 @@ def test_load_groups_do_not_change_the_ids_of_finds(project):
 
 def test_a_kill_at_any_moment_loses_nothing_announced_and_leaves_no_broken_file(project):
     project.write(TWO.replace("assert run", "__import__('time').sleep(0.05)\n    assert run"))
-    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=50", "--pafot-seed=1"]
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=5", "--pafot-seed=1"]
     with subprocess.Popen(command, cwd=project.path, stdout=subprocess.PIPE, text=True) as process:
         announced = []
         for line in process.stdout:
