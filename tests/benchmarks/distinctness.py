@@ -1,10 +1,11 @@
 """Is each defect one finding, and each finding one defect?
 
     python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--generations 100] [--workers 2]
-        [--policies NAME ...] [--development]
+        [--of first|second|development] [--policies NAME ...]
 
 Searches policies whose defects are known, and asks of each failing run which defect is to blame: the one whose repair
-alone makes the scenario pass. The policies are those of ``policies_with_defects``; with ``--development`` those of
+alone makes the scenario pass. The policies are those of ``policies_with_defects``, after a look at which it was chosen
+what one mistake is; or those of ``policies_with_defects_2``, at which nobody had looked; or those of
 ``example_ads.defects``, and combinations of them, on which what tells findings apart was developed.
 
 Prints for each policy the findings of each search, in how many searches each defect has a finding of its own, and in
@@ -32,7 +33,7 @@ from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Signature
-from tests.benchmarks import policies_with_defects as held_out
+from tests.benchmarks import policies_with_defects, policies_with_defects_2
 from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS
 
 COMBINED = (
@@ -45,6 +46,8 @@ COMBINED = (
     ("brakes-for-ghosts", "stops-in-its-lane", "sees-cut-ins-late"),
 )
 """Of the policies of ``example_ads.defects``, besides each alone."""
+
+SETS = {"first": policies_with_defects, "second": policies_with_defects_2}
 
 Label = frozenset[str]
 """Defects of which the repair of any one makes a scenario pass."""
@@ -92,11 +95,12 @@ def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
     return type("Combined", tuple(left), {}) if left else defects.make("healthy")
 
 
-def subjects(*, development: bool) -> dict[str, Subject]:
+def subjects(of: str) -> dict[str, Subject]:
     """By name."""
-    if not development:
+    if of in SETS:
+        policies: Any = SETS[of]
         return {
-            name: Subject(name, found, partial(held_out.make, name)) for name, (_, found) in held_out.POLICIES.items()
+            name: Subject(name, found, partial(policies.make, name)) for name, (_, found) in policies.POLICIES.items()
         }
     alone = [(name,) for name in defects.POLICIES if name not in ("healthy", *defects.COMBINED)]
     every = [
@@ -108,7 +112,7 @@ def subjects(*, development: bool) -> dict[str, Subject]:
 
 def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
     """One search, with its labels."""
-    subject = subjects(development=options.development)[name]
+    subject = subjects(options.of)[name]
     space, failing = subject.setting.space, {}
 
     def listen(event: object) -> None:
@@ -185,9 +189,9 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--policies", nargs="*")
-    parser.add_argument("--development", action="store_true")
+    parser.add_argument("--of", choices=(*SETS, "development"), default="first")
     arguments = parser.parse_args()
-    every = subjects(development=arguments.development)
+    every = subjects(arguments.of)
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     print("| policy | defects | findings | by seed | every defect found | one finding each | V-measure |")
     print("|---|---|---|---|---|---|---|")
