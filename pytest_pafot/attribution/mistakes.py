@@ -16,13 +16,12 @@ from pytest_pafot.trace import Trace
 
 Mistake = Literal[
     "kept-no-distance",
-    "cut-in-unanswered",
     "moved-into-side",
     "moved-in-front",
     "braked-for-nothing",
     "stopped-for-nothing",
 ]
-"""It did not keep off a vehicle ahead, which it followed or behind which it changed lanes, or one that had cut in; it
+"""It did not keep off a vehicle ahead, which it followed, behind which it changed lanes, or which had cut in; it
 changed lanes into a vehicle beside it, or into the way of one behind; it braked hard, or stopped, with nothing in its
 way."""
 
@@ -32,7 +31,7 @@ CLOSE_AHEAD = 2.0
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
         "leader-unanswered": "kept-no-distance",
-        "cut-in-unanswered": "cut-in-unanswered",
+        "cut-in-unanswered": "kept-no-distance",
         "braked-for-nothing": "braked-for-nothing",
         "stopped-for-nothing": "stopped-for-nothing",
     }

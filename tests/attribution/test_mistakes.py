@@ -17,7 +17,7 @@ from tests.support.traces import LENGTH, trace_of, vehicle
 TRACES = {each.name: each.trace for each in chain(*SITUATIONS.values())}
 MADE = {
     "slow-leader-ignored": "kept-no-distance",
-    "ramp-npc-merges-35-m-ahead": "cut-in-unanswered",
+    "ramp-npc-merges-35-m-ahead": "kept-no-distance",
     "ego-enters-behind-a-slower-one": "kept-no-distance",
     "ego-overtakes-into-oncoming-traffic": "kept-no-distance",
     "ego-swipes": "moved-into-side",

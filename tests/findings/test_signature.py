@@ -109,8 +109,11 @@ def test_the_fault_names_a_failure_and_tells_none_from_another():
     told = {"failure": "", "assertion": "", "outcome": Outcome.COLLISION, "responsibility": "ego"}
     followed = Signature(**told, fault="leader-unanswered")
     entered = Signature(**told, fault="entered-lane", mistake="kept-no-distance")
-    assert followed == entered != Signature(**told, fault="cut-in-unanswered")
-    assert (followed.slug, entered.slug) == ("leader-unanswered", "entered-behind")
+    cut_in = Signature(**told, fault="cut-in-unanswered")
+    assert followed == entered == cut_in != Signature(**told, fault="braked-for-nothing")
+    assert [each.slug for each in (followed, entered, cut_in)] == [
+        "leader-unanswered", "entered-behind", "cut-in-unanswered"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SITUATIONS_BY_SLUG)
