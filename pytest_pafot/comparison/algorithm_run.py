@@ -13,7 +13,7 @@ from typing import Any
 
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
-from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, world_of
+from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory
 from pytest_pafot.comparison.rows import Row
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job
@@ -24,7 +24,6 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
-from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
@@ -53,7 +52,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     Raises:
         PlanError: where the ADS fails alike at its first decision in the whole first generation.
     """
-    world, factory, chosen = world_of(plan), ads_factory(plan.ads), plan.algorithm(algorithm)
+    (world, space), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
     seed, fitness = plan.run_seed(algorithm, run), _fitness(plan, chosen)
     asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
@@ -71,7 +70,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             ]
 
         events = run_campaign(
-            chosen.make(SearchSpace(**plan.space), **plan.parameters),
+            chosen.make(space, **plan.parameters),
             evaluate,
             generations=generations,
             seed=seed,

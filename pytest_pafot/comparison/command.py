@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     parser.add_argument(
         "--algorithms",
-        default="pafot,av-fuzzer,random",
+        default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"of {', '.join(ALGORITHMS)}, or module:Class of your own; the first is compared with each other one "
-        "(default: %(default)s)",
+        help=f"of {', '.join(ALGORITHMS)}, or module:Class of your own; with @S behind it its runs last S "
+        "seconds; the first is compared with each other one (default: %(default)s)",
     )
     parser.add_argument(
         "--ads",
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
     measured = run_measures.Results.of(plan, results)
     titles = figures.draw_all(measured, folder / "figures")
-    write_whole(folder / "report.md", markdown.report(measured, command, markdown.wall_seconds(folder), titles))
+    write_whole(folder / "report.md", markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles))
     sys.stdout.write(f"{folder / 'report.md'}\n")
     return 0
 

@@ -42,7 +42,7 @@ PAPER: Mapping[str, Reported] = MappingProxyType(
             seconds_per_scenario=45.53,
             hours=54.73,
         ),
-        "random": Reported(
+        "random-manoeuvre": Reported(  # its Random, see HOW_TO_READ of a report
             scenarios=4000,
             collisions=997,
             local_searches=0,
@@ -55,6 +55,6 @@ PAPER: Mapping[str, Reported] = MappingProxyType(
 )
 
 PEAKS: Mapping[str, str] = MappingProxyType(
-    {"pafot": "10 to 20 s", "av-fuzzer": "20 to 30 s, none before 10 s", "random": "50 to 60 s"}
+    {"pafot": "10 to 20 s", "av-fuzzer": "20 to 30 s, none before 10 s", "random-manoeuvre": "50 to 60 s"}
 )
 """The interval of ten seconds in which the paper says that most collisions happen."""

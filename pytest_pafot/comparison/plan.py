@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.fitness import resolve
@@ -33,12 +33,41 @@ class PlanError(ValueError):
     """A comparison that cannot be made; the message says what was expected and what to do."""
 
 
+class Entrant(NamedTuple):
+    """What takes part in a comparison: an algorithm, and how long its runs last."""
+
+    algorithm: AlgorithmClass
+    seconds: float | None  # None: as long as those of the world
+
+    @classmethod
+    def of(cls, given: str) -> Entrant:
+        """Of a name or ``module:Class``, and ``@`` with seconds behind it where its runs last otherwise.
+
+        Raises:
+            ValueError: where there is no such algorithm.
+            PlanError: where what follows the ``@`` is no time.
+        """
+        reference, at, text = given.partition("@")
+        try:
+            seconds = float(text) if at else None
+        except ValueError:
+            seconds = math.nan
+        if seconds is not None and not 0 < seconds < math.inf:
+            raise PlanError(f"--algorithms: expected seconds after the @, as in av-fuzzer@15, received {given!r}")
+        return cls(resolve_algorithm(reference), seconds)
+
+    @property
+    def name(self) -> str:
+        """By which files, tables and figures call it."""
+        return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """A comparison. Every (algorithm, run) is a function of this value alone."""
 
     ads: str  # the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
-    algorithms: tuple[str, ...]  # names, or ``module:Class``
+    algorithms: tuple[str, ...]  # names, or ``module:Class``; with ``@15`` its runs last 15 s
     runs: int = 10  # of each algorithm
     generations: int | None = 100  # of the main search; None where the budget is a time
     seconds: float | None = None  # simulated time of a run, after which no scenario begins; None for generations
@@ -67,11 +96,24 @@ class Plan:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the algorithms, by which files, tables and figures call them."""
-        return tuple(resolve_algorithm(each).name for each in self.algorithms)
+        return tuple(Entrant.of(each).name for each in self.algorithms)
 
-    def algorithm(self, name: str) -> AlgorithmClass:
-        """The algorithm that one of the names, or of those of the catalogue, stands for."""
-        return resolve_algorithm(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+    def entrant(self, name: str) -> Entrant:
+        """What one of the names, or of those of the catalogue, stands for."""
+        return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+
+    def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
+        """The world of one of the names and the space of its scenarios.
+
+        Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's.
+        """
+        space, seconds = SearchSpace(**self.space), self.entrant(name).seconds
+        if seconds is None:
+            return world_of(self), space
+        world: Any = world_from_dict({**self.world, "duration": seconds})
+        ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
+        genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
+        return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
 
     def run_seed(self, algorithm: str, run: int) -> int:
         """The seed of one run; runs of different algorithms are independent samples."""
@@ -108,8 +150,9 @@ def _check_searches(plan: Plan) -> None:
         if repeated:
             raise PlanError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
         for name in names:
-            plan.algorithm(name).make(SearchSpace(**plan.space), **plan.parameters)
-            plan.algorithm(name).check_road(is_straight=road_start(world_of(plan)) is None)
+            algorithm, (world, space) = plan.entrant(name).algorithm, plan.setting(name)
+            algorithm.make(space, **plan.parameters)
+            algorithm.check_road(is_straight=road_start(world) is None)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

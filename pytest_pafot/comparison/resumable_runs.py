@@ -150,7 +150,7 @@ def _run_task(plan: Plan, folder: Path, task: Task, tick: Tick) -> None:
 
     path = folder / file_name(*task)
     text = text_of(run_rows(plan, *task, tick_sparsely))
-    write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.1f}\n")
+    write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.3f}\n")
     write_whole(path, text)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pytest_pafot.comparison import statistics
+from pytest_pafot.comparison.failure_coverage import inverted_distances
 from pytest_pafot.comparison.plan import Plan, world_of
 from pytest_pafot.comparison.statistics import Effect
 
@@ -25,6 +26,7 @@ TESTED = {
     "simulated s per collision": "seconds_per_collision",
     "distinct ego-responsible failures": "distinct",
     "distinct ego-responsible failures per simulated hour": "distinct_per_hour",
+    "inverted distance to all failing impacts": "inverted_distance",
 }
 """What is tested, and the column of :func:`measured` that it is."""
 
@@ -83,6 +85,7 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
         seconds_per_scenario, seconds_per_collision: simulated [s], over the unique scenarios and collisions; infinite
             without a collision.
         distinct_per_hour: distinct failures per simulated hour.
+        inverted_distance: to all failing impacts of the comparison, see :func:`inverted_distances`.
     """
     within = frame["clock"] <= (math.inf if seconds is None else seconds)
     collides, unique = within & (frame["outcome"] == "collision"), within & ~frame["duplicate"]
@@ -116,7 +119,7 @@ def measured(frame: pd.DataFrame, seconds: float | None = None) -> pd.DataFrame:
     runs["distinct_per_hour"] = (runs["distinct"] / (runs["seconds"] / SECONDS_PER_HOUR)).where(
         runs["seconds"] > 0, 0.0
     )
-    return runs
+    return runs.join(inverted_distances(frame, within).rename("inverted_distance"), on=["algorithm", "run"])
 
 
 def of(algorithm: str, runs: pd.DataFrame) -> pd.DataFrame:
@@ -148,15 +151,17 @@ class Comparison(NamedTuple):
     test: str  # its name
 
 
-def comparisons(whole: pd.DataFrame, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:
+def comparisons(whole: pd.DataFrame | None, equal: pd.DataFrame, algorithms: Sequence[str]) -> list[Comparison]:
     """The first algorithm against each other one, at equal generations and at equal simulated seconds.
 
-    ``whole`` has the measures of the runs to their ends, ``equal`` those up to the time that all of them have.
+    ``whole`` has the measures of the runs to their ends, where these are equal generations, else it is None; ``equal``
+    those up to the time that all of them have.
     """
     first, *others = algorithms
+    budgets = {"seconds": equal} if whole is None else {"generations": whole, "seconds": equal}
     found: list[Comparison] = []
     for second in others:
-        for at, runs in (("generations", whole), ("seconds", equal)):
+        for at, runs in budgets.items():
             found += _at_one_budget(at, first, second, of(first, runs), of(second, runs))
         times = [first_failures(of(name, equal)) for name in (first, second)]
         medians = statistics.survival(*times[0]).median, statistics.survival(*times[1]).median

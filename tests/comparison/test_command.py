@@ -1,5 +1,6 @@
 """The command from its arguments to its report."""
 
+import csv
 import json
 import re
 import struct
@@ -87,9 +88,28 @@ def test_the_report_warns_of_the_conditional_time_to_collision(report):
 
 def test_every_test_has_its_p_value(report):
     rows = tables_of(report)["Statistics"][2:]
-    assert len(rows) == 2 * 15
+    assert len(rows) == 3 * 17
     assert all(re.fullmatch(r"(1|0\.\d+|\d\.?\d*e-\d+|< 0\.0001)", row[7]) for row in rows)
-    assert {row[3] for row in rows} == {"av-fuzzer", "random"}
+    assert {row[3] for row in rows} == {"av-fuzzer", "random-manoeuvre", "random"}
+
+
+def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_lengths_last_so(tmp_path):
+    arguments = ["--ads", "constant_speed", "--runs", "2", "--seconds", "200", "--duration", "20", "--workers", "1"]
+    algorithms = ["--algorithms", "pafot,av-fuzzer@5,random@15"]
+    assert main(["compare", *arguments, *algorithms, "--out", str(tmp_path)]) == 0
+    found = tables_of((tmp_path / "report.md").read_text())
+    assert {row[1] for row in found["Statistics"][2:]} == {"seconds"}
+    lengths = {row[0]: float(row[1].removesuffix(" s")) for row in found["How fast"][2:]}
+    assert lengths["av-fuzzer@5"] <= 5 < lengths["pafot"]
+    for name, seconds in (("av-fuzzer@5", 1.0), ("random@15", 5.0), ("pafot", 10.0)):
+        with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
+            assert {json.loads(row["executed"])[-1] for row in csv.DictReader(file)} == {seconds}, "of a gene"
+
+
+def test_the_clock_on_the_wall_is_told_beside_the_simulated_one(report):
+    head, _, *rows = tables_of(report)["How fast"]
+    assert [head.index(f"wall clock per {each}") for each in ("scenario", "collision")] == [11, 12]
+    assert all(re.fullmatch(r"\d+\.\d ms", row[11]) for row in rows)
 
 
 def test_every_figure_is_there_as_png_and_svg_and_shown(made, report):
@@ -147,6 +167,10 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--algorithms", "pafot,genetic"], "algorithm: expected one of distinct, pafot, .*, received 'genetic'"),
         (["--algorithms", ","], "--algorithms: expected one or more of distinct, .*, received none"),
         (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
+        (
+            ["--algorithms", "av-fuzzer@soon"],
+            "--algorithms: expected seconds after the @, as in av-fuzzer@15, received",
+        ),
         (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
         (
             ["--ads", "constant_speedd"],

@@ -134,6 +134,24 @@ def test_the_first_algorithm_is_compared_with_each_other_one_at_both_budgets(fra
     (speed,) = [each for each in found if (each.second, each.measure, each.at) == asked]
     assert (speed.values, speed.effect.a12) == ((33.0, 43.0), 0.0)
     assert speed.p == pytest.approx(0.1)
+    at_equal_seconds = run_measures.comparisons(None, equal, ["pafot", "random", "av-fuzzer"])
+    assert at_equal_seconds == [each for each in found if each.at == "seconds"]
+
+
+def test_the_inverted_distance_is_the_mean_way_from_all_impacts_to_the_nearest_one_of_a_run(frame):
+    """Three impacts: of the front at 5 m/s and at 25 m/s by an NPC ahead, and at 5 m/s by one that was behind."""
+    ahead, fast, behind = hit(10.0), hit(10.0, closing_speed=25.0), hit(10.0, cell=6)
+    data = frame(
+        rows(ahead, fast, behind),
+        rows(ahead, ahead, hit(40.0, closing_speed=5.4), run=1),
+        rows({}, hit(9.0, cell=4, failing=False), run=2),
+        rows({}, behind, algorithm="random"),
+    )
+    distances = [each.inverted_distance for each in measured(data)]
+    assert distances == pytest.approx([0, (0 + 1 + 1) / 3, math.inf, (1 + math.sqrt(2) + 0) / 3])
+    assert [each.inverted_distance for each in measured(data, 15.0)] == pytest.approx(
+        [(0 + 1 + 1) / 3, (0 + 1 + 1) / 3, math.inf, math.inf]
+    )
 
 
 def test_one_algorithm_alone_is_compared_with_nothing(frame):
