@@ -47,6 +47,7 @@ from tests.support.sessions import in_process
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+OVERVIEW, OVERVIEWS = ROOT / "docs" / "comparisons" / "README.md", ("overview-of-the-paper", "overview-of-failures")
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {
@@ -331,11 +332,15 @@ def test_the_picture_shows_what_the_readme_runs():
     assert str(ROOT) not in picture
 
 
-def generator():
-    spec = importlib.util.spec_from_file_location("docs_generate", ROOT / "docs" / "tools" / "generate.py")
+def tool(name):
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / "tools" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def generator():
+    return tool("generate")
 
 
 def test_the_reference_is_as_the_code_has_it():
@@ -348,6 +353,23 @@ def test_every_generated_section_is_in_the_reference():
     module = generator()
     present = [name for name, _ in GENERATED.findall(text_of(module.REFERENCE))]
     assert sorted(present) == sorted(module.sections())
+
+
+def test_every_measured_table_has_a_program_and_one_place():
+    measured = tool("figures").BENCHMARKS
+    places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, [*DOCUMENTS, OVERVIEW])))
+    assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *OVERVIEWS])
+    for name, (command, document) in measured.items():
+        assert (ROOT / "tests" / "benchmarks" / f"{command.split()[0]}.py").is_file()
+        assert document is None or f"<!-- measured: {name} -->\n| " in text_of(ROOT / document)
+
+
+def test_the_overview_of_the_comparisons_says_what_their_reports_say():
+    figures = tool("figures")
+    reports = {name: text_of(OVERVIEW.parent / name / "report.md") for name in figures.REPORTS}
+    for name, overview in zip(OVERVIEWS, (figures.overview_of_the_paper, figures.overview_of_failures), strict=True):
+        table = figures.markdown(overview(reports))
+        assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in text_of(OVERVIEW)
 
 
 def test_the_reference_has_a_row_for_every_option_with_all_its_names():

@@ -1,6 +1,7 @@
 """What the parts of a search contribute: one changed at a time, at equal simulated time.
 
     python -m tests.benchmarks.ablation [--runs 20] [--hours 3] [--workers 2] [--tables collisions failures]
+        [--searches NAME ...]
 
 The ego is highway-env's IDM+MOBIL on the default road. The first table counts collisions, as the paper does: its
 algorithm with other grids, fitness terms, populations and genes. The second counts distinct failures for which the ego
@@ -148,6 +149,10 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=3.0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
+    every = list(dict.fromkeys([*COLLISIONS, *FAILURES]))
+    parser.add_argument(
+        "--searches", nargs="+", choices=every, default=every, metavar="NAME", help="rows of the tables"
+    )
     arguments = parser.parse_args()
 
     def table(
@@ -158,6 +163,7 @@ def main() -> None:
             jobs = {
                 name: [pool.submit(measured, variant, seed, arguments.hours, blame) for seed in range(arguments.runs)]
                 for name, variant in variants.items()
+                if name in arguments.searches
             }
             for name, runs in jobs.items():
                 print(row(name, [run.result() for run in runs]), flush=True)

@@ -1,19 +1,24 @@
-"""Why do Random and AV-Fuzzer collide more, or less, often here than in the paper? One difference changed at a time.
+"""Where does this differ from the paper, and by how much? One command for both tables of the documents.
 
     python -m tests.benchmarks.paper_differences [--scenarios 1000] [--careless 200] [--seed 0]
+        [--tables collisions readings]
 
-Random scenarios with highway-env's IDM+MOBIL as the ego, of Position-Instructions (Random here) and of manoeuvres (the
-genes of AV-Fuzzer). A row tells which share of them collides. In the rows of NPCs that do not spare the ego's side the
-director runs interpreted and is changed in one place, so that fewer scenarios are driven there.
+- ``collisions``: why do Random and AV-Fuzzer collide more, or less, often here than in the paper? Random scenarios with
+  highway-env's IDM+MOBIL as the ego, of Position-Instructions (Random here) and of manoeuvres (the genes of AV-Fuzzer),
+  one difference changed at a time. A row tells which share of them collides. In the rows of NPCs that do not spare the
+  ego's side the director runs interpreted and is changed in one place, so that fewer scenarios are driven there.
+- ``readings``: how often does it matter how the paper is read? Shares of the genes, operators and runs of such
+  scenarios of Position-Instructions.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -22,11 +27,14 @@ import numpy as np
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Scenario
+from pytest_pafot.criticality import mettc, planned_duration
 from pytest_pafot.searching import SearchSpace
+from pytest_pafot.searching.operators import crossover, mutate, with_chain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
-from pytest_pafot.trace import Outcome
+from pytest_pafot.trace import Outcome, Trace
 from tests.support.interpreted import InterpretedWorld
 
+TABLES = ("collisions", "readings")
 NOWHERE = -9
 """A lane that no vehicle is in."""
 
@@ -74,18 +82,66 @@ def share(
 ) -> str:
     """Of so many random scenarios, those that collide, with the standard error [%]."""
     rng = np.random.default_rng(seed)
-    hits = sum(world.rollout(draw(space, rng), idm_mobil.make).outcome == Outcome.COLLISION for _ in range(count))
-    rate = hits / count
-    return f"{rate:.1%} ± {math.sqrt(rate * (1 - rate) / count):.1%}"
+    return told([world.rollout(draw(space, rng), idm_mobil.make).outcome == Outcome.COLLISION for _ in range(count)])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenarios", type=int, default=1000)
-    parser.add_argument("--careless", type=int, default=200, help="scenarios with the interpreted director")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    print("| changed | Position-Instructions | manoeuvres |\n| --- | --- | --- |")
+def told(cases: Sequence[bool]) -> str:
+    """The share of cases that are so, with its standard error."""
+    rate = sum(cases) / len(cases)
+    return f"{100 * rate:.1f} ± {100 * math.sqrt(rate * (1 - rate) / len(cases)):.1f} %"
+
+
+def unreached(trace: Trace) -> list[bool]:
+    """For each gene after the first that was started, whether the NPC had not reached the cell before it."""
+    return [tick is None for chain in trace.arrivals for tick in chain[:-1]]
+
+
+def changes_a_cell(scenario: Scenario, rng: np.random.Generator) -> bool:
+    """Whether a mutation gives an instruction another cell, rather than another speed alone."""
+    return cells(mutate(scenario, SearchSpace(), rng)) != cells(scenario)
+
+
+def is_repaired(a: Scenario, b: Scenario, rng: np.random.Generator) -> list[bool]:
+    """For both children of a crossover, whether they have other cells than their parents' chains, exchanged."""
+    exchanged = [
+        {cells_of(with_chain(one.npcs, at, chain)) for at in range(len(one.npcs)) for chain in other.npcs}
+        for one, other in ((a, b), (b, a))
+    ]
+    return [cells(child) not in each for child, each in zip(crossover(a, b, rng), exchanged, strict=True)]
+
+
+def cells(scenario: Scenario) -> Any:
+    return cells_of(scenario.npcs)
+
+
+def cells_of(npcs: Sequence[Any]) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(gene.target for gene in chain) for chain in npcs)
+
+
+def readings(count: int, seed: int) -> dict[str, str]:
+    """How often each reading of the paper makes a difference."""
+    rng, world = np.random.default_rng(seed), Highway()
+    scenarios = [sample(SearchSpace(), rng) for _ in range(count)]
+    traces = [world.rollout(scenario, idm_mobil.make) for scenario in scenarios]
+    driven = [trace.executed for trace in traces]
+    return {
+        "genes that begin with the cell before them not reached": told(
+            [case for trace in traces for case in unreached(trace)]
+        ),
+        "mutations that change a cell, and not a speed alone": told([changes_a_cell(each, rng) for each in driven]),
+        "children of a crossover that repair alters": told(
+            [case for pair in pairwise(driven) for case in is_repaired(*pair, rng)]
+        ),
+        "runs whose METTC is the planned duration, finite or not": told(
+            [mettc(trace) >= planned_duration(trace) for trace in traces]
+        ),
+        "runs whose METTC is infinite": told([math.isinf(mettc(trace)) for trace in traces]),
+    }
+
+
+def collisions(arguments: argparse.Namespace) -> None:
+    """Print the table, row by row."""
+    print("\n| changed | Position-Instructions | manoeuvres |\n| --- | --- | --- |")
 
     def row(name: str, variant: Variant, highway: type[Any], count: int) -> None:
         world = highway(headway=variant.headway)
@@ -99,6 +155,21 @@ def main() -> None:
         for name, variant in VARIANTS.items():
             if variant.is_careless:
                 row(name, variant, highway, arguments.careless)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", type=int, default=1000)
+    parser.add_argument("--careless", type=int, default=200, help="scenarios with the interpreted director")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
+    arguments = parser.parse_args()
+    if "readings" in arguments.tables:
+        print("| of random scenarios | share |\n| --- | --- |")
+        for name, rate in readings(arguments.scenarios, arguments.seed).items():
+            print(f"| {name} | {rate} |")
+    if "collisions" in arguments.tables:
+        collisions(arguments)
 
 
 if __name__ == "__main__":

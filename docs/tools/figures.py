@@ -1,0 +1,256 @@
+"""Redo every figure that the documents publish: reports, tables, samples and pictures.
+
+    python docs/tools/figures.py [--only NAME ...] [--workers 16] [--quick] [--build DIR]
+
+Prints the commit, the versions, and the CPU hours of each step. What a step measured is kept in DIR, in a folder of the
+commit that last changed the code, and is not measured again there: so a step that was interrupted, or measured on
+another machine, is gone on with where its folder is. Then it is written into the documents, between a line
+``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``; what has none is for the sentences that quote it.
+Last come the tools that write documents themselves; they need Chromium, and what they name at their heads.
+
+With ``--quick`` a few short runs are measured, to try the command, and written into a copy of the documents in DIR.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import resource
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from pytest_pafot.versions import installed_versions  # noqa: E402
+
+COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
+EVERY = "--blame ego --algorithms distinct,pafot,av-fuzzer@15,random,nsga2,map-elites,cma-es"
+DEFECT = "--ads example_ads.defects:make:"
+REPORTS = {
+    "paper": "--algorithms pafot,av-fuzzer@15,av-fuzzer,random-manoeuvre,random --runs {10|2} --seconds {14400|600} "
+    "--ads idm_mobil",
+    "idm": f"{EVERY},random-manoeuvre --runs {{30|2}} --seconds {{43200|600}} --ads idm_mobil",
+    "two-defects": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}two-defects",
+    "sees-cut-ins-late": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}sees-cut-ins-late",
+    "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --env highway-v0",
+    "fiss": f"{EVERY} --runs {{10|1}} --seconds {{3600|60}} --ads fiss",
+}
+"""Arguments of the comparisons, by the folder of the report; of two in braces the second is the quick one."""
+
+BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
+    "paper-collisions": (
+        "paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}",
+        "docs/comparisons/README.md",
+    ),
+    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation.md"),
+    "margins": ("margins --seeds {40|1} --generations {60|3} --workers WORKERS", "docs/explanation.md"),
+    "margins-of-others": (
+        "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --generations {60|3} --workers WORKERS",
+        "docs/explanation.md",
+    ),
+    "near-misses": (
+        "ablation --tables failures --runs {60|1} --hours {12|0.1} --workers WORKERS "
+        "--searches random pafot 'distinct, as it is' 'no near-misses'",
+        "docs/explanation.md",
+    ),
+    "nearness": ("nearness --scenarios {20000|50} --parents {60|1} --children {60|1}", "docs/explanation.md"),
+    "collisions": (
+        "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
+        "docs/explanation.md",
+    ),
+    "failures": ("ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS", "docs/explanation.md"),
+    "shrinking": ("shrinking --generations {20|2} --workers WORKERS", "docs/explanation.md"),
+    "every-road": ("every_road --seeds {5|1} --generations {10|1}", "docs/explanation.md"),
+    "distinctness": ("distinctness --of second --seeds {10|1} --generations {100|2} --workers WORKERS", None),
+    "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
+    "positive-controls": (
+        "positive_controls --first-seed 200 --seeds {10|1} --generations {20|2} --workers WORKERS",
+        None,
+    ),
+    "negative-control": ("negative_control --seeds {10|1} --generations {100|2} --workers WORKERS", None),
+}
+"""Arguments of the programs in tests/benchmarks, and the document with their tables."""
+
+WRITERS = {
+    "reference": "docs/tools/generate.py",
+    "gallery": "docs/tools/gallery.py",
+    "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -k samples",
+    "terminal": "docs/tools/picture.py",
+    "pages": "docs/tools/report_picture.py",
+    "roads": "docs/tools/road_pictures.py",
+}
+"""What writes documents by itself."""
+
+SUMMARY = {
+    "unique scenarios that collide": ("How many collisions", "share of unique"),
+    "simulated time per scenario": ("How fast", "simulated per scenario"),
+    "simulated time per collision": ("How fast", "simulated per collision"),
+    "time to a collision, where there is one": ("How fast", "time to collision (max / min)"),
+    "wall clock per scenario": ("How fast", "wall clock per scenario"),
+    "collisions that an NPC alone is responsible for": ("Who caused them", "share of NPCs"),
+    "inverted distance to all impacts": ("Distinct failures for which the ego answers", "inverted distance"),
+}
+"""Rows of the paper's comparison in the overview: heading of its table in the report, and how its column begins."""
+
+CELLS = re.compile(r"(?<=\|) ([^|]*) (?=\|)")
+
+
+def columns(report: str, heading: str) -> dict[str, dict[str, str]]:
+    """A table of a report: the cells of each row by their column, in which ``paper`` stands for the one before."""
+    lines = re.findall(r"^\|.*$", report.partition(f"\n## {heading}\n")[2].partition("\n## ")[0], re.MULTILINE)
+    head, _, *rows = [CELLS.findall(line) for line in lines]
+    names = [f"{before}, paper" if name == "paper" else name for before, name in zip(["", *head], head, strict=False)]
+    return {row[0]: dict(zip(names, row, strict=True)) for row in rows}
+
+
+def overview_of_the_paper(reports: Mapping[str, str]) -> Iterator[list[str]]:
+    """Its measures by algorithm, each with the paper's below it."""
+    algorithms = list(columns(reports["paper"], "How fast"))
+    yield ["", *algorithms]
+    for measure, (heading, beginning) in SUMMARY.items():
+        table = columns(reports["paper"], heading)
+        name = next(each for each in table[algorithms[0]] if each.startswith(beginning))
+        yield [measure, *(table[each][name] for each in algorithms)]
+        if f"{name}, paper" in table[algorithms[0]]:
+            yield ["the paper's", *(table[each][f"{name}, paper"] for each in algorithms)]
+
+
+def overview_of_failures(reports: Mapping[str, str]) -> Iterator[list[str]]:
+    """Distinct failures per simulated hour by algorithm and report, and in how many runs there was any."""
+    tables = {
+        name: columns(text, "Distinct failures for which the ego answers")
+        for name, text in reports.items()
+        if name != "paper"
+    }
+    yield ["search", *(f"[{name}]({name}/report.md)" for name in tables)]
+    for algorithm in dict.fromkeys(each for table in tables.values() for each in table):
+        cells = []
+        for table in tables.values():
+            told = list(table.get(algorithm, {}).items())
+            at = [value for name, value in told if name.startswith(("per hour, ", "runs with any"))]
+            cells.append("{} ({})".format(*at) if at else "")
+        yield [algorithm, *cells]
+
+
+def markdown(rows: Iterator[list[str]]) -> str:
+    """A table of rows, the first of which is its head."""
+    head, *others = rows
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *others))
+
+
+def measured(name: str, command: str, arguments: argparse.Namespace, folder: Path) -> str:
+    """What a command prints, from an earlier time where it is kept; the CPU hours are told and kept with it."""
+    kept, out = folder / f"{name}.txt", folder / name
+    if not kept.exists():
+        for whole, quick in re.findall(r"\{([^|}]*)\|([^}]*)\}", command):
+            command = command.replace(f"{{{whole}|{quick}}}", quick if arguments.quick else whole)
+        command = command.replace("WORKERS", str(arguments.workers)).replace("OUT", os.path.relpath(out, ROOT))
+        before = spent()
+        printed = run(command)
+        kept.write_text(f"{printed}\n{name}: {spent() - before:.3f} CPU hours\n", encoding="utf-8")
+    text, _, hours = kept.read_text(encoding="utf-8").rstrip().rpartition("\n")
+    print(hours, flush=True)
+    return text
+
+
+def run(command: str, **variables: str) -> str:
+    """What a command of this Python prints; its errors, and how far it is, are shown.
+
+    Raises:
+        SystemExit: where it fails.
+    """
+    print(f"$ python {command}", flush=True)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", **variables}
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, *shlex.split(command)],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"expected the command to end well, received exit status {done.returncode}:\n{done.stdout}")
+    return done.stdout
+
+
+def spent() -> float:
+    """Processor time of all processes that have ended so far [h]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return (usage.ru_utime + usage.ru_stime) / 3600
+
+
+def write_between(document: Path, name: str, text: str) -> None:
+    """Put a text between the markers of a document.
+
+    Raises:
+        SystemExit: where they are not there, once.
+    """
+    marked = re.compile(rf"(<!-- measured: {name} -->\n).*?(<!-- end of measured -->)", re.DOTALL)
+    changed, count = marked.subn(lambda found: f"{found[1]}{text}{found[2]}", document.read_text(encoding="utf-8"))
+    if count != 1:
+        raise SystemExit(f"{document}: expected one line <!-- measured: {name} -->, found {count}")
+    document.write_text(changed, encoding="utf-8", newline="\n")
+
+
+def commit_of_the_code() -> str:
+    """By git; ``unknown`` where there is none."""
+    command = ["git", "log", "-1", "--format=%h", "--", "pytest_pafot", "example_ads", "tests/benchmarks"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)  # noqa: S603
+    return done.stdout.strip() or "unknown"
+
+
+def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
+    """Measure what is asked for, and write it into the documents below a root."""
+    asked = arguments.only
+    for name in (each for each in REPORTS if each in asked):
+        measured(name, f"{COMPARE} {REPORTS[name]}", arguments, folder)
+        report = root / "docs" / "comparisons" / name
+        shutil.copy(folder / name / "report.md", report)
+        for picture in (folder / name / "figures").glob("*.png"):
+            shutil.copy(picture, report / "figures")
+    for name in (each for each in BENCHMARKS if each in asked):
+        command, document = BENCHMARKS[name]
+        printed = measured(name, f"-m tests.benchmarks.{command}", arguments, folder)
+        if document is not None:
+            tables = re.findall(r"(?:^\|.*\n)+", f"{printed}\n", re.MULTILINE)
+            write_between(root / document, name, "\n".join(tables))
+    if set(asked) & set(REPORTS):
+        reports = {name: (root / f"docs/comparisons/{name}/report.md").read_text(encoding="utf-8") for name in REPORTS}
+        overview = root / "docs" / "comparisons" / "README.md"
+        write_between(overview, "overview-of-the-paper", markdown(overview_of_the_paper(reports)))
+        write_between(overview, "overview-of-failures", markdown(overview_of_failures(reports)))
+
+
+def main() -> None:
+    """Redo all, or what is named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    every = [*REPORTS, *BENCHMARKS, *WRITERS]
+    parser.add_argument("--only", nargs="+", choices=every, default=every, metavar="NAME", help=", ".join(every))
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--build", type=Path, default=ROOT / "build" / "figures", metavar="DIR")
+    arguments = parser.parse_args()
+    versions = {"python": platform.python_version(), **installed_versions()}
+    commit = commit_of_the_code()
+    print(f"commit {commit}, {', '.join(f'{name} {version}' for name, version in versions.items())}", flush=True)
+    folder, root = arguments.build.resolve() / f"{commit}{'-quick' if arguments.quick else ''}", ROOT
+    folder.mkdir(parents=True, exist_ok=True)
+    if arguments.quick:
+        root = folder / "copy"
+        shutil.copytree(ROOT / "docs", root / "docs", dirs_exist_ok=True)
+    redo(arguments, root, folder)
+    for name in (each for each in WRITERS if each in arguments.only and not arguments.quick):
+        run(WRITERS[name], PAFOT_REFRESH="1")
+    print(f"in all {spent():.3f} CPU hours, {os.cpu_count()} cores", flush=True)
+
+
+if __name__ == "__main__":
+    main()
