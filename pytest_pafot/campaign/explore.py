@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
+from pytest_pafot.campaign.against import reference_of
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness, source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, Settings
@@ -121,6 +122,10 @@ def _searched(
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
     settings, (module, _, test) = request.settings, node_id.partition("::")
+
+    def fixture(name: str) -> NoReturn:
+        raise request.error("against", f"expected a factory or its module:factory, received {name!r}")
+
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     harness = Harness(
         request=request,
@@ -134,6 +139,7 @@ def _searched(
         records=scratch / "records",
         root=Path.cwd(),
         versions=installed_versions(),
+        against=reference_of(settings.against, fixture),
     )
     now = time.monotonic()
     return Search(

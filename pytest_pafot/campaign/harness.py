@@ -5,16 +5,19 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.against import Reference
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
-from pytest_pafot.execution.runner import Runner
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
+from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.run import ReferenceOutcome, Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
@@ -37,6 +40,7 @@ class Harness:
     records: Path  # folder of the crash records
     root: Path  # folder of the project, which paths are told relative to
     versions: dict[str, str]  # of the packages that a run depends on
+    against: Reference | None = None  # that must pass where a failure shall count
 
     def job(self, world: Any = None, owner: str = "") -> Job:
         """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.
@@ -69,6 +73,29 @@ class Harness:
     def judge_trace(self, world: Any, trace: Trace) -> Verdict:
         """What the function makes of a trace from a world."""
         return self.judge(self.seen(trace, world))
+
+    def reference_runner(self, job: Job, record: CrashRecord) -> Runner | None:
+        """Who makes the runs of the reference, one by one, and apart where the ADS runs so; None without one."""
+        if self.against is None:
+            return None
+        with refusals():
+            return runner_for(replace(job, ads=self.against.ads), record, isolate=self.request.settings.isolate)
+
+    def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
+        """What the function makes of the reference in a scenario; to raise, to hang or to end its process is to fail.
+
+        Raises:
+            RequestError: for a factory that cannot be used, or a scenario that does not fit.
+        """
+        __tracebackhide__ = True
+        try:
+            with refusals():
+                trace = runner.run(scenario, afresh=True)
+        except ProcessLostError as error:
+            return Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
+        except RequestError as error:
+            raise RequestError(f"against: {error}") from None
+        return self.judge_trace(self.world if world is None else world, trace)
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
@@ -105,6 +132,7 @@ class Simulation:
     harness: Harness
     runner: Runner
     record: CrashRecord
+    reference: Runner | None = None  # of the policy that failures are held against
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Run:
         """One run, whose verdict follows; ``afresh`` as in :meth:`pytest_pafot.execution.runner.Runner.run`.
@@ -118,12 +146,23 @@ class Simulation:
             trace = self.runner.run(scenario, afresh=afresh)
         return self.harness.seen(trace)
 
-    def judge(self, run: Run) -> Verdict:
-        """The verdict on the last run."""
+    def judge(self, run: Run, scenario: Scenario | None = None) -> Verdict:
+        """The verdict on the last run; the reference has the scenario given, or the run's own, where that fails."""
         __tracebackhide__ = True
         verdict = self.harness.judge(run)
+        if verdict.failed and self.reference is not None:
+            verdict = verdict.beside(self.harness.judge_reference(self.reference, scenario or run.scenario))
         self.record.clear()
         return verdict
+
+    def is_common(self, scenario: Scenario) -> bool:
+        """Whether the reference does not pass a scenario, either, in which the ADS ended its process."""
+        __tracebackhide__ = True
+        if self.reference is None:
+            return False
+        verdict = self.harness.judge_reference(self.reference, scenario)
+        self.record.clear()
+        return not verdict.passes
 
     def rerun(self, scenario: Scenario) -> Run:
         """One run without a verdict, with the ADS asked for every decision."""

@@ -49,6 +49,8 @@ class SearchLoop:
     skip: BaseException | None = None  # the last exception by which the function declined to judge
     first: FirstGeneration = field(default_factory=FirstGeneration)
     doubt: str = ""  # about the units of the ADS's actions, once there is one
+    # Of the reference, once it was run: what it failed by itself, or empty as soon as it did not
+    broken: str | None = None
 
     @property
     def runs(self) -> int:
@@ -73,6 +75,11 @@ class SearchLoop:
             "it; let it through, or take pafot.target, which never fails"
             for name, runs in sorted(self.caught.items())
         ]
+        if self.broken:
+            warnings.append(
+                f"the reference itself failed wherever it was run, at first by {self.broken}, so that nothing could "
+                "count; correct it, its factory, or the world= that it drives in"
+            )
         return tuple(warnings)
 
     def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
@@ -120,6 +127,9 @@ class SearchLoop:
     def lose(self, lost: LostRun) -> None:
         """Know of a scenario whose process did not come back; it is not run again, in later sessions either."""
         self.fatal.add(lost.task)
+        if self.simulation.is_common(lost.task):
+            self.verdicts["common"] += 1
+            return
         self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
 
     def _judged(self, run: Run) -> Evaluation:
@@ -138,13 +148,16 @@ class SearchLoop:
             self.first.see(run, verdict)
         if not self.first.is_alike:
             self.recorder.release()
-        signature = None
-        if verdict.failure is not None:
-            signature = of_failure(run, verdict.failure)
+        signature, failure = None, verdict.failure if verdict.failed else None
+        if failure is not None:
+            signature = of_failure(run, failure)
             self._count(signature, lambda: self.recorder.keep(run, verdict, self.generation, self.runs))
         if verdict.kind == "skipped":
             self.skip = verdict.exception
-        check = None if verdict.failure is None else verdict.failure.check
+        if verdict.reference is not None and self.broken != "":
+            broken = verdict.reference.failure if verdict.reference.is_ads else None
+            self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
+        check = None if failure is None else failure.check
         return Evaluation.of(
             run.trace,
             fitness=self.fitness(run.trace),

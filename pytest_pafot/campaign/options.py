@@ -48,7 +48,7 @@ class Option(NamedTuple):
     default: object = None
     least: float = 0  # smallest number that is accepted
     choices: tuple[str, ...] = ()  # the texts that are accepted, or nothing for any
-    or_class: bool = False  # whether a class, or its ``module:Class``, is accepted as well
+    or_class: bool = False  # whether a class or function, or its ``module:name``, is accepted as well
     everywhere: bool = True  # False for what concerns the session and is a deliberate act: command line only
     is_argument: bool = True  # False for what concerns the session as a whole: no marker argument
 
@@ -114,6 +114,13 @@ OPTIONS: tuple[Option, ...] = (
         "pytest-pafot[search]. Or module:Class for an algorithm of your own.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
+        or_class=True,
+    ),
+    Option(
+        "against",
+        "text",
+        "A reference, such as the policy before a change: the module:factory of another ADS, or in the mark also the "
+        "factory or the name of its fixture. Only what it passes is a failure then; it runs where the ADS fails.",
         or_class=True,
     ),
     Option(
@@ -208,6 +215,7 @@ class Settings:
     population: int
     seed: int
     algorithm: str | type[Algorithm[Any]]
+    against: str | Callable[..., Any] | None
     max_time: float | None
     total_time: float | None
     stop_after: int | None

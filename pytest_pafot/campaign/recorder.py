@@ -69,6 +69,7 @@ class Recorder:
             test=harness.node_id,
             world=codec.described(harness.world),
             found=self._found(generation),
+            against="" if harness.against is None else harness.against.name,
             root=str(harness.root),
         )
         files = files_in(harness.folder)  # None of a folder that cannot be read; writing into it says why.

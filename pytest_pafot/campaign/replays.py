@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,9 @@ from pytest_pafot.world import WorldError, codec, protocol
 
 FLAKY = "flaky"
 
+BESIDE = {True: "introduced", False: "common", None: ""}
+"""What to call a saved scenario that fails, by whether the reference passes it; nothing without one."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
@@ -39,11 +43,15 @@ class Replays:
     def shown_by(self, saved: Saved) -> Replayed | None:
         """What a saved scenario shows now, for a search that must know which failures are known.
 
-        None for a file that cannot be used, whose own test says so.
+        None for a file that cannot be used, whose own test says so, and for one that the reference fails as well: what
+        was there before hides nothing that is new.
         """
+        owner = self.harness.saved_node_id(saved.id)
         try:
             finding, world = _finding(saved), self.world_of(saved)
-            run, verdict = self.tried(saved, world, self.harness.saved_node_id(saved.id))
+            run, verdict = self.tried(saved, world, owner)
+            if verdict.failed and self.passes_reference(saved, world, owner) is False:
+                return None
         except RequestError:
             return None
         except ProcessLostError as error:
@@ -103,8 +111,19 @@ class Replays:
             run = harness.seen(trace, world)
             return run, harness.judge(run)
 
+    def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
+        """Whether the reference passes a saved scenario; None without one."""
+        __tracebackhide__ = True
+        harness, scenario = self.harness, _finding(saved).scenario
+        job = harness.job(world, owner)
+        with harness.recording(job) as record, harness.reference_runner(job, record) or nullcontext() as runner:
+            return None if runner is None else harness.judge_reference(runner, scenario, world).passes
+
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
         """A replay with its label. One that passes is tried twice, since chance must not be called a fix.
+
+        Beside a reference it is ``introduced`` or ``common`` where it fails, by whether that passes. Where it passes,
+        it is ``fixed`` where the reference fails, whatever the file says, and else ``fixed before`` at most.
 
         Raises:
             ProcessLostError: where the process that ran it did not come back.
@@ -119,13 +138,19 @@ class Replays:
             label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
         if label == "fixed" and codec.changes(finding.world, self.harness.world):
             label = "drifted"  # It passes elsewhere than where it failed.
-        if verdict.failed or verdict.discarded:
+        if verdict.discarded:
             return label, run, verdict
+        if verdict.failed:
+            return BESIDE[self.passes_reference(saved, world, owner)] or label, run, verdict
         again, second = self.tried(saved, world, owner)
         if second.failed:
             return FLAKY, again, second
-        is_firm = finding.flaky is None and is_same_run(run, again)
-        return (label if is_firm else FLAKY), run, verdict
+        if finding.flaky is not None or not is_same_run(run, again):
+            return FLAKY, run, verdict
+        passes = self.passes_reference(saved, world, owner)
+        if passes is False or (passes and label == "fixed"):
+            label = "fixed before" if passes else "fixed"
+        return label, run, verdict
 
     def changes(self, finding: Finding, now: str) -> str:
         """What differs from a file; ``now`` is what happens."""

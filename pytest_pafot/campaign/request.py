@@ -50,6 +50,7 @@ class SearchArguments(TypedDict, total=False):
     population: int
     seed: int
     algorithm: str | type[Algorithm[Any]]
+    against: str | Callable[..., Any]
     max_time: float
     stop_after: int
     shrink_rollouts: int

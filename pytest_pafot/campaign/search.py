@@ -155,7 +155,10 @@ class Search:
                 times_decisions=request.decision_limit is not None,
             )
         stack.push(runner.__exit__)  # What runs after the search begins processes anew.
-        simulation = Simulation(harness, runner, record)
+        reference = harness.reference_runner(job, record)
+        if reference is not None:
+            stack.push(reference.__exit__)
+        simulation = Simulation(harness, runner, record, reference)
         confirm = partial(difference, simulation=simulation)
         self._loop = SearchLoop(
             simulation=simulation,
@@ -295,7 +298,10 @@ class Search:
             seconds=self.clock() - self._started,
             runs=loop.runs,
             known_runs=health.reused,
-            **{kind: loop.verdicts[kind] for kind in ("invalid", "npc", "unpreventable", "rejected", "skipped")},
+            **{
+                kind: loop.verdicts[kind]
+                for kind in ("invalid", "npc", "unpreventable", "common", "rejected", "skipped")
+            },
             reached=health.reached_share if health.genes_started else None,
             no_interaction=health.no_interaction,
             failing=loop.verdicts["failed"],
@@ -305,6 +311,7 @@ class Search:
             known=dict(loop.known),
             warnings=loop.warnings if reason in (DONE, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
+            against="" if self.harness.against is None else self.harness.against.shown,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )
 

@@ -79,10 +79,10 @@ class Simplification:
             except ProcessLostError as error:
                 loop.lose(error)
                 return None
-            verdict = loop.simulation.judge(run)
+            scenario = driven(run)
+            verdict = loop.simulation.judge(run, scenario)
             if not self._shows(kept.find.id, run, verdict):
                 return None
-            scenario = driven(run)
             starts[scenario] = starts_of(run, top_speed)
             return scenario
 
@@ -99,7 +99,7 @@ class Simplification:
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:
         """Whether a run shows the failure of a find; by the same fault, too, so that the find's name still fits."""
         found = next(signature for signature, id_ in self.loop.finds.items() if id_ == find_id)
-        shown = None if verdict.failure is None else of_failure(run, verdict.failure)
+        shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
         return shown is not None and (shown, shown.fault) == (found, found.fault)
 
     def _run_again(self, scenario: Scenario, kept: Kept) -> tuple[Run, Verdict, str]:
@@ -108,7 +108,8 @@ class Simplification:
         run = self.loop.simulation.run(scenario, afresh=True)
         verdict = self.loop.simulation.judge(run)
         if not self._shows(kept.find.id, run, verdict):
-            return run, verdict, f"a later run of it ended otherwise: {ending(run)}"
+            otherwise = f"a later run of it ended otherwise: {ending(run)}"
+            return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
         return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirm(run)
 
     def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
@@ -122,7 +123,12 @@ class Simplification:
             before,
             scenario=scenario,
             expect=Expect.of(
-                run, verdict.failure, reference_drivers=outcomes, last_chance=last_chance, root=str(harness.root)
+                run,
+                verdict.failure,
+                reference_drivers=outcomes,
+                last_chance=last_chance,
+                against=before.expect.against,
+                root=str(harness.root),
             ),
             original=before.scenario if scenario != before.scenario else None,
             shrunk=shrunk if shrunk.rollouts else None,

@@ -72,9 +72,10 @@ class SearchSummary:
     seconds: float = 0.0
     runs: int = 0  # simulated scenarios
     known_runs: int = 0  # scenarios that were not simulated, since an earlier run showed what they do
-    invalid: int = 0  # runs without a judgement, by kind, as the next four
+    invalid: int = 0  # runs that are no failures, by kind, as the next five
     npc: int = 0
     unpreventable: int = 0
+    common: int = 0
     rejected: int = 0
     skipped: int = 0
     reached: float | None = None  # share of Position-Instructions whose cell was reached; None where no run tells
@@ -86,6 +87,7 @@ class SearchSummary:
     known: Mapping[str, int] = field(default_factory=dict)  # failing runs by the id of the file that covers them
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to be told once
+    against: str = ""  # the reference that failures were held against, or empty
     coverage: str = ""  # one line on the Position-Instructions that the runs came to
 
     @classmethod

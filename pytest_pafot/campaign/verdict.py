@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
 
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.checks import Check, Recording, recorded
@@ -32,13 +32,15 @@ class Verdict:
 
     # ``failed`` is a find; ``rejected`` and ``skipped`` are no judgement; ``npc`` is a collision that an NPC is
     # responsible for, unless ``blame="any"``; ``unpreventable`` a failure that no reference driver would have
-    # prevented, under ``blame="preventable"``; ``invalid`` a crash between NPCs
-    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "invalid"]
+    # prevented, under ``blame="preventable"``; ``common`` one that the reference does not pass either, where there is
+    # one; ``invalid`` a crash between NPCs
+    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "unpreventable", "common", "invalid"]
     exception: BaseException | None = None  # that the function raised, where it failed or skipped
     failure: Failure | None = None
     checks: tuple[Check, ...] = ()  # those that the function made, in its order, up to one that failed
     is_timed: bool = False  # whether it depends on wall-clock time
     is_ads: bool = False  # whether the ADS itself failed, whatever the function asserts
+    reference: Verdict | None = None  # on the run of the reference in the same scenario; None where it was not run
 
     @property
     def failed(self) -> bool:
@@ -46,9 +48,18 @@ class Verdict:
         return self.kind == "failed"
 
     @property
+    def passes(self) -> bool:
+        """Whether a test passes in which this happens, by its blame."""
+        return self.kind in ("passed", "npc", "unpreventable")
+
+    @property
     def discarded(self) -> bool:
         """Whether the function declined to judge."""
         return self.kind in ("rejected", "skipped")
+
+    def beside(self, reference: Verdict) -> Self:
+        """A failure beside the verdict on the reference in the same scenario, which must pass for it to count."""
+        return replace(self, kind="failed" if reference.passes else "common", reference=reference)
 
 
 def judge(run: Run, test: Test, *, blame: str, test_file: str) -> Verdict:

@@ -204,6 +204,7 @@ def _expect(field: Field, npcs: int) -> Expect:
         reference_drivers=_given(fields, "preventable_by", _survivors, {})
         | _given(fields, "reference_drivers", _outcomes, {}),
         last_chance=_given(fields, "last_chance", _last_chance),
+        against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
 

@@ -51,7 +51,7 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("preventable_by", "reference_drivers", "last_chance", "traceback"),
+        *("preventable_by", "reference_drivers", "last_chance", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)

@@ -64,6 +64,8 @@ class Expect:
         npc_manoeuvre, ego_manoeuvre: shortly before the collision; None without one.
         reference_drivers: what becomes of each in the ego's place; empty where that means nothing.
         last_chance: when one of them would still have stayed free of fault; None where there is no such moment.
+        against: the reference that passed where this failed, as ``module:factory`` or the name of a fixture; empty
+            without one, or where its factory has no such name.
         traceback: of an ADS that raised, likewise; empty otherwise.
     """
 
@@ -82,6 +84,7 @@ class Expect:
     ego_manoeuvre: Manoeuvre | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     last_chance: LastChance | None = None
+    against: str = ""
     traceback: str = ""
 
     @property
@@ -109,6 +112,7 @@ class Expect:
         *,
         reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
         last_chance: LastChance | None = None,
+        against: str = "",
         root: str = "",
     ) -> Expect:
         """What a failing run showed, as it shows again in any process: times rounded to milliseconds, texts portable.
@@ -136,6 +140,7 @@ class Expect:
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
             reference_drivers=dict(reference_drivers or {}),
             last_chance=last_chance,
+            against=against,
             traceback=text,
         )
 
@@ -204,10 +209,18 @@ class Finding:
 
     @classmethod
     def of(
-        cls, run: Run, failure: Failure, *, test: str, world: Mapping[str, Any], found: Found, root: str = ""
+        cls,
+        run: Run,
+        failure: Failure,
+        *,
+        test: str,
+        world: Mapping[str, Any],
+        found: Found,
+        against: str = "",
+        root: str = "",
     ) -> Finding:
         """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
-        expect = Expect.of(run, failure, root=root)
+        expect = Expect.of(run, failure, against=against, root=root)
         id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
         return cls(id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found)
 

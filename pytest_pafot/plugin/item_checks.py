@@ -112,6 +112,12 @@ def _check_parameters(item: pytest.Item, request: Request) -> None:
                 f"expected the fixture {name!r} among those of the test; mark it with @pafot.search(...), "
                 f"which asks for it, and not with @pytest.mark.{SEARCH_MARK}"
             )
+    against = request.settings.against
+    if isinstance(against, str) and ":" not in against and against not in item.fixturenames:  # type: ignore[attr-defined]
+        raise RequestError(
+            f"against: expected module:factory, such as planner_before:make, received {against!r}; the name of a "
+            "fixture can be given in @pafot.search(against=...) alone"
+        )
 
 
 def _missing_ads(name: str, available: Sequence[str], width: int) -> str:

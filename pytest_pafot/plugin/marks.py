@@ -57,8 +57,8 @@ def _may_be_decorated(target: object) -> bool:
 
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
-    ads = arguments.get("ads", DEFAULT_ADS)
-    fixtures = [ads, WORLD_FIXTURE] if isinstance(ads, str) else [WORLD_FIXTURE]
+    given = (arguments.get("ads", DEFAULT_ADS), arguments.get("against"))
+    fixtures = [WORLD_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
     # usefixtures, and not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)

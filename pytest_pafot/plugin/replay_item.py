@@ -46,8 +46,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:  # Outside of the handler, so that the same is not shown twice.
         _conclude_lost(item, replays, finding, lost, path)
-    detail = replays.changes(finding, happened(finding, run, verdict.failure)) if label in ("drifted", FLAKY) else ""
-    _tell(item, label, detail)
+    detail = "" if harness.against is None else f"against {harness.against.shown}"
+    if label in ("drifted", FLAKY):
+        detail = replays.changes(finding, happened(finding, run, verdict.failure))
+    _tell(item, replays, label, detail)
     page = page_messages_of(item, request.settings)
     if page is not None:
         line = headline(run, verdict) if verdict.failed else ""
@@ -64,7 +66,7 @@ def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lo
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
     label = "still failing" if was_lost else "drifted"
     detail = "" if was_lost else replays.changes(finding, f"the process {lost.how}")
-    _tell(item, label, detail)
+    _tell(item, replays, label, detail)
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     page = page_messages_of(item, replays.harness.request.settings)
     if page is not None:
@@ -73,8 +75,9 @@ def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lo
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
 
-def _tell(item: pytest.Function, label: str, detail: str) -> None:
-    messages.send(item, "replay", {"label": label, "detail": detail})
+def _tell(item: pytest.Function, replays: Replays, label: str, detail: str) -> None:
+    against = "" if replays.harness.against is None else replays.harness.against.shown
+    messages.send(item, "replay", {"label": label, "detail": detail, "against": against})
     item.user_properties.append(("pafot", label))
 
 

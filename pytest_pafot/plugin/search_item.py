@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.against import reference_of
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.events import FindTold, Listener, SearchEvent, SearchStarted
 from pytest_pafot.campaign.harness import Harness, checked_factory, source_file
@@ -53,7 +54,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     remove_unfinished(folder)
-    ads = request.ads
+    ads, against = request.ads, request.settings.against
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
@@ -69,6 +70,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         records=records_folder(item, request.settings),
         root=item.config.rootpath,
         versions=installed_versions(),
+        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
     )
 
 
@@ -176,7 +178,8 @@ class SearchMessages:
         kept, config = told.kept, self.item.config
         width = config.stash[SHARED].width
         explanation = "" if told.run is None else explained(told.run, told.exception, config)
-        details = [] if told.is_new else terminal.simplified_lines(kept.finding)
+        details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
+        details += [] if told.is_new else terminal.simplified_lines(kept.finding)
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)

@@ -46,11 +46,15 @@ LEFT_ALONE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySummary:
-    """How an item's replay went: ``fixed``, ``still failing``, ``drifted`` or ``flaky``; what differs, or empty."""
+    """How an item's replay went: ``fixed``, ``still failing``, ``drifted`` or ``flaky``; what differs, or empty.
+
+    Beside a reference ``against`` which it was run, also ``introduced``, ``common`` or ``fixed before``.
+    """
 
     node_id: str
     label: str
     detail: str = ""
+    against: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,6 +205,7 @@ def _figures(search: SearchSummary) -> str:
         (search.failing, "failing"),
         (search.npc, "npc at fault"),
         (search.unpreventable, "not preventable"),
+        (search.common, "failing with both"),
         (search.invalid, "invalid"),
         (search.rejected, "rejected"),
         (search.skipped, "skipped"),
@@ -237,11 +242,24 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
     counts = sorted(Counter(replay.label for replay in replays).items())
     figures = ", ".join(f"{count} {label}" for label, count in counts)
     lines = [f"replayed {plural(len(replays), 'saved scenario')}: {figures}"]
-    shown = [replay for replay in replays if replay.label != "still failing"]
+    shown = [replay for replay in replays if replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))
         lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
+
+
+def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
+    """What changes from each reference to the policy: new finds, and saved scenarios by their labels."""
+    lines = []
+    names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
+    for name in filter(None, dict.fromkeys(names)):
+        labels = Counter(replay.label for replay in session.replays if replay.against == name)
+        found = sum(len(each.finds) + len(each.unsaved) for each in session.searches if each.against == name)
+        introduced = plural(found + labels["introduced"], "failure")
+        text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
+        lines += wrapped_to(ascii_text(text), width)
+    return lines
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -251,7 +269,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines += search_lines(search, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is saved", width)]
-    lines += replay_lines(session.replays, width)
+    lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
     for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
         for folder, count in folders:
             lines.append(ascii_text(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}"))

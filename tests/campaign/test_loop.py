@@ -79,6 +79,7 @@ class Simulation:
     simulate: Callable[[Scenario], Run]
     runner: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(is_alone=True))
     numbers: Iterator[int] = field(default_factory=count)
+    has_reference: bool = False
 
     def run(self, scenario, *, afresh=False):
         return self.simulate(scenario)
@@ -86,12 +87,25 @@ class Simulation:
     def judge(self, run):
         return self.verdicts(next(self.numbers))
 
+    def is_common(self, scenario):
+        """Where a process dies, the reference fails in every second scenario."""
+        return self.has_reference and next(self.numbers) % 2 == 1
 
-def searched(verdicts: Callable[[int], Verdict], *, generations=3, population=2, replayed=(), fatal=(), run=quiet_run):
+
+def searched(
+    verdicts: Callable[[int], Verdict],
+    *,
+    generations=3,
+    population=2,
+    replayed=(),
+    fatal=(),
+    run=quiet_run,
+    has_reference=False,
+):
     """A random search with these verdicts, and what it handed on."""
     recorder = Recorder()
     loop = SearchLoop(
-        simulation=Simulation(verdicts, run),
+        simulation=Simulation(verdicts, run, has_reference=has_reference),
         recorder=recorder,
         fitness=lambda trace: 0.0,
         fatal=set(fatal),
@@ -127,7 +141,7 @@ def test_a_failure_whose_saved_scenario_passes_now_is_new_again():
     assert len(finds) == 1
 
 
-@pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "invalid"])
+@pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
 def test_other_verdicts_are_counted_by_kind(kind):
     found, finds = searched(lambda number: Verdict(kind=kind))
     assert finds == []
@@ -155,6 +169,13 @@ def test_a_process_that_hangs_is_another_find_than_one_that_dies():
     count = iter(range(10**6))
     _, finds = searched(lambda number: failed(), run=lambda scenario: lost(scenario, is_hang=next(count) > 2))
     assert [kind for kind, *_ in finds] == ["crash", "hang"]
+
+
+def test_where_a_process_dies_and_the_reference_fails_as_well_there_is_no_find():
+    found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
+    assert finds == [("crash", 0, 1)]
+    assert found.repeats == {"id-1": 2}
+    assert found.verdicts == {"common": 3}
 
 
 def test_processes_that_die_are_known_while_a_saved_scenario_says_so():

@@ -132,6 +132,7 @@ def expectations(draw, npcs):
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
         last_chance=draw(st.none() | chances()),
+        against=draw(texts()),
         traceback=draw(texts()),
     )
 

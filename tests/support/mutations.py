@@ -245,6 +245,7 @@ DEFAULTS: Mapping[str, Any] = {
     "reference_drivers": {},
     "assertion": "",
     "message": "",
+    "against": "",
     "traceback": "",
 }
 """What a file may leave out, where that is not None."""

@@ -1,0 +1,129 @@
+"""A search against a reference: what counts, what is counted beside it, and what is refused."""
+
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.verdict import Verdict
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.world.reference_drivers import REFERENCES
+
+SHORT = {"generations": 6, "genes": 2, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
+ROAD = pafot.Highway(duration=20.0)
+CAREFUL = REFERENCES["idm-aeb"]
+
+
+def never_collides(run):
+    assert not run.collision
+
+
+class Counted:
+    """Gives careful drivers, and knows how many."""
+
+    runs = 0
+
+    def __call__(self):
+        self.runs += 1
+        return CAREFUL()
+
+
+class Breaks:
+    def __call__(self, observation):
+        raise KeyError("lanes")
+
+
+def collides(ads, scenario):
+    return pafot.Run(ROAD.rollout(scenario, ads)).collision is not None
+
+
+def test_between_a_policy_and_itself_there_is_nothing():
+    exploration = pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
+    assert exploration.findings == ()
+    assert exploration.summary.common > exploration.summary.failing == 0
+    assert exploration.summary.against == "example_ads.constant_speed:make"
+
+
+def test_what_counts_fails_with_the_policy_and_passes_with_the_reference_and_so_it_stays_while_it_shrinks():
+    exploration = pafot.explore(constant_speed.make, against=CAREFUL, holds=never_collides, **SHORT)
+    assert exploration.findings
+    for finding in exploration.findings:
+        assert finding.original is not None
+        assert [collides(ads, finding.scenario) for ads in (constant_speed.make, CAREFUL)] == [True, False]
+        assert finding.expect.against == "pytest_pafot.world.reference_drivers:IdmAeb"
+
+
+def test_the_reference_runs_where_the_policy_fails_and_nowhere_else():
+    reference = Counted()
+    summary = pafot.explore(
+        constant_speed.make, against=reference, holds=never_collides, **SHORT | {"shrink_rollouts": 0}
+    ).summary
+    again = len(summary.finds)  # each find is run once more at the end
+    assert reference.runs == summary.failing + summary.common + again < summary.runs
+    assert summary.against == "the reference"
+
+
+def test_what_is_found_is_the_same_in_other_processes():
+    here, apart = (
+        pafot.explore(
+            constant_speed.make, against=CAREFUL, holds=never_collides, isolate=isolate, stop_after=1, **SHORT
+        ).findings
+        for isolate in (False, True)
+    )
+    assert here == apart != ()
+
+
+def test_a_reference_that_fails_when_it_runs_again_makes_the_find_flaky():
+    told = []
+    summary = pafot.explore(
+        constant_speed.make,
+        against=lambda: Breaks() if any(isinstance(event, FindTold) for event in told) else CAREFUL(),
+        holds=never_collides,
+        on_event=told.append,
+        **SHORT | {"stop_after": 1, "shrink_rollouts": 0},
+    ).summary
+    assert [find.difference for find in summary.finds] == ["the reference failed when it ran again"]
+
+
+@pytest.mark.parametrize("kind", ["passed", "npc", "unpreventable"])
+def test_a_reference_passes_where_a_test_by_the_same_blame_would(kind):
+    assert Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind)).failed
+
+
+@pytest.mark.parametrize("kind", ["failed", "rejected", "skipped", "invalid"])
+def test_where_it_fails_or_its_run_says_nothing_the_failure_is_common(kind):
+    verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
+    assert (verdict.kind, verdict.failed) == ("common", False)
+
+
+def test_a_reference_that_always_fails_by_itself_is_told_with_what_it_raised():
+    exploration = pafot.explore(constant_speed.make, against=Breaks, holds=never_collides, **SHORT)
+    assert exploration.findings == ()
+    assert "the reference itself failed wherever it was run, at first by KeyError: 'lanes'" in "".join(
+        exploration.summary.warnings
+    )
+
+
+def test_an_error_of_the_test_function_is_raised_though_it_is_common():
+    def misspelt(run):
+        assert not run.colision
+
+    with pytest.raises(AttributeError, match="did you mean"):
+        pafot.explore(constant_speed.make, against=CAREFUL, holds=misspelt, **SHORT)
+
+
+@pytest.mark.parametrize(
+    ("against", "message"),
+    [
+        ("no_module:make", r"against: expected a module that can be imported, received 'no_module:make'"),
+        ("example_ads.constant_speed:mak", r"against: expected a name in the module.*did you mean"),
+        ("example_ads.constant_speed:__doc__", r"against: expected a factory such as"),
+        ("old_ads", r"pafot\.explore\(against\): expected a factory or its module:factory, received 'old_ads'"),
+        (3, r"against: expected a factory such as .*, received 3"),
+        (lambda model: model, r"against: ads: expected a factory that can be called without arguments"),
+    ],
+)
+def test_what_is_no_factory_is_one_clear_error(against, message):
+    with pytest.raises(RequestError, match=message):
+        pafot.explore(constant_speed.make, against=against, holds=never_collides, **SHORT)

@@ -1,0 +1,85 @@
+"""A session against a reference: options, files, labels of saved scenarios, and the summary."""
+
+import pytest
+
+from pytest_pafot.corpus.reader import load
+
+KEEPS = "def make():\n    return lambda observation: (0.0, 0.0)\n"
+SPEEDS = KEEPS.replace("(0.0, 0.0)", "(1.25, 0.0)")  # in another length each, so that none is taken for another
+BREAKS = KEEPS.replace("(0.0, 0.0)", "(-1.0, 0.0)")
+TEST = """
+import planner
+
+@pafot.search(SHORT, ads=planner.make, shrink_rollouts=9, stop_after=1MORE)
+def test_keeps_its_speed(run):
+    assert run.ego.speed.max() < 22.5
+    assert run.ego.speed.min() > 21.5
+"""
+AGAINST = "--pafot-against=planner_before:make"
+
+
+def policies(project, now, before):
+    project.pytester.makepyfile(planner=now, planner_before=before)
+
+
+@pytest.fixture
+def changed(project):
+    """A project whose policy speeds up, which it did not before, with what a session found of it."""
+    project.write(TEST.replace("MORE", ""))
+    policies(project, SPEEDS, KEEPS)
+    project.result = project.run(AGAINST)
+    return project
+
+
+def test_a_regression_is_saved_with_the_reference_that_passes_it(changed):
+    changed.result.assert_outcomes(failed=2)
+    assert load(changed.only_file).expect.against == "planner_before:make"
+    changed.result.stdout.fnmatch_lines(
+        [
+            "against    planner_before:make, which passes",
+            "against planner_before:make: introduces 1 failure, fixes 0, 0 as before",
+        ]
+    )
+
+
+def test_a_saved_scenario_is_labelled_by_what_both_do_in_it(changed):
+    for now, before, label, told in (
+        (SPEEDS, KEEPS, "introduced", "introduces 1 failure, fixes 0, 0 as before"),
+        (SPEEDS, BREAKS, "common", "introduces 0 failures, fixes 0, 1 as before"),
+        (KEEPS, SPEEDS, "fixed", "introduces 0 failures, fixes 1, 0 as before"),
+        (KEEPS, KEEPS, "fixed before", "introduces 0 failures, fixes 0, 0 as before"),
+    ):
+        policies(changed, now, before)
+        result = changed.run(AGAINST, generations=0)
+        result.assert_outcomes(skipped=1, **{"failed" if now is SPEEDS else "passed": 1})
+        result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}", f"against planner_before:make: {told}"])
+
+
+def test_without_the_reference_a_saved_scenario_is_replayed_as_any_other(changed):
+    result = changed.run(generations=0)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    result.stdout.no_fnmatch_line("against *")
+
+
+def test_a_saved_failure_that_is_common_hides_no_regression_of_the_same_kind(changed):
+    # Before, the policy failed in the saved scenario, by the number of vehicles there, and in no other.
+    others = len(load(changed.only_file).scenario.npcs)
+    policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
+    result = changed.run(AGAINST)
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 common", "*introduces 1 failure, fixes 0, 1 as before"])
+    assert len(changed.files) == 2
+
+
+def test_the_reference_may_come_from_a_fixture_by_its_name(project):
+    project.write(
+        TEST.replace("MORE", ", against='old_ads'")
+        + "\n@pytest.fixture\ndef old_ads():\n    import planner_before\n    return planner_before.make\n"
+    )
+    policies(project, SPEEDS, KEEPS)
+    project.run().stdout.fnmatch_lines(["against old_ads: introduces 1 failure, fixes 0, 0 as before"])
+
+
+def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(failing):
+    failing.run("--pafot-against=old_ads").stdout.fnmatch_lines(
+        ["*against: expected module:factory, such as planner_before:make, received 'old_ads'*"]
+    )
