@@ -9,7 +9,7 @@ from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.loop import Loop, PlannerPilot
-from pytest_pafot.world.kernel.observation import COLUMNS, Scene
+from pytest_pafot.world.kernel.observation import COLUMNS, Observer
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -49,6 +49,6 @@ def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
         npc.kept_lane, npc.kept_speed, npc.heading_for = npc.lane, npc.speed, npc.lane
     ticks = SECONDS * HZ
     rows = array("d", bytes(8 * (ticks + 1) * (count + 1) * COLUMNS))
-    scene = Scene(rows, [(5.0, 2.0)] * (count + 1), road.grid, road.speed_limit, HZ)
-    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, scene, HangGuard(30.0), every=3, dt=1 / HZ)
+    observer = Observer(rows, [(5.0, 2.0)] * (count + 1), road.grid, road.speed_limit, HZ)
+    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, observer, HangGuard(30.0), every=3, dt=1 / HZ)
     return Loop(ego, director, road.grid, rows, 1 / HZ), pilot, ticks
