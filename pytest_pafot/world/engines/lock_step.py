@@ -1,6 +1,6 @@
 """Runs in lock step: an ADS with a method ``batch`` decides for all of them at once.
 
-``batch(observations) -> actions`` gets the observations of the runs that still go on, at one decision tick, and
+``batch(observations) -> actions`` gets the :class:`Observations` of the runs that still go on, at one decision tick, and
 returns one action for each in the same order. One fresh ADS serves all runs of a batch, so that it may not remember
 anything from one decision to the next, and an action may depend on its own observation alone. Then the runs are those
 of the same ADS asked one by one.
@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+
 from pytest_pafot.errors import AdsFactoryError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
@@ -18,6 +20,20 @@ from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ad
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import shown
+from pytest_pafot.world.kernel.observation import Observation, stacked
+
+
+class Observations(list[Any]):
+    """What the ADS sees in each of the runs that still go on."""
+
+    @property
+    def array(self) -> Any:
+        """All of it, made when it is asked for, of shape [runs, vehicles, features].
+
+        In SI units float64, the features those of :class:`pytest_pafot.VehicleState` in their order; runs with fewer
+        vehicles than others have NaN in the rows that they lack. In an environment the stack of its own observations.
+        """
+        return stacked(self) if isinstance(self[0], Observation) else np.stack(self)
 
 
 class SteppedRun(Protocol):
@@ -68,12 +84,12 @@ def rollouts(
 
 
 def _in_lock_step(
-    runs: Sequence[SteppedRun], batch: Callable[[list[Any]], Any], guard: HangGuard
+    runs: Sequence[SteppedRun], batch: Callable[[Observations], Any], guard: HangGuard
 ) -> list[Trace] | None:
     """The traces of all runs; None where ``batch`` raised or hung."""
     live = [run for run in runs if run.trace is None]
     while live:
-        observations = [run.observe() for run in live]
+        observations = Observations([run.observe() for run in live])
         started = guard.clock()
         try:
             try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,20 @@ class Observer:
         x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
         lane = self.lanes.closest(x, y, heading)
         return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
+
+    def fill(self, tick: int, values: FloatArray, run: int) -> None:
+        """Write all vehicles at a tick into the rows of a run of [runs, vehicles, 7]."""
+        row = tick * len(self.sizes) * self.columns
+        for index, (length, width) in enumerate(self.sizes):
+            x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
+            values[run, index, 0] = x
+            values[run, index, 1] = y
+            values[run, index, 2] = heading
+            values[run, index, 3] = self.record[row + 3]
+            values[run, index, 4] = self.lanes.closest(x, y, heading)
+            values[run, index, 5] = length
+            values[run, index, 6] = width
+            row += self.columns
 
     def observation(self, tick: int) -> Observation:
         """What there is to see at a tick, put together where it is looked at."""
@@ -146,7 +161,21 @@ class Observation:
     @property
     def array(self) -> FloatArray:
         """All vehicles as float64, shape [vehicles, 7], the ego first; columns as in :class:`VehicleState`."""
-        return np.array([self.ego, *self.others], dtype=np.float64)
+        values: FloatArray = stacked([self])[0]
+        return values
+
+    def _count(self) -> int:
+        """Of vehicles."""
+        return len(self.others) + 1 if self._observer is None else len(self._observer.sizes)
+
+    def _fill(self, values: FloatArray, run: int) -> None:
+        """Write all vehicles into the rows of a run of [runs, vehicles, 7]."""
+        if self._observer is None:
+            for index, vehicle in enumerate((self.ego, *self.others)):
+                for column, value in enumerate(vehicle):
+                    values[run, index, column] = value
+        else:
+            self._observer.fill(self._tick, values, run)
 
     def _values(self) -> tuple[Any, ...]:
         return self.time, self.ego, self.others, self.lanes, self.lane_width, self.speed_limit
@@ -164,3 +193,16 @@ class Observation:
 
     def __reduce__(self) -> tuple[type[Observation], tuple[Any, ...]]:
         return Observation, self._values()
+
+
+def stacked(observations: Sequence[Observation]) -> FloatArray:
+    """All vehicles of all observations as float64, shape [observations, vehicles, 7], see :attr:`Observation.array`.
+
+    Where one has fewer vehicles than another, its last rows are NaN.
+    """
+    most = max([seen._count() for seen in observations])
+    made = np.full((len(observations), most, len(VehicleState._fields)), np.nan)
+    values = made  # for the compiler, which writes into memory
+    for run, seen in enumerate(observations):
+        seen._fill(values, run)
+    return made

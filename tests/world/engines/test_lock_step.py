@@ -93,6 +93,32 @@ def test_actions_may_be_rows_of_an_array():
     assert differences(world.rollout_batch(scenarios(), Stacked), world.rollout_batch(scenarios(), Planner)) == []
 
 
+@pytest.mark.parametrize("world", HIGHWAYS.values(), ids=HIGHWAYS)
+def test_all_observations_of_a_tick_are_one_array_with_rows_of_nan_where_a_run_has_fewer_vehicles(world):
+    class Looking(Planner):
+        def batch(self, observations):
+            values = observations.array
+            assert values.shape == (len(observations), max(len(each.others) for each in observations) + 1, 7)
+            for rows, each in zip(values, observations, strict=True):
+                vehicles = [each.ego, *each.others]
+                assert rows[: len(vehicles)].tolist() == each.array.tolist() == [list(map(float, v)) for v in vehicles]
+                assert np.isnan(rows[len(vehicles) :]).all()
+            return super().batch(observations)
+
+    traces = world.rollout_batch(scenarios(), Looking)
+    assert [trace.error for trace in traces] == [None] * 6
+
+
+def test_in_an_environment_the_array_is_the_stack_of_its_own_observations():
+    class Looking(MetaPolicy):
+        def batch(self, observations):
+            assert np.array_equal(observations.array, np.stack(observations))
+            return super().batch(observations)
+
+    traces = World("highway-v0", duration=3.0).rollout_batch(scenarios(2), Looking)
+    assert [trace.error for trace in traces] == [None, None]
+
+
 def test_an_ads_without_batch_drives_one_by_one():
     world, made = Highway(duration=4.0), []
     traces = world.rollout_batch(scenarios(3), lambda: made.append(None) or Planner().decided)

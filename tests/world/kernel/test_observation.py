@@ -34,6 +34,7 @@ def test_an_observation_can_be_made_printed_and_pickled():
     made = Observation(time=1, ego=state, others=(state,), lanes=4, lane_width=4, speed_limit=26.8)
     assert type(made.time) is type(made.lane_width) is float
     assert eval(repr(made)) == made
+    assert made.array.tolist() == [list(state), list(state)]
     for observation in (made, seen_by("kernel")[3]):
         assert pickle.loads(pickle.dumps(observation)) == observation
 
