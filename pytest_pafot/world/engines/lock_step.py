@@ -1,7 +1,7 @@
 """Runs in lock step: an ADS with a method ``batch`` decides for all of them at once.
 
-``batch(observations) -> actions`` gets the :class:`Observations` of the runs that still go on, at one decision tick, and
-returns one action for each in the same order. One fresh ADS serves all runs of a batch, so that it may not remember
+``batch(observations) -> actions`` gets the :class:`Observations` of the runs that still go on, at one decision tick,
+and returns one action for each in the same order. One fresh ADS serves all runs of a batch, so that it may not remember
 anything from one decision to the next, and an action may depend on its own observation alone. Then the runs are those
 of the same ADS asked one by one.
 """
