@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -62,6 +63,7 @@ def explore(
     seed: int = 0,
     node_id: str = "",
     on_event: Listener | None = None,
+    executor: Executor | None = None,
     **settings: Any,
 ) -> Exploration:
     """Search for scenarios that make a property fail, without pytest.
@@ -76,6 +78,7 @@ def explore(
         seed: base seed; that of the search follows from it and the node id.
         node_id: of the test that is meant, free of ``[search]``; by default one that names ``holds``.
         on_event: is told what happens as it happens; see :mod:`pytest_pafot.campaign.events`.
+        executor: makes the runs of the generations, as the fixture ``pafot_executor`` does.
         settings: further arguments of ``@pafot.search``. With ``corpus``, findings are saved below that folder and what
             is saved there is known; without, nothing is written.
 
@@ -94,7 +97,7 @@ def explore(
             on_event(event)
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        result = _searched(request, holds, name, Path(scratch), listen)
+        result = _searched(request, holds, name, Path(scratch), listen, executor)
     if result.fault is not None:
         raise result.fault
     findings = tuple(kept.finding for kept in result.kept)
@@ -117,7 +120,12 @@ def _request(given: dict[str, Any]) -> Request:
 
 
 def _searched(
-    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, listener: Listener
+    request: Request,
+    holds: Callable[[Run], None],
+    node_id: str,
+    scratch: Path,
+    listener: Listener,
+    executor: Executor | None,
 ) -> SearchResult:
     if isinstance(request.ads, str):
         raise request.error("ads", f"expected a factory such as `lambda: MyPlanner()`, received {request.ads!r}")
@@ -140,6 +148,7 @@ def _searched(
         root=Path.cwd(),
         versions=installed_versions(),
         against=reference_of(settings.against, fixture),
+        executor=executor,
     )
     now = time.monotonic()
     return Search(

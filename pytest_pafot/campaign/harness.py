@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,6 +42,7 @@ class Harness:
     root: Path  # folder of the project, which paths are told relative to
     versions: dict[str, str]  # of the packages that a run depends on
     against: Reference | None = None  # that must pass where a failure shall count
+    executor: Executor | None = None  # that makes the runs of a search, where the user has one
 
     def job(self, world: Any = None, owner: str = "") -> Job:
         """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.
@@ -51,7 +53,8 @@ class Harness:
         world = self.world if world is None else world
         with refusals():  # whether a pafot.World can be used shows when its environment is made
             data = codec.described(world)
-        return Job(world=world, ads=self.ads, records=self.records, owner=owner or self.node_id, world_data=data)
+        owner = owner or self.node_id
+        return Job(world=world, ads=self.ads, records=self.records, owner=owner, world_data=data, root=self.root)
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """The run that a trace is the record of, in the world of new scenarios unless another is given."""

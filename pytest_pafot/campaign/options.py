@@ -173,6 +173,14 @@ OPTIONS: tuple[Option, ...] = (
         default=False,
     ),
     Option(
+        "dask",
+        "text",
+        "Have the workers of the scheduler at ADDRESS simulate the scenarios of a generation; needs "
+        "pytest-pafot[dask]. What is found is the same.",
+        everywhere=False,
+        is_argument=False,
+    ),
+    Option(
         "report",
         "page",
         "Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",

@@ -167,7 +167,7 @@ class Recorder:
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
         """Save a scenario whose process did not come back, and announce it; returns its id. See :meth:`keep`."""
         alone = "" if lost.is_hang else ", and so it was when nothing else ran"
-        text = f"the process (pid {lost.pid}) that ran this scenario {lost.how}{alone}: "
+        text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         kept = self._saved(finding, _headline(lost), self._origin(generation, number), lost.is_hang)

@@ -152,6 +152,7 @@ class Search:
                 record,
                 workers=settings.workers,
                 isolate=settings.isolate,
+                executor=harness.executor,
                 times_decisions=request.decision_limit is not None,
             )
         stack.push(runner.__exit__)  # What runs after the search begins processes anew.

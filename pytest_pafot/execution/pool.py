@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
@@ -43,15 +44,20 @@ Work: TypeAlias = Callable[[TaskT, Callable[[float], None]], ResultT]
 class ProcessLostError(Exception, Generic[TaskT]):
     """What came of a task cannot be told: its process did not come back.
 
-    ``how`` says in a few words how the process ended, ``is_hang`` whether it fell silent and was killed.
+    ``how`` says in a few words how the process ended, ``is_hang`` whether it fell silent and was killed. A ``pid`` of 0
+    stands for a worker of an executor, of which nobody knows more.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str, is_hang: bool = False) -> None:
-        super().__init__(f"the process (pid {pid}) that ran {task!r} {how}")
+        self.who = f"process (pid {pid})" if pid else "worker"
+        super().__init__(f"the {self.who} that ran {task!r} {how}")
         self.task = task
         self.pid = pid
         self.how = how
         self.is_hang = is_hang
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(ProcessLostError, self.task, pid=self.pid, how=self.how, is_hang=self.is_hang), ()
 
 
 @dataclass(eq=False)
@@ -246,7 +252,8 @@ class _Worker(Generic[TaskT]):
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
         arguments = (work, end, inherited, self._beats, self.stuck, grace)
-        self.process = context.Process(target=_serve, args=arguments, name="pafot-worker")
+        # As a daemon it is ended, and not waited for, where a worker of an executor ends that has it.
+        self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings():
             # Python warns of any thread; those of numerical libraries are documented, and this module has none.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
@@ -328,6 +335,7 @@ def _serve(
 
     for other in inherited:
         other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
+    multiprocessing.current_process().daemon = False  # An ADS may have processes of its own.
     # The session ends its processes itself. What they start is interrupted: it would inherit SIG_IGN, but no function.
     signal.signal(signal.SIGINT, lambda number, frame: None)
     if hasattr(signal, "SIGUSR2"):

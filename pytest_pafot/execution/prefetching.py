@@ -6,8 +6,10 @@ What taking a run may raise is said where it is taken, in :meth:`pytest_pafot.ex
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 
 from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.executors import ExecutorPool
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
@@ -61,15 +63,16 @@ class LockStep:
 class Processes:
     """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
 
-    With one worker, none is ever started.
+    With one worker, none is ever started. With an executor all announced runs are made by that, from the first on.
     """
 
-    def __init__(self, job: Job, *, workers: int) -> None:
+    def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
         self.announced: list[Scenario] = []
         """What will be asked for, as far as it was not yet."""
         self._job = job
         self._workers = workers
-        self._pool: ScenarioPool | None = None
+        self._executor = executor
+        self._pool: ScenarioPool | ExecutorPool | None = None
         self._failure = ""
         self._is_measured = False
         self._runs = 0
@@ -80,6 +83,11 @@ class Processes:
         """What was used, or why not, where that was asked for; complete once the processes have ended."""
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
+        if self._executor is not None and self._pool is not None:
+            used = f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"
+            if self._pool.failure:
+                used = f"pafot_executor: this process ran the scenarios, since no other could: {self._pool.failure}"
+            return [used, *map(recovery_note, self._pool.recovered)]
         option = f"--pafot-workers={self._workers}"
         if self._pool is not None:
             used = f"{option}: in use after {self._runs} runs of this process"
@@ -102,6 +110,8 @@ class Processes:
         __tracebackhide__ = True
         if afresh or scenario not in self.announced:
             return None
+        if self._executor is not None and self._pool is None:
+            self._begin()
         self.announced.remove(scenario)
         self._is_measured = self._pool is None
         return None if self._pool is None else trace_from(self._pool.fetch(scenario))
@@ -125,10 +135,11 @@ class Processes:
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 
-    def _begin(self) -> ScenarioPool:
-        self._pool = pool_for(self._job, self._workers)
-        self._pool.expect(self.announced)
-        return self._pool
+    def _begin(self) -> ScenarioPool | ExecutorPool:
+        job, executor = self._job, self._executor
+        self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
+        pool.expect(self.announced)
+        return pool
 
 
 class Isolated(Processes):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -27,6 +28,7 @@ def runner_for(
     *,
     workers: int = 1,
     isolate: bool = False,
+    executor: Executor | None = None,
     times_decisions: bool = False,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Runner:
@@ -37,6 +39,7 @@ def runner_for(
         record: of this process, open; the caller clears it after each verdict, and closes it.
         workers: processes at most beside this one; with 1, all runs are made in this one unless ``isolate`` is set.
         isolate: whether the ADS shall never run in this process.
+        executor: makes the announced runs, where one is given, and with ``isolate`` all.
         times_decisions: whether it matters how long each decision takes, which decisions for many runs at once, and
             those that are known from earlier runs, do not tell.
         clock: monotonic [s].
@@ -45,16 +48,16 @@ def runner_for(
         WorldError: by a world that finds out only now that it cannot be used.
     """
     if isolate:
-        return Runner(job=job, record=record, processes=Isolated(job, workers=workers), clock=clock)
+        return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
     is_asked = not (times_decisions or is_vehicle_class(job.ads) or wants_env(job.ads))
-    can_lock_step = is_asked and lock_stepping(job.world) is not None
+    can_lock_step = is_asked and executor is None and lock_stepping(job.world) is not None
     # This process makes the first runs. They show what the ADS can do and what a run costs. From then on the runs that
     # were announced are made in lock step where the ADS decides for many at once, else in processes where a run is
     # dear; what was not announced, or cannot be made elsewhere, is always made in this process.
     return Runner(
         job=job,
         record=record,
-        processes=Processes(job, workers=workers),
+        processes=Processes(job, workers=workers, executor=executor),
         lock_step=LockStep(job, record, workers=workers) if can_lock_step else None,
         can_resume=not times_decisions and resumable(job.world) is not None,
         clock=clock,

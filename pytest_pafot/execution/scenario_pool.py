@@ -43,6 +43,8 @@ class Job:
     records: Path
     owner: str
     world_data: Mapping[str, Any] | None = None
+    root: Path = Path()
+    """Folder of the project, whose modules travel with the ADS where it runs on other machines."""
 
     def crash_record(self) -> CrashRecord:
         """The record of what the calling process runs; nothing is on disk before its first scenario."""
@@ -109,6 +111,6 @@ def expectation(lost: LostRun) -> Expect:
 def recovery_note(lost: LostRun) -> str:
     """What to tell of a process that died in a run that came to its end when it was tried again."""
     return (
-        f"a process (pid {lost.pid}) {lost.how} while it ran {lost.task!r}, which ran to its end when it was tried "
+        f"a {lost.who} {lost.how} while it ran {lost.task!r}, which ran to its end when it was tried "
         "alone: there may be too little memory for so many workers, or the process was killed from outside"
     )

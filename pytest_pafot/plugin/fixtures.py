@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import CORPUS, SUFFIX, folder_of_module
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.option_sources import corpus_name
@@ -63,6 +66,24 @@ def pafot_world() -> WorldLike:
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
+
+
+@pytest.fixture(scope="session")
+def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
+    """What makes the runs of searches: the workers of --pafot-dask, or None. Override it in a conftest.py."""
+    address = pytestconfig.getoption(BY_NAME["dask"].key)
+    if address is None:
+        yield None
+        return
+    from pytest_pafot.execution.executors import dask_executor  # noqa: PLC0415
+    from pytest_pafot.execution.scenario_pool import ExecutionError  # noqa: PLC0415
+
+    with ExitStack() as stack:
+        try:
+            executor = stack.enter_context(dask_executor(address))
+        except ExecutionError as error:
+            pytest.fail(str(error), pytrace=False)
+        yield executor
 
 
 @pytest.fixture(scope="session")

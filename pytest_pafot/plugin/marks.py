@@ -19,6 +19,7 @@ SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
+EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
 POSITIONAL = "<positional>"  # key of positional arguments, which a search does not take, so that the item can say so
@@ -58,7 +59,7 @@ def _may_be_decorated(target: object) -> bool:
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     given = (arguments.get("ads", DEFAULT_ADS), arguments.get("against"))
-    fixtures = [WORLD_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
+    fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
     # usefixtures, and not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)

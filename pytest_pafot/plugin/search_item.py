@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -28,7 +29,7 @@ from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.marks import WORLD_FIXTURE
+from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED, records_folder
@@ -71,6 +72,16 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         root=item.config.rootpath,
         versions=installed_versions(),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
+        executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
+    )
+
+
+def _checked_executor(given: object) -> Executor | None:
+    if given is None or isinstance(given, Executor):
+        return given
+    raise RequestError(
+        f"expected the fixture {EXECUTOR_FIXTURE!r} to give a concurrent.futures.Executor or None, received "
+        f"{given!r:.100}; of a client of Dask, give `client.get_executor()`"
     )
 
 
