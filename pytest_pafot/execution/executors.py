@@ -155,8 +155,8 @@ class ExecutorPool:
 
 
 @contextmanager
-def dask_executor(address: str) -> Iterator[Executor]:
-    """The workers of a scheduler of Dask, as an executor.
+def dask_executor(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
+    """The workers of a scheduler of Dask, which must answer within a time [s], as an executor.
 
     Raises:
         ExecutionError: where Dask is not installed, nobody answers at the address, or a worker has other versions.
@@ -167,7 +167,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
         raise ExecutionError(f"--pafot-dask: expected the package distributed, received none; {INSTALL}") from None
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(Client(address, set_as_default=False))
+            client = stack.enter_context(Client(address, timeout=timeout, set_as_default=False))
             workers = client.run(pickle.loads, pickle.dumps(_Call(_difference, versions_here())))
         except Exception as error:  # noqa: BLE001  (of any network, and of workers that lack anything)
             raise ExecutionError(

@@ -1,0 +1,200 @@
+"""Runs by any executor: what travels, how much at a time, and what becomes of tasks that are lost."""
+
+import os
+import pickle
+import sys
+import threading
+import time
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from pytest_pafot.execution import executors
+from pytest_pafot.execution.executors import ExecutorPool, packed, versions_here
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.trace import Outcome
+from pytest_pafot.world import Highway
+from tests.support.toy_world import Toy, idle, scenario, trace_of
+
+SCENARIOS = [scenario(number) for number in range(48)]
+
+
+class KilledWorker(Exception):
+    """As Dask's scheduler raises it."""
+
+
+class Inline(Executor):
+    """Runs tasks at once; some of them, by their number, it loses."""
+
+    def __init__(self, lost=(), error=KilledWorker):
+        self.sizes, self.lost, self.error = [], lost, error
+
+    def submit(self, run, task):
+        future, number = Future(), len(self.sizes)
+        self.sizes.append(len(task))
+        if number in self.lost:
+            future.set_exception(self.error("pafot-1"))
+            return future
+        future.set_result(run(task))
+        return future
+
+
+ran = []
+
+
+class InThisProcess:
+    """In the place of the process of a worker."""
+
+    failure = ""
+
+    def __init__(self, work, size, **options):
+        self.work, self.recovered = work, []
+
+    def expect(self, scenarios):
+        ran.append(len(scenarios))
+
+    def fetch(self, scenario):
+        return self.work(scenario, None)
+
+
+@pytest.fixture
+def pool_of(tmp_path, monkeypatch):
+    """Makes pools of an executor, whose workers need no process of their own."""
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
+    executors._bench.cache_clear()
+    ran.clear()
+    return lambda executor, ads=idle: ExecutorPool(job_of(tmp_path, ads), executor)
+
+
+def job_of(folder, ads=idle, world=None):
+    return Job(world=world or Toy(), ads=ads, records=folder, owner="test_it.py::test_it", root=folder)
+
+
+def fetched(pool, scenarios=SCENARIOS):
+    pool.expect(scenarios)
+    return [pool.fetch(each) for each in scenarios]
+
+
+def numbers(answers):
+    return [trace.scenario.seed for trace, _ in answers]
+
+
+def test_runs_are_those_of_this_process_in_the_order_in_which_they_are_asked_for(pool_of):
+    answers = fetched(pool_of(Inline()))
+    assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, _ in answers)
+    assert numbers(answers) == list(range(48))
+
+
+def test_cheap_runs_go_twenty_to_a_task_once_it_is_known_what_they_take(pool_of):
+    pool = pool_of(Inline())
+    fetched(pool, SCENARIOS[:4])
+    fetched(pool)
+    assert ran == [1, 1, 1, 1, 20, 20, 8]
+
+
+def test_dear_runs_have_a_task_each(pool_of):
+    pool = pool_of(Inline(), ads=lambda: lambda number: time.sleep(0.03))
+    for _ in range(2):
+        fetched(pool, SCENARIOS[:3])
+    assert ran == [1] * 6
+
+
+def test_world_and_ads_travel_until_a_worker_has_them_and_to_one_that_joins_later(pool_of):
+    executor, large = Inline(), os.urandom(100_000)
+    pool = pool_of(executor, ads=lambda: lambda number: large)
+    fetched(pool, SCENARIOS[:1])
+    fetched(pool, SCENARIOS[1:2])
+    executors._bench.cache_clear()  # the next task comes to another worker
+    assert numbers(fetched(pool, SCENARIOS[2:3])) == [2]
+    fetched(pool, SCENARIOS[3:4])
+    assert [size > 100_000 for size in executor.sizes] == [True, False, False, True, False]
+
+
+def test_a_task_that_is_lost_is_tried_once_more_scenario_by_scenario(pool_of):
+    executor = Inline(lost=(2,))
+    pool = pool_of(executor)
+    fetched(pool, SCENARIOS[:2])
+    assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
+    assert ran == [1, 1, 1, 1, 1]
+    assert [lost.task.seed for lost in pool.recovered] == [0, 1, 2]
+    assert recovery_note(pool.recovered[0]).startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
+
+
+def test_a_scenario_that_is_lost_twice_is_named_and_the_others_go_on(pool_of):
+    first, lost, last = fetched(pool_of(Inline(lost=(1, 3))), SCENARIOS[:3])
+    assert numbers([first, last]) == [0, 2]
+    assert isinstance(lost, ProcessLostError)
+    assert lost.task == SCENARIOS[1]
+    assert str(lost).startswith("the worker that ran <Scenario ")
+
+
+def test_an_executor_that_is_broken_is_used_no_more(pool_of):
+    class Broken(Inline):
+        def submit(self, run, task):
+            if self.sizes:
+                raise BrokenExecutor("a process ended")
+            return super().submit(run, task)
+
+    pool = pool_of(Broken(lost=(0,), error=BrokenExecutor))
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
+    assert pool.failure == "BrokenExecutor: a process ended"
+
+
+def test_a_worker_with_other_versions_is_refused_and_both_are_named(pool_of, monkeypatch):
+    pool = pool_of(Inline())
+    here = versions_here()
+    monkeypatch.setattr(executors, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"})
+    received = rf"at .*: python {here['python']} in this session, 3\.9\.1 there; numpy .* in this session, 1\.0 there"
+    with pytest.raises(ExecutionError, match=received):
+        fetched(pool)
+    assert ran == []
+
+
+def test_what_a_worker_lacks_is_told(pool_of):
+    executor = Inline(lost=(0,), error=ModuleNotFoundError)
+    with pytest.raises(ExecutionError, match="expected workers .* received ModuleNotFoundError: pafot-1"):
+        fetched(pool_of(executor))
+
+
+def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
+    module = ModuleType("my_planner")
+    module.__file__ = str(tmp_path / "my_planner.py")
+    exec("ANSWER = 7\nclass Planner:\n    def __call__(self, number): return ANSWER\n", vars(module))
+    monkeypatch.setitem(sys.modules, "my_planner", module)
+    parcel = packed(job_of(tmp_path, module.Planner))
+    monkeypatch.delitem(sys.modules, "my_planner")
+    _, ads = pickle.loads(parcel.content)
+    assert ads()(1) == 7
+
+
+def test_what_cannot_travel_is_refused(tmp_path):
+    lock = threading.Lock()
+    with pytest.raises(ExecutionError, match=r"can travel to other machines, received .* TypeError: .*lock"):
+        packed(job_of(tmp_path, lambda: lambda number: lock))
+
+
+def test_without_the_package_by_which_it_travels_the_way_out_is_told(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cloudpickle", None)
+    with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .* pip install 'pytest-pafot\[dask\]'"):
+        packed(job_of(tmp_path))
+
+
+def test_a_run_that_hangs_or_ends_its_process_costs_the_worker_neither_its_thread_nor_its_life(tmp_path):
+    def drive(observation):
+        if len(observation.others) == 2:
+            time.sleep(60)
+        if len(observation.others) == 3:
+            os._exit(9)
+        return 0.0, 0.0
+
+    world = Highway(duration=1.0, hang_limit=0.2)
+    runs = [Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]) for cells in ((2,), (2, 3), (1, 2, 3))]
+    with ThreadPoolExecutor(1) as executor:
+        first, hangs, dies = fetched(ExecutorPool(job_of(tmp_path, lambda: drive, world), executor), runs)
+    assert (first[0].outcome, hangs[0].outcome) == (Outcome.SAFE, Outcome.HANG)
+    assert isinstance(dies, ProcessLostError)
+    assert dies.how == "ended with exit code 9"

@@ -1,0 +1,131 @@
+"""The fixture `pafot_executor` and the option `dask`: runs on other machines, the same search."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.execution.executors import ExecutorPool, dask_executor
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from tests.plugin.test_workers import summary
+from tests.support.toy_world import Toy, scenario
+
+NOTE = "*note: pafot_executor: {} made the runs of the generations"
+
+CONFTEST = """
+import os
+import pytest
+from my_planner import Planner
+
+@pytest.fixture
+def ads():
+    return Planner
+"""
+
+PROCESSES = """
+@pytest.fixture(scope="session")
+def pafot_executor():
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
+        yield executor
+"""
+
+PLANNER = """
+class Planner:
+    def __call__(self, observation):
+        if observation.time > 3 and observation.others[0].lane == 1:
+            raise KeyError("lane")
+        print("at", observation.time)
+        return 0.0, 0.0
+"""
+
+MANY = """
+@pafot.search(genes=2, gene_seconds=4, shrink_rollouts=0, npcs=2)
+def test_many(run):
+    assert not run.collision
+    assert run.min_distance > 1.9
+"""
+
+
+@pytest.fixture
+def elsewhere(project):
+    """A project whose ADS is defined in a module of its own, and what a search of one process finds in it."""
+    project.pytester.makeconftest(CONFTEST)
+    project.pytester.makepyfile(my_planner=PLANNER)
+    project.write(MANY)
+    alone, contents = session(project)
+    assert contents
+    return project, alone, contents
+
+
+def session(project, *args):
+    """A session that begins without saved scenarios, and what is saved after it."""
+    project.forget()
+    result = project.run("-p", "no:cacheprovider", "--show-capture=stdout", *args, generations=3)
+    return result, project.contents
+
+
+def told(result):
+    return [line for line in summary(result) if "pafot_executor" not in line]
+
+
+def test_an_executor_finds_says_and_saves_what_one_process_does(elsewhere):
+    project, alone, contents = elsewhere
+    project.pytester.makeconftest(CONFTEST + PROCESSES)
+    several, same = session(project)
+    several.stdout.fnmatch_lines([NOTE.format("ProcessPoolExecutor")])
+    assert same == contents
+    assert told(several) == told(alone)
+
+
+def test_a_fixture_that_gives_something_else_is_refused(project):
+    project.pytester.makeconftest("import pytest\n\n@pytest.fixture\ndef pafot_executor():\n    return 4\n")
+    project.write("@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))\ndef test_it(run):\n    pass\n")
+    project.run().stdout.fnmatch_lines(["*'pafot_executor' to give a concurrent.futures.Executor or None, received 4;*"])
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A scheduler with two workers, each a process."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as started:
+        yield started
+
+
+def test_the_workers_of_dask_find_say_and_save_what_one_process_does(elsewhere, cluster):
+    project, alone, contents = elsewhere
+    several, same = session(project, f"--pafot-dask={cluster.scheduler_address}")
+    several.stdout.fnmatch_lines([NOTE.format("ClientExecutor")])
+    assert same == contents
+    assert told(several) == told(alone)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_a_worker_may_be_killed_and_another_one_join(cluster, tmp_path):
+    def make():
+        (tmp_path / f"{os.getppid()}").touch()
+        return lambda number: time.sleep(0.01)
+
+    scenarios = [scenario(number) for number in range(60)]
+    job = Job(world=Toy(), ads=make, records=tmp_path, owner="test_it.py::test_it", root=Path(__file__).parents[1])
+    with dask_executor(cluster.scheduler_address) as executor:
+        pool = ExecutorPool(job, executor)
+        pool.expect(scenarios)
+        answers = [pool.fetch(each) for each in scenarios[:10]]
+        os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
+        cluster.scale(3)
+        answers += [pool.fetch(each) for each in scenarios[10:]]
+    assert [trace.scenario for trace, _ in answers] == scenarios
+    assert len(list(tmp_path.iterdir())) > 1
+
+
+def test_a_scheduler_that_does_not_answer_is_named():
+    pytest.importorskip("distributed")
+    with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):  # noqa: SIM117
+        with dask_executor("tcp://127.0.0.1:9", timeout=0.2):
+            pass
