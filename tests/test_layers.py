@@ -18,6 +18,8 @@ ROOMS = (
 
 HOMES = {
     "yaml": {"corpus"},
+    "cloudpickle": {"execution"},
+    "distributed": {"execution"},
     "highway_env": {"world"},
     "gymnasium": {"world"},
     "hypothesis": {"strategies"},

@@ -20,7 +20,7 @@ from pytest_pafot.corpus.layout import CORPUS
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address"]
 
 SEED_LIMIT = 2**63
 
@@ -70,7 +70,14 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        shown = {"integer": "N", "seconds": "SECONDS", "page": "PATH", "switch": "", "workers": "N"}
+        shown = {
+            "integer": "N",
+            "seconds": "SECONDS",
+            "page": "PATH",
+            "switch": "",
+            "workers": "N",
+            "address": "ADDRESS",
+        }
         return shown.get(self.kind, self.name.upper())
 
     def read(self, value: object) -> Any:
@@ -174,7 +181,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "dask",
-        "text",
+        "address",
         "Have the workers of the scheduler at ADDRESS simulate the scenarios of a generation; needs "
         "pytest-pafot[dask]. What is found is the same.",
         everywhere=False,
@@ -316,4 +323,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "page": _read_page,
     "switch": _read_switch,
     "workers": _read_workers,
+    "address": _read_text,
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.option_sources import corpus_name
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.run import Run
     from pytest_pafot.scenario import Scenario

@@ -179,7 +179,9 @@ def test_what_cannot_travel_is_refused(tmp_path):
 
 def test_without_the_package_by_which_it_travels_the_way_out_is_told(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
-    with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .* pip install 'pytest-pafot\[dask\]'"):
+    with pytest.raises(
+        ExecutionError, match=r"expected the package cloudpickle, .* pip install 'pytest-pafot\[dask\]'"
+    ):
         packed(job_of(tmp_path))
 
 

@@ -86,7 +86,9 @@ def test_an_executor_finds_says_and_saves_what_one_process_does(elsewhere):
 def test_a_fixture_that_gives_something_else_is_refused(project):
     project.pytester.makeconftest("import pytest\n\n@pytest.fixture\ndef pafot_executor():\n    return 4\n")
     project.write("@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))\ndef test_it(run):\n    pass\n")
-    project.run().stdout.fnmatch_lines(["*'pafot_executor' to give a concurrent.futures.Executor or None, received 4;*"])
+    project.run().stdout.fnmatch_lines(
+        ["*'pafot_executor' to give a concurrent.futures.Executor or None, received 4;*"]
+    )
 
 
 @pytest.fixture(scope="module")
