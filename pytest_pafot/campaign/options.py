@@ -70,15 +70,8 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        shown = {
-            "integer": "N",
-            "seconds": "SECONDS",
-            "page": "PATH",
-            "switch": "",
-            "workers": "N",
-            "address": "ADDRESS",
-        }
-        return shown.get(self.kind, self.name.upper())
+        shown = {"integer": "N", "workers": "N", "page": "PATH", "switch": "", "text": self.name.upper()}
+        return shown.get(self.kind, self.kind.upper())
 
     def read(self, value: object) -> Any:
         """The typed value of a text or of a Python value.
