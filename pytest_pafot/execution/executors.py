@@ -28,7 +28,7 @@ from typing import Any
 
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, recovery_note
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
 from pytest_pafot.versions import installed_versions
@@ -39,6 +39,9 @@ TASK_SECONDS = 0.02
 """What a task should take, so that what it costs besides, a few milliseconds, is little of it [s]."""
 MOST = 20
 """Scenarios of a task; one that takes longer than :data:`TASK_SECONDS` has a task of its own."""
+
+IDLE = 60.0
+"""After how long without a task the process of a worker ends [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,7 @@ class ExecutorPool:
         """Processes and workers that died in runs that were done when they were tried again."""
         self.failure = ""
         """Why the executor takes no tasks any more, from which moment on none has a result; or empty."""
+        self._unable: list[Exception] = []  # by workers, for runs that were then made by the session
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # whether some worker has the content of the parcel
@@ -79,6 +83,17 @@ class ExecutorPool:
         self._answers: dict[Scenario, Answer] = {}
         self._numbers = count()
         self._runs, self._seconds = 0, 0.0
+
+    @property
+    def notes(self) -> list[str]:
+        """What made the runs, and which of them it could not make."""
+        notes = [f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"]
+        if self._unable:
+            first = f"{type(self._unable[0]).__name__}: {self._unable[0]}"
+            notes = [f"pafot_executor: {len(self._unable)} runs were made in this process, since there: {first}"]
+        if self.failure:
+            notes = [f"pafot_executor: this process ran the scenarios, since no other could: {self.failure}"]
+        return notes + list(map(recovery_note, self.recovered))
 
     def expect(self, scenarios: Sequence[Scenario]) -> None:
         """Begin with these; what was expected before and not fetched is of no interest any more."""
@@ -151,6 +166,8 @@ class ExecutorPool:
             del self._under_way[scenario]
             if isinstance(answer, tuple):
                 self._runs, self._seconds = self._runs + 1, self._seconds + answer[2]
+            elif not isinstance(answer, ProcessLostError):
+                self._unable.append(answer)
             self._answers[scenario] = answer[:2] if isinstance(answer, tuple) else answer
 
 
@@ -227,7 +244,8 @@ class _Bench:
             pool = self._idle.get_nowait()
         except Empty:
             multiprocessing.current_process().daemon = False  # Workers of Dask are daemons, which may have no child.
-            pool = WorkerPool(partial(_run, self.parcel), 1, method="spawn", patience=self.parcel.patience)
+            work, patience = partial(_run, self.parcel), self.parcel.patience
+            pool = WorkerPool(work, 1, method="spawn", patience=patience, idle=IDLE)
         pool.expect(scenarios)
         answers = [pool.fetch(scenario) for scenario in scenarios]
         recovered, pool.recovered = pool.recovered, []

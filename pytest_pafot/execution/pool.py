@@ -73,6 +73,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         method: by which processes are started, see :mod:`multiprocessing`.
         patience: how long a process may run without answering a signal, as Python does between two instructions [s].
         grace: how much longer than its limit one decision of an ADS may take that ignores its interruption [s].
+        idle: how long a process may wait for a task before it ends by itself [s], or None for ever.
         ended: told the id of each process of the pool when it has ended.
         clock: monotonic [s].
     """
@@ -83,6 +84,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     method: str
     patience: float
     grace: float = GRACE
+    idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
     clock: Callable[[], float] = time.monotonic
 
@@ -185,7 +187,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace)
+                idle = _Worker(self._context, self.work, others, self.grace, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -242,7 +244,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
 class _Worker(Generic[TaskT]):
     """One process, as the pool sees it: ``share`` is what it says is done of its task, where it has one."""
 
-    def __init__(self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float) -> None:
+    def __init__(
+        self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float, idle: float | None
+    ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
         self.stuck = context.RawValue("b", 0)  # whether it ended itself since a decision would not
@@ -251,7 +255,7 @@ class _Worker(Generic[TaskT]):
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.stuck, grace)
+        arguments = (work, end, inherited, self._beats, self.stuck, grace, idle)
         # As a daemon it is ended, and not waited for, where a worker of an executor ends that has it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings():
@@ -316,7 +320,13 @@ def ending(code: int | None) -> str:
 
 
 def _serve(
-    work: Work[Any, Any], connection: Connection, inherited: list[Connection], beats: Any, stuck: Any, grace: float
+    work: Work[Any, Any],
+    connection: Connection,
+    inherited: list[Connection],
+    beats: Any,
+    stuck: Any,
+    grace: float,
+    idle: float | None,
 ) -> None:
     """In a process of the pool: run tasks until there are no more, or nobody waits for them.
 
@@ -342,7 +352,7 @@ def _serve(
         signal.signal(signal.SIGUSR2, beat)
     beat()
     with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
-        while (task := connection.recv()) is not None:
+        while connection.poll(idle) and (task := connection.recv()) is not None:
             try:
                 said = pickle.dumps((True, work(task, tell)))  # a result that cannot be sent is an error as well
             except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)

@@ -83,11 +83,8 @@ class Processes:
         """What was used, or why not, where that was asked for; complete once the processes have ended."""
         if self._failure:
             return [f"--pafot-workers is 1: {self._failure}"]
-        if self._executor is not None and self._pool is not None:
-            used = f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"
-            if self._pool.failure:
-                used = f"pafot_executor: this process ran the scenarios, since no other could: {self._pool.failure}"
-            return [used, *map(recovery_note, self._pool.recovered)]
+        if isinstance(self._pool, ExecutorPool):
+            return self._pool.notes
         option = f"--pafot-workers={self._workers}"
         if self._pool is not None:
             used = f"{option}: in use after {self._runs} runs of this process"

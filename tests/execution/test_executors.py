@@ -1,5 +1,6 @@
 """Runs by any executor: what travels, how much at a time, and what becomes of tasks that are lost."""
 
+import multiprocessing
 import os
 import pickle
 import sys
@@ -64,10 +65,14 @@ class InThisProcess:
 @pytest.fixture
 def pool_of(tmp_path, monkeypatch):
     """Makes pools of an executor, whose workers need no process of their own."""
-    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
+
+    def make(executor, ads=idle, worker=InThisProcess):
+        monkeypatch.setattr(executors, "WorkerPool", worker)
+        return ExecutorPool(job_of(tmp_path, ads), executor)
+
     executors._bench.cache_clear()
     ran.clear()
-    return lambda executor, ads=idle: ExecutorPool(job_of(tmp_path, ads), executor)
+    return make
 
 
 def job_of(folder, ads=idle, world=None):
@@ -141,7 +146,9 @@ def test_an_executor_that_is_broken_is_used_no_more(pool_of):
 
     pool = pool_of(Broken(lost=(0,), error=BrokenExecutor))
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
-    assert pool.failure == "BrokenExecutor: a process ended"
+    assert pool.notes == [
+        "pafot_executor: this process ran the scenarios, since no other could: BrokenExecutor: a process ended"
+    ]
 
 
 def test_a_worker_with_other_versions_is_refused_and_both_are_named(pool_of, monkeypatch):
@@ -171,6 +178,17 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
     assert ads()(1) == 7
 
 
+def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(pool_of):
+    class Unable(InThisProcess):
+        def fetch(self, scenario):
+            return LookupError("my-env-v0 is not registered") if scenario.seed else super().fetch(scenario)
+
+    pool = pool_of(Inline(), worker=Unable)
+    assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
+    (note,) = pool.notes
+    assert note.endswith("2 runs were made in this process, since there: LookupError: my-env-v0 is not registered")
+
+
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = threading.Lock()
     with pytest.raises(ExecutionError, match=r"can travel to other machines, received .* TypeError: .*lock"):
@@ -198,3 +216,7 @@ def test_a_run_that_hangs_or_ends_its_process_costs_the_worker_neither_its_threa
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.SAFE, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
     assert dies.how == "ended with exit code 9"
+    executors._bench.cache_clear()  # and with it the only end of a pipe that the process waits at
+    for process in multiprocessing.active_children():
+        process.join(10.0)
+    assert multiprocessing.active_children() == []

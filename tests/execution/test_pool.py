@@ -57,6 +57,14 @@ def test_there_are_no_more_processes_than_asked_for_and_they_are_not_this_one(po
     assert str(os.getpid()) not in pids
 
 
+def test_a_process_that_waits_long_for_a_task_ends_by_itself_and_the_next_task_has_another(pool_of):
+    pool = pool_of(lambda number: None, 1, idle=0.05)
+    assert pool.fetch(2) == 4
+    multiprocessing.active_children()[0].join(10.0)
+    assert pool.fetch(3) == 9
+    assert pool.recovered == []
+
+
 def test_processes_run_at_the_same_time(pool_of, tmp_path):
     def meet(number):
         (tmp_path / f"{number}").touch()
