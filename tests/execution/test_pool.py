@@ -90,11 +90,19 @@ def test_what_is_raised_is_an_answer_and_says_where(pool_of):
     assert [answers[0], *answers[2:]] == [0, 4, 9, 16, 25]
 
 
+class Unreadable:
+    """Can be pickled, and not made again of that."""
+
+    def __reduce__(self):
+        return int, ("four",)
+
+
 class Unportable(Exception):  # noqa: N818
-    """Pickled, it would be made of one argument."""
+    """Pickled, it would be made of one argument, where no library has taught exceptions better, and of no part at all."""
 
     def __init__(self, number, noun):
         super().__init__(f"{number} {noun}")
+        self.part = Unreadable()
 
 
 @pytest.mark.parametrize(
