@@ -98,7 +98,7 @@ class Unreadable:
 
 
 class Unportable(Exception):  # noqa: N818
-    """Pickled, it would be made of one argument, where no library has taught exceptions better, and of no part at all."""
+    """Pickled, it would be made of one argument, unless a library has taught exceptions better, and of no part."""
 
     def __init__(self, number, noun):
         super().__init__(f"{number} {noun}")
