@@ -5,7 +5,9 @@ Across the road vehicles are where their centre is; which lane they are in says 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -45,49 +47,51 @@ class LaneChange:
 
 
 class LanePlaces:
-    """Where the vehicles of a run are on the lanes, by vehicle; arrays of shape [ticks + 1]."""
+    """Where the vehicles of a run are on the lanes; arrays of all vehicles have the shape [vehicles, ticks + 1]."""
 
     def __init__(self, trace: Trace, frame: RoadFrame) -> None:
         self.trace, self.frame = trace, frame
-        self._offsets: dict[int, FloatArray] = {}
-        self._edges: dict[int, FloatArray] = {}
+        self._motions: dict[tuple[int, float], tuple[list[int], list[int]]] = {}
+        self._crossings: dict[tuple[int, float], list[int]] = {}
 
     def offset(self, vehicle: int) -> FloatArray:
         """From the centre of the lane that the vehicle's centre is in, or of the nearest one, to the right [m]."""
-        if vehicle not in self._offsets:
-            self._offsets[vehicle] = self._offset(vehicle)
-        return self._offsets[vehicle]
+        return np.asarray(self._offsets[vehicle])
 
-    def _offset(self, vehicle: int) -> FloatArray:
+    @cached_property
+    def _offsets(self) -> FloatArray:
         if self.trace.track is not None:
-            return self.trace.track_of(vehicle)[:, OFFSET]
-        across = self._across(vehicle)
+            return self.trace.track[:, :, OFFSET].T
         centres = np.array([lane.y * self._cos - lane.x * self._sin for lane in self.trace.lanes])
-        lane = self.trace.states[:, vehicle, LANE].astype(np.intp)
-        offset, off = across - centres[lane], lane < 0
+        offset, off = self._across - centres[self._lanes], self._lanes < 0
         if off.any():  # as on one more lane, on either side of the road
             width = self.trace.lanes[0].width
             beside = np.concatenate((centres, [centres.min() - width, centres.max() + width]))
-            apart = across[off, None] - beside
+            apart = self._across[off, None] - beside
             offset[off] = apart[np.arange(len(apart)), np.abs(apart).argmin(axis=1)]
         return np.asarray(offset)
 
     def over_line(self, vehicle: int, side: float, tick: int) -> bool:
         """Whether a box reaches over the line of the lane that its centre is in, on one side (1: to the right)."""
-        edge = side * self.offset(vehicle)[tick] + self.frame.half_across[vehicle, tick]
-        return bool(edge > self._half_widths(vehicle)[tick])
+        return bool(self._over[side][vehicle, tick])
+
+    @cached_property
+    def _over(self) -> dict[float, npt.NDArray[np.bool_]]:
+        """Of both sides, see :meth:`over_line`."""
+        return {side: side * self._offsets + self.frame.half_across > self._half_widths for side in (1.0, -1.0)}
 
     def kept_since(self, vehicle: int, tick: int, end: int) -> tuple[int, int] | None:
         """From when, and by when, the vehicle has kept its lane since a tick; None if it has not up to the end.
 
         Near the lane's centre for a second, or between its lines for two.
         """
-        offset = np.abs(self.offset(vehicle))
-        between = offset + self.frame.half_across[vehicle] <= self._half_widths(vehicle)
+        part = slice(tick, end + 1)
+        offset = np.abs(self._offsets[vehicle, part])
+        between = offset + self.frame.half_across[vehicle, part] <= self._half_widths[vehicle, part]
         kept = []
         for holds, seconds in ((offset <= KEEPING, KEPT_SECONDS), (between, BETWEEN_SECONDS)):
             ticks = round(seconds * self.trace.physics_hz)
-            begin = first_lasting(holds[tick : end + 1], ticks + 1)
+            begin = first_lasting(holds, ticks + 1)
             if begin is not None:
                 kept.append((tick + begin, tick + begin + ticks))
         return min(kept, key=lambda each: each[1], default=None)
@@ -97,13 +101,13 @@ class LanePlaces:
         began = self._motion(vehicle, side, onset)
         if began is None:
             return None
-        offset, half = side * self.offset(vehicle), self.frame.half_across[vehicle]
-        over = offset[began : onset + 1] + half[began : onset + 1] > self._half_widths(vehicle)[began : onset + 1]
+        part = slice(began, onset + 1)
+        over = self._over[side][vehicle, part]
         if over.any():
             moment = began + _run_start(over, int(np.flatnonzero(over)[-1]))
         elif self.trace.track is not None:  # a lane itself may lead into the other's
-            line = (side * (self._across(other) - self.offset(other)) - self._half_widths(other))[onset]
-            beyond = (side * self._across(vehicle) + half)[began : onset + 1] > line
+            line = side * (self._across - self._offsets)[other, onset] - self._half_widths[other, onset]
+            beyond = side * self._across[vehicle, part] + self.frame.half_across[vehicle, part] > line
             if not beyond.any():
                 return None
             moment = began + int(beyond.argmax())
@@ -117,64 +121,63 @@ class LanePlaces:
         The one behind had left the lane that they shared, so that their tracks overlapped all the time. None where
         nothing of the kind happened between the ticks.
         """
-        part = slice(first, last + 1)
-        if not any((self._edge(each)[part] > 0).any() for each in (0, npc + 1)):
-            return None
-        leads = self.frame.ahead[npc, part] < 0
-        pairs = product(((0, npc + 1, leads), (npc + 1, 0, ~leads)), (1.0, -1.0))
+        pairs = product(((0, npc + 1), (npc + 1, 0)), (1.0, -1.0))
         crossings = (self._crossing_after(*pair, side, first, last) for pair, side in pairs)
         return max((each for each in crossings if each is not None), key=lambda each: each.tick, default=None)
 
-    def _crossing_after(
-        self, mover: int, other: int, is_ahead: npt.NDArray[np.bool_], side: float, first: int, last: int
-    ) -> LaneChange | None:
+    def _crossing_after(self, mover: int, other: int, side: float, first: int, last: int) -> LaneChange | None:
         """The last time that the mover, ahead, came over its lane line on a side where the other already was."""
-        part = slice(first, last + 1)
-        lanes = self.trace.states[part, :, LANE]
-        is_over = side * self.offset(mover)[part] + self.frame.half_across[mover, part] > self._half_widths(mover)[part]
-        if not is_over.any():
-            return None
-        centres = ((self._across(each) - self.offset(each))[part] for each in (mover, other))
-        beyond = np.round(side * -np.subtract(*centres) / (2 * self._half_widths(mover)[part]))
-        was_there = is_ahead & (beyond == 1) & (lanes[:, [mover, other]].min(axis=1) >= 0)
-        crosses = is_over[1:] & ~is_over[:-1] & was_there[:-1] & (side * self.frame.drift[mover, part][1:] >= DRIFTING)
-        if not crosses.any():
-            return None
-        return self._made(mover, side, first, first + int(np.flatnonzero(crosses)[-1]) + 1)
+        if (mover, side) not in self._crossings:
+            over = self._over[side][mover]
+            crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, 1:] >= DRIFTING)
+            self._crossings[mover, side] = (np.flatnonzero(crosses) + 1).tolist()
+        ticks = (each for each in reversed(self._crossings[mover, side]) if first < each <= last)
+        found = next((each for each in ticks if self._is_next_to(mover, other, side, each - 1)), None)
+        return None if found is None else self._made(mover, side, first, found)
+
+    def _is_next_to(self, mover: int, other: int, side: float, tick: int) -> bool:
+        """Whether the mover is ahead of the other, and that in the next lane on a side."""
+        leads = bool(self.frame.ahead[max(mover, other) - 1, tick] < 0)
+        centres = (self._across[each, tick] - self._offsets[each, tick] for each in (mover, other))
+        beyond = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, tick]))
+        return bool(leads == (mover == 0) and beyond == 1 and self._lanes[[mover, other], tick].min() >= 0)
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
         """A lane change at a moment, and since when it could be seen, at the earliest when it began."""
-        left = side * self.offset(vehicle)[began : moment + 1] > KEEPING
+        left = side * self._offsets[vehicle, began : moment + 1] > KEEPING
         seen = began + _run_start(left, moment - began) if left[-1] else moment
         drift = side * float(self.frame.drift[vehicle, moment])
         return LaneChange(vehicle=vehicle, seen=seen, tick=moment, drift=drift)
 
-    def _edge(self, vehicle: int) -> FloatArray:
-        """How far the box is over the nearer line of the lane that its centre is in [m]."""
-        if vehicle not in self._edges:
-            edge = np.abs(self.offset(vehicle)) + self.frame.half_across[vehicle]
-            self._edges[vehicle] = edge - self._half_widths(vehicle)
-        return self._edges[vehicle]
-
     def _motion(self, vehicle: int, side: float, onset: int) -> int | None:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""
-        moving = np.flatnonzero(side * self.frame.drift[vehicle, : onset + 1] >= DRIFTING)
         pause = PAUSE * self.trace.physics_hz
-        if not moving.size or onset - moving[-1] >= pause:
+        if (vehicle, side) not in self._motions:
+            moving = np.flatnonzero(side * self.frame.drift[vehicle] >= DRIFTING)
+            begins = np.concatenate(([True], np.diff(moving) - 1 >= pause))[: len(moving)]
+            self._motions[vehicle, side] = moving.tolist(), moving[begins].tolist()
+        moving, begins = self._motions[vehicle, side]
+        last = bisect_right(moving, onset)
+        if not last or onset - moving[last - 1] >= pause:
             return None
-        breaks = np.flatnonzero(np.diff(moving) - 1 >= pause)
-        return int(moving[breaks[-1] + 1] if breaks.size else moving[0])
+        return begins[bisect_right(begins, onset) - 1]
 
-    def _across(self, vehicle: int) -> FloatArray:
+    @cached_property
+    def _across(self) -> FloatArray:
         if self.trace.track is not None:
-            return self.trace.track_of(vehicle)[:, ACROSS]
-        states = self.trace.states[:, vehicle]
-        return np.asarray(states[:, Y] * self._cos - states[:, X] * self._sin)
+            return self.trace.track[:, :, ACROSS].T
+        x, y = (np.ascontiguousarray(self.trace.states[:, :, column].T) for column in (X, Y))
+        return np.asarray(y * self._cos - x * self._sin)
 
-    def _half_widths(self, vehicle: int) -> FloatArray:
+    @cached_property
+    def _lanes(self) -> npt.NDArray[np.intp]:
+        return self.trace.states[:, :, LANE].T.astype(np.intp, order="C")
+
+    @cached_property
+    def _half_widths(self) -> FloatArray:
         """Of the lane that the vehicle is in, or of the first one off the road [m]."""
         widths = np.array([lane.width for lane in self.trace.lanes])
-        return widths[np.maximum(self.trace.states[:, vehicle, LANE].astype(np.intp), 0)] / 2
+        return np.asarray(widths[np.maximum(self._lanes, 0)] / 2)
 
     @property
     def _cos(self) -> float:

@@ -6,15 +6,17 @@ to find the rare ones needs to know which runs come near to one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import groupby
+from types import MappingProxyType
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.mistakes import Mistake, mistake_with
-from pytest_pafot.attribution.responsibility import Conflict, Dangers
+from pytest_pafot.attribution.needless_braking import AFTERMATH_SECONDS, hard_braking, long_stop
+from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, dangers_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.trace import Trace
 
@@ -22,6 +24,9 @@ NEAR_SECONDS = 1.5
 """The time to contact at which half of its risk is reached [s]: between normal and critical (van der Horst 1990)."""
 NEAR_METRES = 1.0
 """The gap at which half of its risk is reached [m]."""
+
+ALL: Mapping[Mistake, float] = MappingProxyType(dict.fromkeys(get_args(Mistake), 0.0))
+"""Floors above which there is every near-miss."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,28 +45,64 @@ class NearMiss:
     severity: float
 
 
-def near_misses(trace: Trace) -> tuple[NearMiss, ...]:
+class Danger(NamedTuple):
+    """A stretch of ticks, up to before ``end``, in which both distances to an NPC are shorter than RSS asks for."""
+
+    npc: int
+    start: int
+    end: int
+    tick: int  # of the greatest severity
+    severity: float
+
+
+def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[NearMiss, ...]:
     """The worst near-miss of each mistake of the ego, in the order of their names.
 
     A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
     :func:`~pytest_pafot.attribution.responsibility.rss_rule`, as if the ego had touched the NPC when the
     danger was most severe. The danger that ended in the impact of the run is none of these.
+
+    Args:
+        floors: the mistakes that matter, and the severity from which on they do not. To judge is dear, and only what
+            may be above its floor is judged.
     """
-    by_severity = sorted(_all(trace), key=lambda each: (each.mistake, -each.severity))  # stable: of equals the first
-    return tuple(next(group) for _, group in groupby(by_severity, key=lambda each: each.mistake))
+    found: dict[Mistake, NearMiss] = {}
+    for danger in sorted(_dangers(trace), key=lambda each: -each.severity):  # stable: of equals the first
+        open_ = [each for each, floor in floors.items() if danger.severity > floor and each not in found]
+        if any(_may_be(each, trace, danger) for each in open_):
+            dangers, npc = dangers_of(trace), danger.npc
+            attribution = Conflict(dangers, npc, danger.start, danger.tick).attribution
+            mistake = mistake_with(npc, attribution, dangers.frame)
+            if mistake in open_:
+                found[mistake] = NearMiss(mistake=mistake, npc=npc, tick=danger.tick, severity=danger.severity)
+    return tuple(found[mistake] for mistake in sorted(found))
 
 
-def _all(trace: Trace) -> Iterator[NearMiss]:
-    dangers = Dangers(trace)
-    if not dangers.is_dangerous.any():
-        return
-    encounters = Encounters(trace)
-    severity = (1 / (1 + encounters.ttc.T / NEAR_SECONDS) + 1 / (1 + encounters.gap.T / NEAR_METRES)) / 2
-    for npc in range(len(trace.scenario.npcs)):
-        for start, end in stretches(dangers.is_dangerous[:, npc]):
-            if trace.collision is not None and trace.collision.npc == npc and end == len(severity):
-                continue  # the impact itself
+def _may_be(mistake: Mistake, trace: Trace, danger: Danger) -> bool:
+    """Whether the verdict on a danger may be a mistake, by what is sooner known than the verdict."""
+    if mistake == "braked-for-nothing":
+        first = danger.start - round(AFTERMATH_SECONDS * trace.physics_hz)
+        return hard_braking(trace, 0, first, danger.tick) is not None
+    return mistake != "stopped-for-nothing" or long_stop(trace, danger.tick) is not None
+
+
+def _dangers(trace: Trace) -> list[Danger]:
+    """All but that of the impact, in the order of the NPCs and of time."""
+    sweep = Encounters(trace).sweep
+    found = None if sweep is None else sweep.dangers(DISTANCES, trace.physics_hz, NEAR_SECONDS, NEAR_METRES)
+    dangers = _by_arrays(trace) if found is None else [Danger(*each) for each in found]
+    last = None if trace.collision is None else (trace.collision.npc, trace.ticks + 1)
+    return [each for each in dangers if (each.npc, each.end) != last]
+
+
+def _by_arrays(trace: Trace) -> list[Danger]:
+    """Where the compiled pass does not answer."""
+    is_dangerous, encounters = dangers_of(trace).is_dangerous, Encounters(trace)
+    risks = 1 / (1 + encounters.ttc.T / NEAR_SECONDS), 1 / (1 + encounters.gap.T / NEAR_METRES)
+    severity = (risks[0] + risks[1]) / 2
+    found = []
+    for npc in range(is_dangerous.shape[1]):
+        for start, end in stretches(is_dangerous[:, npc]):
             tick = start + int(np.argmax(severity[start:end, npc]))
-            mistake = mistake_with(npc, Conflict(dangers, npc, start, tick).attribution, dangers.frame)
-            if mistake is not None:
-                yield NearMiss(mistake=mistake, npc=npc, tick=tick, severity=float(severity[tick, npc]))
+            found.append(Danger(npc, start, end, tick, float(severity[tick, npc])))
+    return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -127,10 +127,7 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
-    dangers, npc = Dangers(trace), trace.collision.npc
-    safe = np.flatnonzero(~dangers.is_dangerous[:-1, npc])
-    start = int(safe[-1]) + 1 if safe.size else 0
-    return Conflict(dangers, npc, start, trace.ticks).attribution
+    return dangers_of(trace).impact
 
 
 def is_ego_responsible(trace: Trace) -> bool:
@@ -169,6 +166,22 @@ class Dangers:
         is_close = (along < self.safe_along) | (along <= 0)
         self.is_dangerous = is_close & (self.across < self.frame.safe_across(DISTANCES))
         self.places = LanePlaces(trace, self.frame)
+
+    @cached_property
+    def impact(self) -> Attribution:
+        """Of the collision in which the run ended."""
+        if self.trace.collision is None:
+            raise ValueError("trace: expected a run that ended in a collision, received one without")
+        npc = self.trace.collision.npc
+        safe = np.flatnonzero(~self.is_dangerous[:-1, npc])
+        start = int(safe[-1]) + 1 if safe.size else 0
+        return Conflict(self, npc, start, self.trace.ticks).attribution
+
+
+@lru_cache(maxsize=1)
+def dangers_of(trace: Trace) -> Dangers:
+    """The dangers of a run; those of the last one are kept, which verdict, fitness and near-misses ask for in turn."""
+    return Dangers(trace)
 
 
 class Conflict:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.mistakes import Mistake
+from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.campaign.events import Judged, Listener
 from pytest_pafot.campaign.harness import Simulation
 from pytest_pafot.campaign.recorder import Recorder
@@ -33,8 +34,8 @@ class SearchLoop:
     recorder: Recorder
     fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
     listener: Listener = lambda event: None
-    # What the ego nearly had to answer for in a trace; None where the algorithm does not read that
-    near_misses: Callable[[Trace], tuple[NearMiss, ...]] | None = None
+    # Of the near-misses that matter to the algorithm now; empty where it does not read them
+    floors: Mapping[Mistake, float] = field(default_factory=dict)
     is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
     fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
     replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
@@ -158,6 +159,7 @@ class SearchLoop:
             broken = verdict.reference.failure if verdict.reference.is_ads else None
             self.broken = "" if broken is None else self.broken or f"{broken.kind}: {broken.message}"
         check = None if failure is None else failure.check
+        says_nothing = verdict.failed or verdict.discarded or verdict.kind == "invalid" or not self.floors
         return Evaluation.of(
             run.trace,
             fitness=self.fitness(run.trace),
@@ -165,7 +167,7 @@ class SearchLoop:
             discarded=verdict.discarded,
             kind=signature,
             mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-            near_misses=() if self.near_misses is None else self.near_misses(run.trace),
+            near_misses=() if says_nothing else near_misses(run.trace, self.floors),
             margins=worst_margins(verdict) if self.is_steered_by_checks else (),
         )
 

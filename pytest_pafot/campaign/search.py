@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.confirmation import difference
 from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
@@ -34,6 +33,7 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.retrying import Retried, retry
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import run_campaign
+from pytest_pafot.searching.ask_tell import floors_of
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import WorldError, codec, protocol
@@ -166,7 +166,6 @@ class Search:
             recorder=Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener),
             fitness=fitness,
             listener=self.listener,
-            near_misses=near_misses if is_for_ego and request.algorithm.reads_near_misses else None,
             is_steered_by_checks=request.fitness == "default",
         )
 
@@ -238,6 +237,12 @@ class Search:
             request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
         except ValueError as error:
             raise RequestError(str(error)) from None
+        reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
+
+        def heed(state: Any) -> None:
+            if reads_near_misses:
+                loop.floors = floors_of(algorithm, state)
+
         events = run_campaign(
             algorithm,
             loop.evaluate,
@@ -247,6 +252,7 @@ class Search:
             clock=self.clock,
             stop=lambda: limit is not None and loop.recorder.count >= limit,
             foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
+            heed=heed,
         )
         try:
             loop.follow(events, self._tell_progress)

@@ -271,14 +271,19 @@ class Encounters(RelativePositions):
             return self._extremes.max_safety_shortfall
         return float(self.safety_shortfall.max(initial=0.0))
 
-    @cached_property
-    def _extremes(self) -> sweep.Sweep | None:
-        """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
+    @property
+    def sweep(self) -> sweep.Sweep | None:
+        """Compiled passes over the run; None where there are none."""
         heading = self._lanes[0].heading
         if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
             return None
-        found = sweep.Sweep(self._states, self._sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
-        return found if found.run() else None
+        return sweep.Sweep(self._states, self._sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
+
+    @cached_property
+    def _extremes(self) -> sweep.Sweep | None:
+        """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
+        found = self.sweep
+        return found if found is not None and found.run() else None
 
     def _follower_minus_leader(self, values: FloatArray) -> FloatArray:
         ego_minus_npc = values[:1] - values[1:]

@@ -17,7 +17,7 @@ from typing import ClassVar
 from numpy.random import Generator
 
 from pytest_pafot.attribution.mistakes import Mistake
-from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.near_misses import ALL, NearMiss
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
@@ -79,6 +79,11 @@ class DistinctSearch(NicheSearch[DistinctState]):
     def start(self, rng: Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
         return DistinctState()
+
+    def floors(self, state: DistinctState) -> Mapping[Mistake, float]:
+        """Of each mistake that is not known, the severity up to which a near-miss cannot become one of the worst."""
+        full = {group[0][0].mistake: group[-1][0].severity for group in state.near if len(group) == NEAREST}
+        return {each: full.get(each, floor) for each, floor in ALL.items() if each not in state.mistakes}
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Groups that have the same chance each: the elites, whoever came near to a mistake, and those of each check.

@@ -37,6 +37,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
     foresee: Callable[[Sequence[Scenario]], None] | None = None,
+    heed: Callable[[StateT], None] | None = None,
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
@@ -60,6 +61,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             larger ones let ``evaluate`` simulate in parallel.
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
             them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
+        heed: told the state of the algorithm then, from which ``evaluate`` may know what need not be measured.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
@@ -78,7 +80,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             return "stopped"
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
-    return _campaign(algorithm, _Evaluator(evaluate, foresee), exceeded, now, generations, seed, batch)
+    evaluator = _Evaluator(evaluate, foresee)
+    return _campaign(algorithm, evaluator, heed or (lambda state: None), exceeded, now, generations, seed, batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -86,9 +89,10 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
-def _campaign(
+def _campaign(  # noqa: PLR0913  (those of run_campaign)
     algorithm: Algorithm[StateT],
     evaluator: _Evaluator,
+    heed: Callable[[StateT], None],
     exceeded: Callable[[float], EndReason | None],
     now: Callable[[], float],
     generations: int,
@@ -103,6 +107,7 @@ def _campaign(
         rng = generation_rng(seed, state.generation, state.local_generation)
         state, scenarios = algorithm.ask(state, rng)
         evaluations: list[Evaluation] = []
+        heed(state)
         evaluator.foresee(scenarios)
         for first in range(0, len(scenarios), batch):
             reason = exceeded(now() - started) if end.evaluated else None
