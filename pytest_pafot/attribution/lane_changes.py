@@ -153,9 +153,9 @@ class LanePlaces:
         """First tick of the sideways motion that lasts until a tick, or ended just before it."""
         pause = PAUSE * self.trace.physics_hz
         if (vehicle, side) not in self._motions:
-            moving = np.flatnonzero(side * self.frame.drift[vehicle] >= DRIFTING)
-            begins = np.concatenate(([True], np.diff(moving) - 1 >= pause))[: len(moving)]
-            self._motions[vehicle, side] = moving.tolist(), moving[begins].tolist()
+            ticks = np.flatnonzero(side * self.frame.drift[vehicle] >= DRIFTING)
+            is_first = np.concatenate(([True], np.diff(ticks) - 1 >= pause))[: len(ticks)]
+            self._motions[vehicle, side] = ticks.tolist(), ticks[is_first].tolist()
         moving, begins = self._motions[vehicle, side]
         last = bisect_right(moving, onset)
         if not last or onset - moving[last - 1] >= pause:

@@ -15,8 +15,7 @@ import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.mistakes import Mistake, mistake_with
-from pytest_pafot.attribution.needless_braking import AFTERMATH_SECONDS, hard_braking, long_stop
-from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, dangers_of
+from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, Fault, dangers_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.trace import Trace
 
@@ -27,6 +26,15 @@ NEAR_METRES = 1.0
 
 ALL: Mapping[Mistake, float] = MappingProxyType(dict.fromkeys(get_args(Mistake), 0.0))
 """Floors above which there is every near-miss."""
+BY_MISTAKE: Mapping[Mistake, Fault] = MappingProxyType(
+    {
+        "moved-into-side": "entered-lane",
+        "moved-in-front": "entered-lane",
+        "braked-for-nothing": "braked-for-nothing",
+        "stopped-for-nothing": "stopped-for-nothing",
+    }
+)
+"""The only fault that makes a mistake; the other one is made by several."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,29 +75,23 @@ def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[Ne
             may be above its floor is judged.
     """
     found: dict[Mistake, NearMiss] = {}
-    for danger in sorted(_dangers(trace), key=lambda each: -each.severity):  # stable: of equals the first
-        open_ = [each for each, floor in floors.items() if danger.severity > floor and each not in found]
-        if any(_may_be(each, trace, danger) for each in open_):
-            dangers, npc = dangers_of(trace), danger.npc
-            attribution = Conflict(dangers, npc, danger.start, danger.tick).attribution
-            mistake = mistake_with(npc, attribution, dangers.frame)
-            if mistake in open_:
+    for danger in sorted(_dangers(trace) if floors else (), key=lambda each: -each.severity):  # of equals the first
+        wanted = [each for each, floor in floors.items() if danger.severity > floor and each not in found]
+        if not wanted:
+            break
+        dangers, npc = dangers_of(trace), danger.npc
+        conflict = Conflict(dangers, npc, danger.start, danger.tick)
+        if any(conflict.may_be(BY_MISTAKE.get(each)) for each in wanted):
+            mistake = mistake_with(npc, conflict.attribution, dangers.frame)
+            if mistake in wanted:
                 found[mistake] = NearMiss(mistake=mistake, npc=npc, tick=danger.tick, severity=danger.severity)
     return tuple(found[mistake] for mistake in sorted(found))
 
 
-def _may_be(mistake: Mistake, trace: Trace, danger: Danger) -> bool:
-    """Whether the verdict on a danger may be a mistake, by what is sooner known than the verdict."""
-    if mistake == "braked-for-nothing":
-        first = danger.start - round(AFTERMATH_SECONDS * trace.physics_hz)
-        return hard_braking(trace, 0, first, danger.tick) is not None
-    return mistake != "stopped-for-nothing" or long_stop(trace, danger.tick) is not None
-
-
 def _dangers(trace: Trace) -> list[Danger]:
     """All but that of the impact, in the order of the NPCs and of time."""
-    sweep = Encounters(trace).sweep
-    found = None if sweep is None else sweep.dangers(DISTANCES, trace.physics_hz, NEAR_SECONDS, NEAR_METRES)
+    passes = Encounters(trace).passes
+    found = None if passes is None else passes.dangers(DISTANCES, trace.physics_hz, NEAR_SECONDS, NEAR_METRES)
     dangers = _by_arrays(trace) if found is None else [Danger(*each) for each in found]
     last = None if trace.collision is None else (trace.collision.npc, trace.ticks + 1)
     return [each for each in dangers if (each.npc, each.end) != last]

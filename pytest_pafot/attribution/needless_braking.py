@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -60,17 +61,25 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
 
 def hard_braking(trace: Trace, vehicle: int, first: int, last: int) -> Stop | None:
     """A vehicle's last hard braking that acted at some tick from the first to the last; None if there was none."""
-    for begin, end in reversed(stretches(braking(trace, vehicle)[: last + 1] > HARD_BRAKING)):
-        if end - 1 < first:
+    for begin, end in reversed(_hard_stretches(trace, vehicle)):
+        until = min(end, last + 1)
+        if until - 1 < first:
             return None
-        if end - begin >= HARD_SECONDS * trace.physics_hz:
-            return Stop(begin=begin - 1, end=end - 1)
+        if until - begin >= HARD_SECONDS * trace.physics_hz:
+            return Stop(begin=begin - 1, end=until - 1)
     return None
+
+
+@lru_cache(maxsize=8)  # each danger of a run asks again
+def _hard_stretches(trace: Trace, vehicle: int) -> list[tuple[int, int]]:
+    return stretches(braking(trace, vehicle) > HARD_BRAKING)
 
 
 def long_stop(trace: Trace, end: int) -> Stop | None:
     """The braking to a standstill that has lasted for long at a tick; None where there was none."""
     speed = trace.ego[: end + 1, SPEED]
+    if speed[-1] > STANDING_SPEED:
+        return None
     driving = np.flatnonzero(speed > STANDING_SPEED)
     stopped = int(driving[-1]) + 1 if driving.size else 0
     if not stopped or end - stopped < STANDING_SECONDS * trace.physics_hz:

@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot.attribution.avoidance import Braking, Emergency, Pursuit
 from pytest_pafot.attribution.lane_changes import DRIFTING, LaneChange, LanePlaces, first_lasting
@@ -28,7 +29,7 @@ from pytest_pafot.attribution.needless_braking import (
     reasons,
 )
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import Trace
+from pytest_pafot.trace import FloatArray, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""
@@ -153,19 +154,26 @@ class Dangers:
 
     Attributes:
         across: gap between the boxes across the road [m].
-        safe_along: what RSS asks for along the road [m].
-        is_dangerous: where RSS would have more, along and across the road.
         places: of the vehicles on the lanes.
     """
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
         self.frame = RoadFrame(trace)
-        along, self.across = self.frame.gap_along, self.frame.gap_across
-        self.safe_along = self.frame.safe_along(DISTANCES)
-        is_close = (along < self.safe_along) | (along <= 0)
-        self.is_dangerous = is_close & (self.across < self.frame.safe_across(DISTANCES))
+        self.across = self.frame.gap_across
         self.places = LanePlaces(trace, self.frame)
+
+    @cached_property
+    def safe_along(self) -> FloatArray:
+        """What RSS asks for along the road [m]."""
+        return self.frame.safe_along(DISTANCES)
+
+    @cached_property
+    def is_dangerous(self) -> npt.NDArray[np.bool_]:
+        """Where RSS would have more, along and across the road."""
+        along = self.frame.gap_along
+        is_close = (along < self.safe_along) | (along <= 0)
+        return np.asarray(is_close & (self.across < self.frame.safe_across(DISTANCES)))
 
     @cached_property
     def impact(self) -> Attribution:
@@ -200,8 +208,8 @@ class Conflict:
     @cached_property
     def attribution(self) -> Attribution:
         """By the rules of docs/verdicts.md."""
-        over = self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
-        if self._onset == 0 or self._start > self._onset:  # the danger came later, or was there when the run began
+        over = self._over
+        if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)
         ego, npc = self._change(0), self._change(self._npc + 1)
         latest = max((each for each in (ego, npc) if each is not None), key=lambda each: each.tick, default=None)
@@ -213,7 +221,30 @@ class Conflict:
             return self._both_changed(ego, npc)
         return self._changed(latest)
 
+    def may_be(self, fault: Fault | None) -> bool:
+        """Whether the verdict may be a fault of the ego, by what is known sooner than the verdict."""
+        if fault == "entered-lane":
+            has_moved_over = self._over is not None and self._over.vehicle == 0
+            may_have_changed = not self._is_in_one_track and (self._change(0) or self._gap(self._onset) <= 0)
+            return bool(has_moved_over or may_have_changed)
+        if fault == "braked-for-nothing":
+            stop = self._hard_braking(0)
+        elif fault == "stopped-for-nothing":
+            stop = long_stop(self._trace, self._end)
+        else:
+            return True
+        return stop is not None and self._leads(stop.begin)
+
     # Lane changes.
+
+    @cached_property
+    def _over(self) -> LaneChange | None:
+        return self._lanes.moved_over(self._npc, max(self._start, self._onset), self._end)
+
+    @property
+    def _is_in_one_track(self) -> bool:
+        """Whether the danger came later than that, or was there when the run began."""
+        return self._onset == 0 or self._start > self._onset
 
     def _change(self, vehicle: int) -> LaneChange | None:
         npc = self._npc + 1
@@ -440,11 +471,14 @@ class Conflict:
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
         """The hard braking of the vehicle ahead with nothing in its way, about when the danger began."""
-        stop = hard_braking(self._trace, leader, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
+        stop = self._hard_braking(leader)
         if stop is None:
             return None
         ticks = slice(stop.begin, stop.begin + 1 + round(HARD_SECONDS * self._hz))
         return stop if self._is_needless(stop, ticks, moved_in, leader) else None
+
+    def _hard_braking(self, leader: int) -> Stop | None:
+        return hard_braking(self._trace, leader, self._start - round(AFTERMATH_SECONDS * self._hz), self._end)
 
     def _is_needless(self, stop: Stop, ticks: slice, moved_in: int, leader: int = 0) -> bool:
         """Whether the one ahead alone made it dangerous: nothing was a reason to brake, and it never regained speed.

@@ -272,7 +272,7 @@ class Encounters(RelativePositions):
         return float(self.safety_shortfall.max(initial=0.0))
 
     @property
-    def sweep(self) -> sweep.Sweep | None:
+    def passes(self) -> sweep.Sweep | None:
         """Compiled passes over the run; None where there are none."""
         heading = self._lanes[0].heading
         if not self._sweeps or any(lane.heading != heading for lane in self._lanes):
@@ -282,7 +282,7 @@ class Encounters(RelativePositions):
     @cached_property
     def _extremes(self) -> sweep.Sweep | None:
         """Of one pass over the run; None where there is none, or where it leaves the run to the arrays."""
-        found = self.sweep
+        found = self.passes
         return found if found is not None and found.run() else None
 
     def _follower_minus_leader(self, values: FloatArray) -> FloatArray:

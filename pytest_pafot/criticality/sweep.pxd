@@ -43,7 +43,7 @@ cdef class Sweep:
 
     @cython.locals(cos=double, sin=double, ahead=double, right=double, safe=double, turn_a=double, turn_b=double,
                    ac=double, sa=double, bc=double, sb=double, speed_a=double, speed_b=double, across=double,
-                   along=double)
+                   along=double, keep=double)
     cdef bint _is_dangerous(self, Py_ssize_t tick, Py_ssize_t vehicle) noexcept
 
     @cython.locals(heading=double, speed=double, x=double, y=double)

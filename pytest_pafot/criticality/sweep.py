@@ -107,10 +107,10 @@ class Sweep:
             hz: ticks per second.
         """
         self._hz = hz
-        self._ego_response, self._npc_response = rules.ego_response, rules.npc_response
-        self._gain, self._least, self._hardest = rules.acceleration, rules.least_braking, rules.hardest_braking
-        self._lateral_gain, self._lateral_braking = rules.lateral_acceleration, rules.lateral_braking
-        self._fluctuation = rules.fluctuation
+        self._ego_response, self._npc_response = float(rules.ego_response), float(rules.npc_response)
+        self._gain, self._fluctuation = float(rules.acceleration), float(rules.fluctuation)
+        self._least, self._hardest = float(rules.least_braking), float(rules.hardest_braking)
+        self._lateral_gain, self._lateral_braking = float(rules.lateral_acceleration), float(rules.lateral_braking)
         for tick in range(self._ticks):
             if not self._is_sane(tick):
                 return None
@@ -228,17 +228,19 @@ class Sweep:
             return False
         along = abs(ahead) - (self._al * ac + self._aw * sa) - (self._bl * bc + self._bw * sb)
         if ahead >= 0.0:
-            return along <= 0.0 or along < self._safe_along(speed_a, speed_b, self._ego_response)
-        return along <= 0.0 or along < self._safe_along(speed_b, speed_a, self._npc_response)
+            keep = self._safe_along(speed_a, speed_b, self._ego_response)
+        else:
+            keep = self._safe_along(speed_b, speed_a, self._npc_response)
+        return bool(along <= 0.0 or along < keep)
 
     def _drift(self, tick: int, vehicle: int) -> float:
         """To the right of the road, as a vehicle has moved since the tick before, at first by its heading [m/s]."""
         if tick == 0:
             heading, speed = self._states[0, vehicle, 2], self._states[0, vehicle, 3]
-            return speed * (math.sin(heading) * self._road_cos - math.cos(heading) * self._road_sin)
+            return float(speed * (math.sin(heading) * self._road_cos - math.cos(heading) * self._road_sin))
         x = self._states[tick, vehicle, 0] - self._states[tick - 1, vehicle, 0]
         y = self._states[tick, vehicle, 1] - self._states[tick - 1, vehicle, 1]
-        return (y * self._road_cos - x * self._road_sin) * self._hz
+        return float((y * self._road_cos - x * self._road_sin) * self._hz)
 
     def _safe_along(self, follower: float, leader: float, response: float) -> float:
         """What RSS asks for along the road [m], where it is more than none."""

@@ -52,7 +52,8 @@ class Evaluation:
         kind: of the failure; two failures of equal kind are the same one. None where nothing failed or nobody says.
         mistake: of the ego in the failure, or the name of the check that failed; None where there is none or nobody
             says.
-        near_misses: what the ego nearly had to answer for; empty where nobody says.
+        near_misses: what the ego nearly had to answer for, of each mistake the worst that may matter to the algorithm;
+            empty where nobody says, and for runs that fail or say nothing.
         margins: of each check that the user's function made, its name and its worst margin
             (:attr:`pytest_pafot.checks.Check.margin`), in the order of the names; empty where they do not steer.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.

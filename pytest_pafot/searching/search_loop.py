@@ -89,7 +89,7 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
-def _campaign(  # noqa: PLR0913  (those of run_campaign)
+def _campaign(
     algorithm: Algorithm[StateT],
     evaluator: _Evaluator,
     heed: Callable[[StateT], None],

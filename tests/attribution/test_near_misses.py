@@ -1,22 +1,27 @@
 """Near-misses of the ego: the dangers of a run, judged as the collisions that they almost were."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from example_ads.defects import make
+from pytest_pafot import Highway
 from pytest_pafot.attribution.mistakes import mistake
-from pytest_pafot.attribution.near_misses import near_misses
-from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.attribution.near_misses import ALL, near_misses
+from pytest_pafot.attribution.responsibility import Attribution, Conflict, is_ego_responsible, rss_rule
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.grid import Cell
+from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.trace import Outcome
 from tests.support.drives import crash, driven
 from tests.support.traces import random_states, trace_of
 
 LEFT, OWN, RIGHT = 0.0, 4.0, 8.0
+DEFECTS = ("looks-only-ahead", "stops-in-its-lane", "brakes-for-ghosts", "sees-cut-ins-late")
 
 COLLISIONS = {
     "leader-unanswered": lambda: crash(driven(0.0), driven(100.0, speed=10.0)),
@@ -60,7 +65,7 @@ def test_a_danger_before_the_impact_with_another_is_one():
     ego = driven(0.0)
     slow = driven(60.0, RIGHT, speed=12.0, shifts=[(1.0, OWN, 2.0), (5.0, RIGHT, 1.0)])
     trace = crash(ego, driven(-60.0, speed=26.0), slow, side="rear", cell=Cell.REAR)
-    assert [(near_miss.mistake, near_miss.npc) for near_miss in near_misses(trace)] == [("cut-in-unanswered", 1)]
+    assert [(near_miss.mistake, near_miss.npc) for near_miss in near_misses(trace)] == [("kept-no-distance", 1)]
 
 
 def test_keeping_the_distance_is_none():
@@ -108,3 +113,39 @@ def test_just_before_a_collision_by_a_cut_in_that_came_too_late_there_is_none(ti
     trace = crash(driven(0.0), driven(28.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 0.6)]))
     assert rss_rule(trace).reason.endswith("too late to avoid it")
     assert mistakes(before(trace, ticks)) == []
+
+
+@cache
+def searched():
+    """Runs of policies with a defect each, among four NPCs."""
+    rng = np.random.default_rng(1)
+    space = SearchSpace(npcs=4, genes=3)
+    return [Highway().rollout(sample(space, rng), make(name)) for name in DEFECTS for _ in range(12)]
+
+
+def test_floors_spare_verdicts_and_change_no_near_miss_above_them():
+    every = [(trace, each) for trace in searched() for each in near_misses(trace)]
+    assert {each.mistake for _, each in every} >= set(ALL) - {"stopped-for-nothing"}
+    for trace, each in every:
+        asked = {"braked-for-nothing": 1.0, each.mistake: each.severity - 1e-9}
+        assert each in near_misses(trace, asked)
+        assert each not in near_misses(trace, {each.mistake: each.severity})
+
+
+def test_what_is_known_sooner_than_a_verdict_rules_out_no_mistake(monkeypatch):
+    traces = searched()
+    found = [near_misses(trace, {mistake: 0.0}) for trace in traces for mistake in ALL]
+    monkeypatch.setattr(Conflict, "may_be", lambda conflict, fault: True)
+    assert found == [near_misses(trace, {mistake: 0.0}) for trace in traces for mistake in ALL]
+
+
+def test_the_collision_of_a_run_is_judged_once(monkeypatch):
+    trace, judged = COLLISIONS["npc"](), []
+    monkeypatch.setattr(
+        Conflict,
+        "_in_one_lane",
+        lambda conflict: judged.append(conflict) or Attribution(responsibility="npc", tick=0, time=0.0, reason=""),
+    )
+    assert rss_rule(trace) == rss_rule(trace)
+    assert not is_ego_responsible(trace)
+    assert len(judged) == 1

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway
-from pytest_pafot.criticality import Encounters, sweep
+from pytest_pafot.attribution.lane_changes import stretches
+from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, sweep
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.searching import SearchSpace, interaction, sample
 from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
@@ -45,6 +46,22 @@ def swept(module, trace):
 def by_arrays(trace):
     encounters = Encounters(trace, sweeps=False)
     return tuple(getattr(encounters, name) for name in EXTREMES)
+
+
+def dangers(module, trace, rules):
+    heading = trace.lanes[0].heading
+    passes = module.Sweep(trace.states, trace.sizes, (math.cos(heading), math.sin(heading)), MANOEUVRE_SECONDS)
+    return passes.dangers(rules, trace.physics_hz, 1.5, 1.0)
+
+
+def dangers_by_arrays(trace, rules):
+    frame, encounters = RoadFrame(trace), Encounters(trace)
+    is_close = (frame.gap_along < frame.safe_along(rules)) | (frame.gap_along <= 0)
+    is_dangerous = is_close & (frame.gap_across < frame.safe_across(rules))
+    severity = (1 / (1 + encounters.ttc.T / 1.5) + 1 / (1 + encounters.gap.T / 1.0)) / 2
+    found = [(npc, *each) for npc in range(len(trace.sizes) - 1) for each in stretches(is_dangerous[:, npc])]
+    peaks = [(npc, start + int(severity[start:end, npc].argmax())) for npc, start, end in found]
+    return [(*each, tick, severity[tick, npc]) for each, (npc, tick) in zip(found, peaks, strict=True)]
 
 
 def kept(module, trace):
@@ -105,6 +122,16 @@ class TestSweep:
         trace = driven(seed)
         assert swept(module, trace) in (by_arrays(trace), None)
 
+    @given(seed=seeds, spread=st.sampled_from([5.0, 25.0, 500.0]))
+    def test_finds_the_dangers_of_the_arrays_in_any_states(self, module, seed, spread):
+        trace, rules = drawn(seed, spread=spread), RssRules(ego_response=0.5, npc_response=2.0)
+        assert dangers(module, trace, rules) == dangers_by_arrays(trace, rules)
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_finds_the_dangers_of_the_arrays_in_runs(self, module, seed):
+        trace = driven(seed)
+        assert dangers(module, trace, RssRules()) == dangers_by_arrays(trace, RssRules()) != []
+
     def test_answers_itself_in_nearly_all_runs_of_a_search(self, module):
         assert sum(swept(module, driven(seed)) is not None for seed in range(20)) >= 15
 
@@ -120,7 +147,8 @@ class TestSweep:
     def test_leaves_what_is_no_state_of_a_vehicle_to_the_arrays(self, module, column, value, of):
         states = drawn(4).states.copy()[:, :3]
         states[-1, of, column] = value
-        assert swept(module, trace_of(*np.moveaxis(states, 1, 0))) is None
+        trace = trace_of(*np.moveaxis(states, 1, 0))
+        assert swept(module, trace) is dangers(module, trace, RssRules()) is None
 
     def test_leaves_a_run_without_a_course_of_collision_to_the_arrays(self, module):
         trace = trace_of(vehicle(0, 0, speed=20, ticks=30), vehicle(50, 4, speed=25, ticks=30))

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.near_misses import ALL, NearMiss
 from pytest_pafot.grid import Cell
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching.ask_tell import floors_of
 from pytest_pafot.searching.distinct import NO_IMPACT, niche
 from pytest_pafot.searching.events import Evaluated, NewBest
 from pytest_pafot.trace import Outcome
@@ -154,6 +155,21 @@ def test_the_three_that_came_nearest_to_a_mistake_stay_whatever_their_fitness(ma
     later = told(algorithm, state, lambda i, s: make_evaluation(s, near_misses=(near("kept-no-distance", 0.25),)), rng)
     assert severities(later)[0] == ("kept-no-distance", pytest.approx([0.3, 0.25, 0.2]))
     assert later.near[0][0] == state.near[0][0], "the same near-miss again takes no second place"
+
+
+def test_a_near_miss_matters_that_is_worse_than_the_third_worst_of_a_mistake_not_known(make_evaluation):
+    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+
+    def evaluate(index, scenario):
+        if index == 3:
+            return make_evaluation(scenario, failing=True, kind="a", mistake="braked-for-nothing")
+        return make_evaluation(scenario, near_misses=(near("kept-no-distance", 0.5 + index / 8),))
+
+    state = told(algorithm, algorithm.start(rng), evaluate, rng)
+    assert algorithm.floors(state) == {
+        "kept-no-distance": 0.5, "moved-into-side": 0.0, "moved-in-front": 0.0, "stopped-for-nothing": 0.0
+    }  # fmt: skip
+    assert floors_of(RandomSearch(), None) == ALL, "to a search without floors everything matters"
 
 
 def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_evaluation):
