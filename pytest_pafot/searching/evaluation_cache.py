@@ -1,7 +1,8 @@
-"""What earlier runs of a campaign already showed, so that no scenario is simulated twice."""
+"""What earlier runs of a campaign already showed, so that no scenario is simulated twice in ten thousand runs."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -11,6 +12,9 @@ from pytest_pafot.searching.space import repaired
 
 Chains = tuple[tuple[float, ...], ...]  # one number for each gene
 _Key = tuple[object, ...]
+
+EVALUATIONS = 10_000
+"""Runs remembered at most, in about 25 MB; one that was forgotten is simulated again."""
 
 
 class EvaluationCache:
@@ -24,6 +28,7 @@ class EvaluationCache:
     def __init__(self, evaluations: Iterable[Evaluation] = ()) -> None:
         self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
         self._depths: list[int] = []
+        self._places: deque[list[tuple[_Key, int | None]]] = deque()  # of each run, the oldest first
         for evaluation in evaluations:
             self.add(evaluation)
 
@@ -38,8 +43,19 @@ class EvaluationCache:
         # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
         seed = None if evaluation.scenario.positions else evaluation.scenario.seed
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
-        for chains, needed in keys:
-            self._evaluations.setdefault(_key(evaluation.scenario, chains, depth), {}).setdefault(needed, evaluation)
+        places = [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
+        places = [(key, needed) for key, needed in places if needed not in self._evaluations.get(key, {})]
+        for key, needed in places:
+            self._evaluations.setdefault(key, {})[needed] = evaluation
+        self._places.append(places)
+
+    def forget(self, room: int = EVALUATIONS) -> None:
+        """Forget the oldest runs, down to so many."""
+        while len(self._places) > room:
+            for key, needed in self._places.popleft():
+                del self._evaluations[key][needed]
+                if not self._evaluations[key]:
+                    del self._evaluations[key]
 
     def recall(self, scenario: Scenario) -> Evaluation | None:
         """The evaluation that a run of the scenario would have, or None when no earlier run tells.

@@ -155,7 +155,11 @@ class _Evaluator:
         self._cache = EvaluationCache()
 
     def foresee(self, scenarios: Sequence[Scenario]) -> None:
-        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
+        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does.
+
+        Only between two generations are old runs forgotten, so that no batch makes a difference.
+        """
+        self._cache.forget()
         if self._foresee is not None:
             self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None]))
 

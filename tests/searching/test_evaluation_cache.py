@@ -121,3 +121,24 @@ def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
     memory = EvaluationCache([make_evaluation(scenario)])
     assert memory.recall(scenario) is not None
     assert memory.recall(replace(scenario, seed=4)) is None
+
+
+def test_the_oldest_runs_are_forgotten_and_leave_nothing_behind(cheap_world):
+    world, rng, space = cheap_world(crash_speed=12.0), np.random.default_rng(0), SearchSpace(npcs=2, genes=2)
+    runs = [world.run(sample(space, rng)) for _ in range(30)]
+    memory = remembered(*runs)
+    memory.forget(10)
+    assert [memory.recall(run.scenario) for run in runs] == [*[None] * 20, *runs[20:]]
+    memory.forget(0)
+    memory.add(runs[0])
+    assert [memory.recall(run.scenario) for run in runs] == [runs[0], *[None] * 29]
+
+
+def test_of_two_runs_with_the_same_key_both_are_forgotten_in_their_turn(cheap_world):
+    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(0)))
+    memory = remembered(run, replace(run, note="again"))
+    memory.forget(1)
+    assert memory.recall(run.scenario) is None
+    memory.add(run)
+    memory.forget(1)
+    assert memory.recall(run.scenario) == run
