@@ -131,9 +131,10 @@ class LanePlaces:
             over = self._over[side][mover]
             crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, 1:] >= DRIFTING)
             self._crossings[mover, side] = (np.flatnonzero(crosses) + 1).tolist()
-        ticks = (each for each in reversed(self._crossings[mover, side]) if first < each <= last)
-        found = next((each for each in ticks if self._is_next_to(mover, other, side, each - 1)), None)
-        return None if found is None else self._made(mover, side, first, found)
+        for tick in reversed(self._crossings[mover, side]):
+            if first < tick <= last and self._is_next_to(mover, other, side, tick - 1):
+                return self._made(mover, side, first, tick)
+        return None
 
     def _is_next_to(self, mover: int, other: int, side: float, tick: int) -> bool:
         """Whether the mover is ahead of the other, and that in the next lane on a side."""

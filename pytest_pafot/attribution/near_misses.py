@@ -15,9 +15,10 @@ import numpy as np
 
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.attribution.mistakes import Mistake, mistake_with
+from pytest_pafot.attribution.needless_braking import STANDING_SPEED, hard_braking
 from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, Fault, dangers_of
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.trace import Trace
+from pytest_pafot.trace import SPEED, Trace
 
 NEAR_SECONDS = 1.5
 """The time to contact at which half of its risk is reached [s]: between normal and critical (van der Horst 1990)."""
@@ -75,8 +76,9 @@ def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[Ne
             may be above its floor is judged.
     """
     found: dict[Mistake, NearMiss] = {}
-    for danger in sorted(_dangers(trace) if floors else (), key=lambda each: -each.severity):  # of equals the first
-        wanted = [each for each, floor in floors.items() if danger.severity > floor and each not in found]
+    possible = [each for each in floors if _is_possible(each, trace)]
+    for danger in sorted(_dangers(trace) if possible else (), key=lambda each: -each.severity):  # of equals the first
+        wanted = [each for each in possible if danger.severity > floors[each] and each not in found]
         if not wanted:
             break
         dangers, npc = dangers_of(trace), danger.npc
@@ -86,6 +88,13 @@ def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[Ne
             if mistake in wanted:
                 found[mistake] = NearMiss(mistake=mistake, npc=npc, tick=danger.tick, severity=danger.severity)
     return tuple(found[mistake] for mistake in sorted(found))
+
+
+def _is_possible(mistake: Mistake, trace: Trace) -> bool:
+    """Whether a run can have a mistake at all, by how the ego brakes."""
+    if mistake == "braked-for-nothing":
+        return hard_braking(trace, 0, 0, trace.ticks) is not None
+    return mistake != "stopped-for-nothing" or not trace.ego[:, SPEED].min() > STANDING_SPEED
 
 
 def _dangers(trace: Trace) -> list[Danger]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import chain, compress, pairwise
 
 from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Gene, PositionInstruction
+from pytest_pafot.scenario import Chromosome, PositionInstruction
 from pytest_pafot.searching.evaluation import Evaluation
 
 SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
@@ -68,7 +69,8 @@ def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]
     return counts
 
 
-def _keys(genes: Sequence[Gene]) -> list[tuple[Key, ...]]:
+@lru_cache(maxsize=64)  # the sums of a campaign and its health count the same chains
+def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
     """Of each gene of a chain; a step belongs to the gene that it leads to."""
     bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
     cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
