@@ -1,6 +1,6 @@
 """The main job: search each policy of this folder for collisions that it should not have.
 
-    pytest example_ads --pafot-generations=5
+    pytest example_ads --pafot-runs=20
 
 The constant-speed policy and the blind lane changer fail within seconds, as they should, each with 23 of 25 seeds that
 were tried. Every distinct find is saved in ``pafot_corpus/`` beside this file and is a test of its own from then on.

@@ -52,7 +52,7 @@ OVERVIEW, OVERVIEWS = ROOT / "docs" / "comparisons" / "README.md", ("overview-of
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {
-    "the main job": "python -m pip install . && python -m pytest example_ads --pafot-generations=5",
+    "the main job": "python -m pip install . && python -m pytest example_ads --pafot-runs=20",
     "the tests": 'python -m pip install ".[test]" && python -m pytest -n 2',
 }
 

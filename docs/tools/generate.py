@@ -57,7 +57,14 @@ MARKER_TEXTS: Mapping[str, str] = {
 }
 """Arguments whose meaning no other docstring has."""
 
-MARKER_DEFAULTS: Mapping[str, str] = {"ads": '`"ads"`', "world": "-", "genes": "as a run lasts"}
+MARKER_DEFAULTS: Mapping[str, str] = {
+    "ads": '`"ads"`',
+    "world": "-",
+    "genes": "as a run lasts",
+    "npcs": "`4`, or `2`",
+    "ego_lane": "drawn, or `1`",
+    "ego_speed": "drawn, or `22.0`",
+}
 """Defaults that no dataclass has."""
 
 FILE_TEXTS: Mapping[str, str] = {
@@ -237,7 +244,8 @@ def _option_default(option: Option) -> str:
     if len(profiles) == len(PROFILES):
         return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
-    return ", ".join([{"seed": "fresh", "shrink_rollouts": "by the ADS"}.get(option.name, plain), *profiles])
+    told = {"seed": "fresh", "shrink_rollouts": "by the ADS", "population": "by the algorithm"}
+    return ", ".join([told.get(option.name, plain), *profiles])
 
 
 def _marker_table() -> str:

@@ -41,8 +41,8 @@ class Story(NamedTuple):
 
 
 STORIES = (
-    Story("constant-speed", "test_never_at_fault_in_a_collision[constant-speed-search]", ("--pafot-generations=20",)),
-    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-generations=20",)),
+    Story("constant-speed", "test_never_at_fault_in_a_collision[constant-speed-search]", ("--pafot-runs=80",)),
+    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80",)),
 )
 
 

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from pytest_pafot.campaign.against import reference_of
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness, source_file
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS, OptionError, Settings
+from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
 from pytest_pafot.campaign.search import Search, SearchResult, time_limit
@@ -59,7 +59,8 @@ def explore(
     *,
     holds: Callable[[Run], None],
     world: Any = None,
-    generations: int = 10,
+    runs: int | None = None,
+    generations: int | None = None,
     seed: int = 0,
     node_id: str = "",
     on_event: Listener | None = None,
@@ -74,7 +75,8 @@ def explore(
         ads: the factory, called once for each run, or a highway-env vehicle class.
         holds: the property: a function of a :class:`~pytest_pafot.run.Run` that asserts, as a test function does.
         world: such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
-        generations: of the search.
+        runs: of the search, after which it ends; 40 where there is no number of generations.
+        generations: of the search, after which it ends.
         seed: base seed; that of the search follows from it and the node id.
         node_id: of the test that is meant, free of ``[search]``; by default one that names ``holds``.
         on_event: is told what happens as it happens; see :mod:`pytest_pafot.campaign.events`.
@@ -86,7 +88,8 @@ def explore(
         RequestError: on a wrong argument, in words for the user.
         Exception: where every run of the first generation ends in the same error, that error, with a note.
     """
-    request = _request({"ads": ads, "world": world, "generations": generations, "seed": seed, **settings})
+    budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
+    request = _request({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
 

@@ -29,10 +29,13 @@ AUTO = "auto"
 FULL, LOCAL = "ci", "local"
 
 PROFILES: Mapping[str, Mapping[str, object]] = {
-    FULL: {"generations": 100, "seed": 0},
-    LOCAL: {"generations": 10},
+    FULL: {"runs": 400, "seed": 0},
+    LOCAL: {"runs": 40},
 }
 """``ci`` is automatic when the variable CI is set, ``local`` otherwise. ``local`` has a fresh base seed."""
+
+BUDGETS = ("runs", "generations")
+"""Options of which one that is given replaces the default of the other. Of both, the first that is used up counts."""
 
 
 class OptionError(ArgumentTypeError):
@@ -95,12 +98,24 @@ class Option(NamedTuple):
 
 OPTIONS: tuple[Option, ...] = (
     Option(
+        "runs",
+        "integer",
+        "Runs of each search, after which it ends, also within a generation. 40, or 400 in the profile ci, unless "
+        "generations are given.",
+        least=1,
+    ),
+    Option(
         "generations",
         "integer",
-        "Generations of each search; 0 replays saved scenarios only. 10, or 100 in the profile ci.",
-        default=10,
+        "Generations of each search; 0 replays saved scenarios only. Without, the number of runs decides.",
     ),
-    Option("population", "integer", "Scenarios per generation.", default=4, least=2),
+    Option(
+        "population",
+        "integer",
+        "Scenarios per generation. 16 for distinct, or 64 where the ADS decides for many runs at once by its `batch`; "
+        "4 for the others.",
+        least=2,
+    ),
     Option(
         "seed",
         "integer",
@@ -195,7 +210,7 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "profile",
         "text",
-        "Defaults for an occasion: ci (100 generations, seed 0; automatic when CI is set) or local.",
+        "Defaults for an occasion: ci (400 runs, seed 0; automatic when CI is set) or local.",
         choices=tuple(PROFILES),
     ),
     Option(
@@ -219,8 +234,9 @@ BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 class Settings:
     """The value of every option for one item. ``seed`` is the base seed."""
 
-    generations: int
-    population: int
+    runs: int | None
+    generations: int | None
+    population: int | None  # the algorithm's own where it is None
     seed: int
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any] | None
@@ -237,6 +253,17 @@ class Settings:
     profile: str
     strict_drift: bool
     strict_health: bool
+
+    @property
+    def is_search(self) -> bool:
+        """Whether there is anything to do beside the replays."""
+        return self.generations != 0
+
+    @property
+    def budget(self) -> str:
+        """The options by which as long a search is asked for."""
+        given = ((BY_NAME[name].flag, getattr(self, name)) for name in BUDGETS)
+        return " ".join(f"{flag}={value}" for flag, value in given if value is not None)
 
 
 def is_ci(environ: Mapping[str, str]) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.scenario import EGO_LANE, EGO_SPEED
 from pytest_pafot.searching.algorithms import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
@@ -22,6 +23,10 @@ from pytest_pafot.world.kernel.action import shown
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")
+NPCS = 4
+"""In a scenario, where neither the algorithm nor the mark says otherwise: beside the ego in any lane of a Highway."""
+SLOWEST_START = 12.0
+"""Of the ego [m/s]; half the limit where that is less."""
 BLAMES = ("any", "ego", "preventable")
 
 
@@ -46,6 +51,7 @@ class SearchArguments(TypedDict, total=False):
     fitness: str | Weights | Callable[[Trace], float]
     blame: str
     decision_limit: float
+    runs: int
     generations: int
     population: int
     seed: int
@@ -195,7 +201,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     """
     given = ", ".join(request.space)
     try:
-        space = space_on(world, request.space, protocol.road_start(world))
+        SearchSpace(**request.space)
+        space = space_on(world, {**_drawn(request, world), **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
     except WorldError as error:
@@ -203,6 +210,27 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
+
+
+def _drawn(request: Request, world: Any) -> dict[str, Any]:
+    """Arguments of the space of an algorithm that need not have the paper's, where the mark does not give them.
+
+    On a straight road. The start is drawn on a Highway alone: an environment says how its ego starts.
+    """
+    road, given = protocol.straight_road(world), request.space
+    if road is None or request.algorithm.is_papers:
+        return {}
+    npcs = given.get("npcs", NPCS)
+    lanes = tuple(lane for lane in range(road.lane_count) if len(road.cells(lane)) > npcs)
+    drawn: dict[str, Any] = {"patterns": True}
+    if given.get("ego_lane", EGO_LANE) in lanes:
+        drawn["npcs"] = npcs
+    if isinstance(world, Highway) and "ego_lane" not in given:
+        drawn["ego_lanes"] = lanes
+    if isinstance(world, Highway) and "ego_speed" not in given:
+        limit = world.speed_limit
+        drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (min(SLOWEST_START, limit / 2), limit)}
+    return drawn
 
 
 def _checked_world(request: Request, world: Any, origin: str) -> Any:

@@ -39,7 +39,7 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.failure import is_interruption
 
-DONE = "all generations done"
+DONE, ALL_RUN = "all generations done", "all runs done"
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
 
 
@@ -94,6 +94,7 @@ class Search:
     progress_seconds: float = 10.0  # between two tellings of progress
     notes: list[str] = field(default_factory=list)  # to be told once in the summary
     _loop: SearchLoop = field(init=False)
+    _space: SearchSpace | None = field(init=False, default=None)  # None for replays alone
     _shrink_runs: int = field(init=False, default=0)
     _started: float = field(init=False)
     _told_at: float = field(init=False)
@@ -112,7 +113,7 @@ class Search:
         __tracebackhide__ = True
         self._started = self._told_at = self.clock()
         harness = self.harness
-        space = build_space(harness.request, harness.world) if harness.request.settings.generations else None
+        self._space = build_space(harness.request, harness.world) if harness.request.settings.is_search else None
         with ExitStack() as stack:
             self._prepare(stack)
             speed_limit = float(harness.world.speed_limit)
@@ -120,7 +121,7 @@ class Search:
             retried = [self._retried(leftover) for leftover in harness.left_behind()]
             self.notes += [note for each in retried for note in each.notes]
             pending = [each.pending for each in retried if each.pending is not None]
-            summary, fault = self._conducted(space, pending)
+            summary, fault = self._conducted(pending)
         loop, recorder = self._loop, self._loop.recorder
         return SearchResult(
             summary=summary,
@@ -169,9 +170,7 @@ class Search:
             is_steered_by_checks=request.fitness == "default",
         )
 
-    def _conducted(
-        self, space: SearchSpace | None, pending: Sequence[Leftover]
-    ) -> tuple[SearchSummary, SetupFaultError | None]:
+    def _conducted(self, pending: Sequence[Leftover]) -> tuple[SearchSummary, SetupFaultError | None]:
         """Search and simplify; whatever ends that, all is told that was found until then."""
         __tracebackhide__ = True
         loop, recorder, simulation = self._loop, self._loop.recorder, self._loop.simulation
@@ -181,7 +180,7 @@ class Search:
         loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         try:
             with simulation.runner:
-                reason = self._searched(space, saved)
+                reason = self._searched(saved)
             recorder.release()
             self._simplify()
         except SetupFaultError as error:
@@ -219,21 +218,24 @@ class Search:
             run_here=self._loop.simulation.rerun_one_by_one,
         )
 
-    def _searched(self, space: SearchSpace | None, saved: Sequence[Saved]) -> str:
+    def _searched(self, saved: Sequence[Saved]) -> str:
         """Run the campaign; returns why it ended.
 
         Raises:
             RequestError: where the algorithm does not take the settings or the road, or the fitness cannot be used.
         """
         __tracebackhide__ = True
-        if space is None:
+        if self._space is None:
             return "replay only"
-        loop, runner = self._loop, self._loop.simulation.runner
+        space, loop, runner = self._space, self._loop, self._loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
         loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
         limit = 1 if self.stops_at_first else settings.stop_after
         try:
-            algorithm = request.algorithm.make(space, population=settings.population)
+            algorithm = request.algorithm.make(space, **_population(settings.population))
+            for_batches = request.algorithm.make(
+                space, **_population(settings.population or request.algorithm.batch_population)
+            )
             request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
         except ValueError as error:
             raise RequestError(str(error)) from None
@@ -247,12 +249,14 @@ class Search:
             algorithm,
             loop.evaluate,
             generations=settings.generations,
+            runs=settings.runs,
             seed=self.seed,
             max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
             stop=lambda: limit is not None and loop.recorder.count >= limit,
             foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
             heed=heed,
+            adapted=lambda algorithm: for_batches if runner.decides_for_many else algorithm,
         )
         try:
             loop.follow(events, self._tell_progress)
@@ -260,13 +264,14 @@ class Search:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
-        reasons = {"generations": DONE, "time": self.limit.flag, "stopped": "enough findings"}
+        reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
 
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
-        work = Simplification(loop=self._loop, tell=self._tell_progress)
+        plain = None if self._space is None else (self._space.ego_lane, self._space.ego_speed)
+        work = Simplification(loop=self._loop, tell=self._tell_progress, plain=plain)
         work.run_all()
         self._shrink_runs = work.runs
 
@@ -275,13 +280,14 @@ class Search:
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
-        generations = self.harness.request.settings.generations
+        settings = self.harness.request.settings
         self.listener(
             Progress(
                 node_id=self.node_id,
-                generation=min(loop.generation + 1, generations),
-                generations=generations,
+                generation=min(loop.generation + 1, settings.generations or loop.generation + 1),
+                generations=settings.generations,
                 runs=loop.runs,
+                budget=settings.runs,
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
                 seconds=now - self._started,
@@ -301,6 +307,7 @@ class Search:
             seed=self.seed,
             generations=loop.generation if loop.finished is None else loop.finished.generations,
             asked=settings.generations,
+            budget=settings.runs,
             reason=reason,
             seconds=self.clock() - self._started,
             runs=loop.runs,
@@ -316,9 +323,10 @@ class Search:
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
             known=dict(loop.known),
-            warnings=loop.warnings if reason in (DONE, self.limit.flag) else (),
+            warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
+            drawn="" if self._space is None else self._space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )
 
@@ -330,10 +338,14 @@ class Search:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
-        is_default = settings.profile == LOCAL and settings.generations == PROFILES[LOCAL]["generations"]
-        if is_default and reason == DONE and not self._loop.verdicts["failed"] and not recorder.count:
-            more = f"--pafot-generations={PROFILES[FULL]['generations']}"
-            yield f"{settings.generations} generations are a short search: {more} looks further"
+        is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
+        if is_default and reason == ALL_RUN and not self._loop.verdicts["failed"] and not recorder.count:
+            yield f"{settings.runs} runs are a short search: --pafot-runs={PROFILES[FULL]['runs']} looks further"
+
+
+def _population(given: int | None) -> dict[str, int]:
+    """The parameter of an algorithm, which has a default of its own."""
+    return {} if given is None else {"population": given}
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
@@ -342,7 +354,7 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     Only where processes are forked: elsewhere not every factory can be handed to another one.
     """
     settings = harness.request.settings
-    if scenario_pool.METHOD != "fork" or settings.isolate or not settings.generations:
+    if scenario_pool.METHOD != "fork" or settings.isolate or not settings.is_search:
         return harness
     if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
         return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))

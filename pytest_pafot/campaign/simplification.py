@@ -32,6 +32,7 @@ class Simplification:
 
     loop: SearchLoop  # of the search
     tell: Callable[[str], None]  # is told what goes on, often
+    plain: Start | None = None  # at which an ego starts that the search does not draw elsewhere
     runs: int = field(default=0, init=False)  # taken so far
 
     def run_all(self) -> None:
@@ -94,6 +95,7 @@ class Simplification:
             rollouts=rollouts,
             top_speed=top_speed,
             starts=lambda scenario: starts.get(scenario, ()),
+            plain=self.plain,
         )
 
     def _shows(self, find_id: str, run: Run, verdict: Verdict) -> bool:

@@ -18,11 +18,12 @@ class Progress:
 
     node_id: str
     generation: int  # that is in progress, from 1
-    generations: int  # that were asked for
+    generations: int | None  # that were asked for; None where the runs decide
     runs: int
     failing: int  # runs that the test rejected
     finds: int  # distinct ones that are new
     seconds: float  # since the search began
+    budget: int | None = None  # runs that were asked for
     phase: str = ""  # what goes on after the generations, such as shrinking; empty while they run
 
 
@@ -67,7 +68,8 @@ class SearchSummary:
     base_seed: int = 0  # that was given, or fresh
     seed: int = 0  # of this search, derived from the base seed and the node id
     generations: int = 0  # finished, of ``asked``
-    asked: int = 0  # generations that were asked for
+    asked: int | None = None  # generations that were asked for
+    budget: int | None = None  # runs that were asked for
     reason: str = ""  # why it ended
     seconds: float = 0.0
     runs: int = 0  # simulated scenarios
@@ -88,6 +90,7 @@ class SearchSummary:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to be told once
     against: str = ""  # the reference that failures were held against, or empty
+    drawn: str = ""  # from what the scenarios were drawn, in one line
     coverage: str = ""  # one line on the Position-Instructions that the runs came to
 
     @classmethod

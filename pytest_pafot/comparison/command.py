@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
         "(default: each one's own)",
     )
-    parser.add_argument("--population", type=int, metavar="N", help="scenarios of a generation (default: 4)")
+    parser.add_argument("--population", type=int, metavar="N", default=4, help="scenarios of a generation (default: 4)")
     _add_world_arguments(parser)
 
 
@@ -137,7 +137,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         seed=arguments.seed,
         blame=arguments.blame,
         fitness=arguments.fitness,
-        parameters={} if arguments.population is None else {"population": arguments.population},
+        parameters={"population": arguments.population},
         world=world.to_dict(),
         space=asdict(space),
     )

@@ -98,6 +98,11 @@ class Runner:
         """How the runs were made, where that is worth telling; complete once the processes have ended."""
         return self._prefetching.notes
 
+    @property
+    def decides_for_many(self) -> bool:
+        """Whether the ADS has shown that it decides for many runs at once."""
+        return self._prefetching is self.lock_step
+
     def __enter__(self) -> Self:
         return self
 

@@ -18,6 +18,8 @@ from typing import Any
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import (
+    EGO_LANE,
+    EGO_SPEED,
     MAX_SPEED,
     SHIFTS,
     SPEED_STEPS_PER_MPS,
@@ -112,23 +114,30 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     2. Instructions to read: equal ones that follow each other count once.
     3. Moves from one cell or lane to another; staying is simpler.
     4. Genes of the longest chain, which is the length of the run; then genes in total.
-    5. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
-    6. The sum of the speeds of the instructions: slower is simpler.
-    7. The seed of the repair, of which 0 is the plainest.
+    5. How the ego starts: in lane 1 and at 22 m/s before anything else, of which round speeds come first.
+    6. How rough the speeds are: multiples of 5 m/s before whole ones before tenths.
+    7. The sum of the speeds of the instructions: slower is simpler.
+    8. The seed of the repair, of which 0 is the plainest.
 
     Every part is a whole number, at least 0, so that every chain of simplifications ends.
     """
     speeds = [_tenths(chain[start]) for chain in scenario.npcs for start, _ in blocks(chain)]
+    start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
         len(speeds),
         sum(map(_moves, scenario.npcs)),
         scenario.genes,
         sum(map(len, scenario.npcs)),
-        sum((speed % FIVE > 0) + (speed % ONE > 0) for speed in speeds),
+        (scenario.ego_lane != EGO_LANE) + (scenario.ego_speed != EGO_SPEED and 1 + _roughness(start)),
+        sum(map(_roughness, speeds)),
         sum(speeds),
         scenario.seed,
     )
+
+
+def _roughness(tenths: int) -> int:
+    return (tenths % FIVE > 0) + (tenths % ONE > 0)
 
 
 def instructions(scenario: Scenario) -> int:
@@ -149,6 +158,7 @@ def shrink(
     rollouts: int,
     top_speed: float = MAX_SPEED,
     starts: Starts = lambda scenario: (),
+    plain: Start | None = None,
 ) -> tuple[Scenario, Shrunk]:
     """The simplest scenario that was found to fail in the same way as one that fails, as driven; and how it came about.
 
@@ -158,15 +168,18 @@ def shrink(
         rollouts: how often it may be asked.
         top_speed: that no instruction may exceed [m/s].
         starts: lets a scenario begin later, in the ego's state of that moment.
+        plain: at which the ego shall rather start.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     tried: dict[Scenario, Scenario | None] = {scenario: scenario}
     gate = _Gate(best=scenario, attempt=attempt, rollouts=rollouts // FIRST_PART, top=top, tried=tried)
     intervals: list[SpeedInterval] = []
     is_minimal = False
-    deletions: tuple[Pass, ...] = (*PASSES, partial(_later, starts=starts))
-    small = partial(_small, found=scenario)
+    plainer: Pass = partial(_plainer_start, plain=plain)
+    deletions: tuple[Pass, ...] = (plainer, *PASSES, partial(_later, starts=starts))
+    small = partial(_small, found=scenario, plain=plain or (scenario.ego_lane, scenario.ego_speed))
     with suppress(OutOfBudget):
+        gate.exhausts(plainer)
         gate.exhausts(small)
     gate.rollouts = rollouts - min(FOR_SPEEDS, rollouts // 5)
     with suppress(OutOfBudget):
@@ -253,6 +266,16 @@ def _later(scenario: Scenario, starts: Starts) -> Candidates:
         yield _valid(replace(scenario, ego_lane=lane, ego_speed=speed), npcs)
 
 
+def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
+    """The ego at the plain start, then in its lane or at its speed, then at a round speed."""
+    if plain is None:
+        return
+    yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
+    yield replace(scenario, ego_lane=plain[0])
+    for each in (plain[1], scenario.ego_speed // 5 * 5, scenario.ego_speed // 1):
+        yield replace(scenario, ego_speed=each)
+
+
 def _shorter_chains(scenario: Scenario) -> Candidates:
     """Without a stretch of one NPC's chain, long ones first; after its last gene it keeps its lane and speed."""
     for npc, chain in enumerate(scenario.npcs):
@@ -312,8 +335,8 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _rounder, _slower, _plain_seed)
 """What a run saves most comes first; all are repeated until none of them finds anything."""
 
 
-def _small(scenario: Scenario, found: Scenario) -> Candidates:
-    """One NPC with one or two instructions, or two with one each; at the ego's start as found, and the present one.
+def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
+    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one.
 
     In an order in which any beginning of the list has some of each kind: the most promising first finds fewer.
     """
@@ -325,7 +348,7 @@ def _small(scenario: Scenario, found: Scenario) -> Candidates:
     twos = [(first, *(second,) * (length - 1)) for first, second in permutations(genes, 2) if length > 1]
     small: list[tuple[Chromosome, ...]] = [*((chain,) for chain in (*ones, *twos)), *combinations(ones, 2)]
     small.sort(key={each: number * GOLDEN % 2**64 for number, each in enumerate(small)}.__getitem__)
-    begins = dict.fromkeys((each.ego_lane, each.ego_speed) for each in (found, scenario))
+    begins = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
     for npcs, (lane, speed) in product(small, begins):
         yield _valid(replace(scenario, seed=0, ego_lane=lane, ego_speed=speed), npcs)
 

@@ -39,7 +39,7 @@ class Checks:
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
         item.stash[REQUEST] = request
-        is_idle = is_search(item) and request.settings.generations == 0
+        is_idle = is_search(item) and not request.settings.is_search
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
             pytest.skip("replay only: --pafot-generations=0")
 

@@ -6,12 +6,23 @@ Precedence: command line, marker, environment, a profile that was named, ini, th
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, OPTIONS, PROFILES, Option, OptionError, Settings, is_ci
+from pytest_pafot.campaign.options import (
+    BUDGETS,
+    BY_NAME,
+    FULL,
+    LOCAL,
+    OPTIONS,
+    PROFILES,
+    Option,
+    OptionError,
+    Settings,
+    is_ci,
+)
 from pytest_pafot.plugin.marks import DEFAULT_ADS, DEFAULT_ARG, POSITIONAL
 
 if TYPE_CHECKING:
@@ -86,6 +97,7 @@ def resolve(
         for option in OPTIONS
         if option.everywhere and option.name != "profile"
     }
+    values |= sources.budget(named, automatic)
     if values["seed"] is None:
         values["seed"] = fresh_seed
     return Settings(profile=named or automatic, **values)
@@ -104,13 +116,23 @@ class Sources(NamedTuple):
         Raises:
             OptionError: naming the source, what was expected and received.
         """
-        sources = (
+        sources = self._sources(option, named, automatic)
+        return next((value for source in sources if (value := source()) is not None), option.default)
+
+    def budget(self, named: str | None, automatic: str) -> dict[str, Any]:
+        """The values of :data:`BUDGETS`, all from the first kind of source that gives any of them."""
+        each = [self._sources(BY_NAME[name], named, automatic) for name in BUDGETS]
+        together = ([source() for source in sources] for sources in zip(*each, strict=True))
+        given = next((values for values in together if any(value is not None for value in values)), (None, None))
+        return dict(zip(BUDGETS, given, strict=True))
+
+    def _sources(self, option: Option, named: str | None, automatic: str) -> tuple[Callable[[], Any], ...]:
+        return (
             lambda: self.given(option),
             lambda: PROFILES[named].get(option.name) if named else None,
             lambda: self.ini(option),
             lambda: None if named else PROFILES[automatic].get(option.name),
         )
-        return next((value for source in sources if (value := source()) is not None), option.default)
 
     def given(self, option: Option) -> Any:
         """The value on the command line, in the marker or in the environment; None in none of them."""

@@ -70,7 +70,7 @@ class PageMessages:
         )
         command = view.command
         if not find.path:  # What lies in no file is found again by its search.
-            options = f"--pafot-generations={self.settings.generations} --pafot-seed={self.settings.seed}"
+            options = f"{self.settings.budget} --pafot-seed={self.settings.seed}"
             command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
         self._tell(view=encode(replace(view, label=label_of(find), path=find.path, command=command)))
 

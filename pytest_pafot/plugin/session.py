@@ -68,7 +68,7 @@ def base_line(config: pytest.Config) -> str:
         settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
     except OptionError as error:
         return str(error)
-    if settings.generations == 0:
+    if not settings.is_search:
         return ""
     return f"profile {settings.profile}, base seed {settings.seed} (repeat with --pafot-seed={settings.seed})"
 

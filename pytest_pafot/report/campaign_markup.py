@@ -12,6 +12,7 @@ from pytest_pafot.text import plural
 ENDS = {
     "": "early",
     "generations": "all generations done",
+    "runs": "all runs done",
     "time": "time was over",
     "stopped": "enough was found",
     "error": "with an error",
@@ -25,7 +26,7 @@ def campaign_article(view: CampaignView, index: int, *, is_open: bool = True) ->
     figures = (
         ("algorithm", view.algorithm),
         ("seed", view.seed),
-        ("generations", finished if finished == view.asked else f"{finished} of {view.asked}"),
+        ("generations", finished if view.asked in (None, finished) else f"{finished} of {view.asked}"),
         ("runs", view.simulated),
         ("not run again", view.reused),
         ("ended", end),

@@ -47,7 +47,7 @@ def campaign_view(
         algorithm="" if started is None else started.algorithm,
         seed=0 if started is None else started.seed,
         generations=_generations(events),
-        asked=0 if started is None else started.generations,
+        asked=None if started is None else started.generations,
         reason=cut_by or ("" if finished is None else finished.reason),
         simulated=health.simulated,
         reused=health.reused,

@@ -264,7 +264,7 @@ class CampaignView:
     """How a search went.
 
     Attributes:
-        generations, asked: those that finished, in order, and how many were asked for.
+        generations, asked: those that finished, in order, and how many were asked for, or None.
         reason: why it ended, ``error`` and ``interrupted`` among it.
         simulated, reused: scenarios that were run, and that were known from an earlier run.
         outcomes, responsibilities: counts of simulated runs by name.
@@ -278,7 +278,7 @@ class CampaignView:
     algorithm: str
     seed: int
     generations: tuple[GenerationView, ...]
-    asked: int
+    asked: int | None
     reason: str
     simulated: int
     reused: int

@@ -85,10 +85,9 @@ class SessionSummary:
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
     """One line, cut at the left of the node id, and at the end where even that does not make it fit."""
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
-    done = (
-        f"{progress.generation}/{progress.generations} generations, {plural(progress.runs, 'run')}, "
-        f"{progress.failing} failing, {progress.finds} new, {speed:.0f}/s"
-    )
+    counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
+    counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
+    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {speed:.0f}/s"
     tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
@@ -186,11 +185,13 @@ def failure_message(search: SearchSummary) -> str:
 
 def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """A search in the summary: three lines when it is well, more where there is something to say."""
+    done = [f"{search.generations} of {plural(search.asked, 'generation')}"] if search.asked is not None else []
+    done += [f"{search.runs} of {plural(search.budget, 'run')}"] if search.budget is not None else []
     origin = (
         f"{search.algorithm}, seed {search.seed} from --pafot-seed={search.base_seed} (profile {search.profile}), "
-        f"{search.generations} of {plural(search.asked, 'generation')}, ended: {search.reason}"
+        f"{', '.join(done)}, ended: {search.reason}"
     )
-    texts = [_figures(search), *_find_lines(search), origin]
+    texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]

@@ -78,6 +78,7 @@ class GenerationState:
     local_generation: int = 0  # always; there is no local search
     best: Evaluation | None = None  # so far; None before the first eligible run
     asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
+    proposed: int = 0  # scenarios so far
 
 
 GenerationStateT = TypeVar("GenerationStateT", bound=GenerationState)
@@ -116,7 +117,7 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         """The scenarios of the next generation."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
-        return replace(state, asked=tuple(proposed)), tuple(proposed)
+        return replace(state, asked=tuple(proposed), proposed=state.proposed + len(proposed)), tuple(proposed)
 
     def tell(
         self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Generator

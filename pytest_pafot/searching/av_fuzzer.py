@@ -67,6 +67,7 @@ class AvFuzzerSearch:
     """
 
     name: ClassVar[str] = "av-fuzzer"
+    is_papers: ClassVar[bool] = True
     fitness: ClassVar[str] = "av-fuzzer"
     knows_grid: ClassVar[bool] = False
 

@@ -43,6 +43,7 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
     """
 
     name: ClassVar[str] = "cma-es"
+    is_papers: ClassVar[bool] = True
     library: ClassVar[str] = "cmaes"
 
     def __post_init__(self) -> None:

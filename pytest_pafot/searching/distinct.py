@@ -52,7 +52,7 @@ class DistinctState(GenerationState):
 class DistinctSearch(NicheSearch[DistinctState]):
     """Varies the worst runs of all niches, and drops what shows a known failure.
 
-    1. The first generations are random, as the paper's first one is.
+    1. The first scenarios are random, as the paper's first generation is.
     2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
        impact displaces the others. So may the runs of the three worst near-misses of each mistake of the ego
        (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
@@ -64,12 +64,15 @@ class DistinctSearch(NicheSearch[DistinctState]):
        then on: simplifying it is the shrinker's work. Nor are near-misses of a mistake that is known.
 
     Attributes:
+        population: scenarios in a generation.
         most_mutations: of a child, whose number is uniform from 1.
     """
 
     name: ClassVar[str] = "distinct"
     reads_near_misses: ClassVar[bool] = True
+    batch_population: ClassVar[int] = 64
 
+    population: int = field(default=16, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
 
     def __post_init__(self) -> None:

@@ -13,7 +13,8 @@ from typing import Literal
 from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 
-EndReason = Literal["generations", "time", "stopped"]  # all are finished, the time was over, the consumer asked for it
+EndReason = Literal["generations", "runs", "time", "stopped"]
+"""All are finished, all runs are done, the time was over, the consumer asked for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +22,7 @@ class CampaignStarted:
     """The first event of every campaign."""
 
     algorithm: str
-    generations: int
+    generations: int | None  # None where a number of runs decides
     seed: int
 
 
@@ -38,7 +39,7 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
-    """All scenarios of a generation were evaluated."""
+    """All scenarios of a generation were evaluated, or the last of the runs was within it."""
 
     generation: int
     local_generation: int

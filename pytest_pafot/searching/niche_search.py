@@ -16,25 +16,25 @@ from pytest_pafot.searching.space import sample
 
 @dataclass(frozen=True, slots=True)
 class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A search whose first generations are random, and whose later ones are children of those that it kept.
+    """A search whose first scenarios are random, and whose later ones are children of those that it kept.
 
     Attributes:
-        random_generations: before the first children.
+        random_runs: scenarios before the first children.
         crossover_rate: probability that two parents swap two NPCs.
     """
 
-    random_generations: int = field(default=5, kw_only=True)
+    random_runs: int = field(default=20, kw_only=True)
     crossover_rate: float = field(default=0.5, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_parameters(self, rates=("crossover_rate",), population=1, random_generations=1)
+        check_parameters(self, rates=("crossover_rate",), population=1, random_runs=1)
 
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
         """Random scenarios at first and while there is no parent; then children."""
         parents = self.parents(state)
-        is_random = state.generation < self.random_generations or not parents
+        to_come = self.random_runs - state.proposed if parents else self.population
         return state, [
-            sample(self.space, rng) if is_random else self.child(parents, rng) for _ in range(self.population)
+            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
         ]
 
     @abstractmethod

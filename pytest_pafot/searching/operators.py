@@ -15,7 +15,13 @@ from numpy.random import Generator
 from pytest_pafot.grid import is_adjacent
 from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired
+
+STARTS, PATTERNS = 0.1, 0.35
+"""Shares of the mutations that draw the start anew, and that put in a pattern, where a space says so."""
+SPEEDS = 0.7
+"""Share of the new starts that have another speed; the others have another lane."""
 
 
 def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
@@ -32,7 +38,15 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 
     The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
     it instead would rewrite the rest of the chain and lose what the parent was selected for.
+
+    Where the space draws starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one into
+    a chain.
     """
+    draw = rng.random() if space.draws_start or space.patterns else 1.0
+    if space.draws_start and draw < STARTS:
+        return _started_anew(scenario, space, rng)
+    if space.patterns and draw < STARTS + PATTERNS:
+        return _with_pattern(scenario, space, rng)
     chains = scenario.positions
     places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
     npc, gene = places[int(rng.integers(len(places)))]
@@ -41,6 +55,24 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     while new == chain[gene]:
         new = _fitted(chains, npc, gene, random_instruction(space, rng), bool(rng.integers(2)))
     return _child(scenario, with_chain(chains, npc, (*chain[:gene], new, *chain[gene + 1 :])), rng)
+
+
+def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """The scenario with another first speed or, less often, another first lane of the ego."""
+    others = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
+    if space.ego_speeds is not None and (not others or rng.random() < SPEEDS):
+        return replace(scenario, ego_speed=space.drawn_speed(rng))
+    return replace(scenario, ego_lane=others[int(rng.integers(len(others)))]) if others else scenario
+
+
+def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """The scenario with a pattern, and the way to it, in a random chain from a random gene on."""
+    chains = scenario.positions
+    npc = int(rng.integers(len(chains)))
+    chain = chains[npc]
+    before = chain[: int(rng.integers(len(chain)))]
+    new = followed_by_pattern(before, scenario.ego_speed, space.top_step, rng)
+    return _child(scenario, with_chain(chains, npc, (*new, *chain[len(new) :])[: len(chain)]), rng)
 
 
 def _fitted(

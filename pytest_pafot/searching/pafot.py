@@ -60,6 +60,7 @@ class PafotSearch:
     """
 
     name: ClassVar[str] = "pafot"
+    is_papers: ClassVar[bool] = True
 
     space: SearchSpace = field(default_factory=SearchSpace)
     population: int = field(default=4, kw_only=True)

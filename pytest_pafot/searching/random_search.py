@@ -45,6 +45,7 @@ class RandomManoeuvreSearch(RandomSearch):
     """
 
     name: ClassVar[str] = "random-manoeuvre"
+    is_papers: ClassVar[bool] = True
     knows_grid: ClassVar[bool] = False
 
     slices: int = field(default=5, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from pytest_pafot.searching.ask_tell import Algorithm, StateT, check_order
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
+    AlgorithmEvent,
     CampaignFinished,
     CampaignStarted,
     EndReason,
@@ -30,14 +32,16 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     algorithm: Algorithm[StateT],
     evaluate: Evaluate,
     *,
-    generations: int,
+    generations: int | None,
     seed: int,
+    runs: int | None = None,
     max_seconds: float | None = None,
     clock: Callable[[], float] | None = None,
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
     foresee: Callable[[Sequence[Scenario]], None] | None = None,
     heed: Callable[[StateT], None] | None = None,
+    adapted: Callable[[Algorithm[StateT]], Algorithm[StateT]] = lambda algorithm: algorithm,
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
@@ -52,8 +56,11 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     Args:
         algorithm: what to try.
         evaluate: simulates scenarios; what it raises ends the campaign and reaches the consumer.
-        generations: of the main search, at least 1; generations of local searches come on top.
+        generations: of the main search, at least 1; generations of local searches come on top. None where the number
+            of ``runs`` decides; there are no more than that.
         seed: of all draws, at least 0.
+        runs: simulated scenarios, at least 1, after which it ends, also within a generation, which counts as finished
+            then without that the algorithm is told; None for no limit.
         max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated.
         clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
         stop: asked between two calls of ``evaluate`` whether to end the campaign.
@@ -62,12 +69,20 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
             them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
         heed: told the state of the algorithm then, from which ``evaluate`` may know what need not be measured.
+        adapted: the algorithm to go on with, asked before each generation but the first.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
     """
-    for name, value, least in (("generations", generations, 1), ("seed", seed, 0), ("batch", batch, 1)):
-        if value < least:
+    if generations is None and runs is None:
+        raise ValueError("generations, runs: expected a number of either, received none")
+    for name, value, least in (
+        ("generations", generations, 1),
+        ("runs", runs, 1),
+        ("seed", seed, 0),
+        ("batch", batch, 1),
+    ):
+        if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
     if max_seconds is not None and not max_seconds >= 0:
         raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
@@ -75,13 +90,16 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
     now = clock or (lambda: 0.0)
 
-    def exceeded(seconds: float) -> EndReason | None:
+    def exceeded(simulated: int, seconds: float) -> EndReason | None:
         if stop is not None and stop():
             return "stopped"
+        if runs is not None and simulated >= runs:
+            return "runs"
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
-    evaluator = _Evaluator(evaluate, foresee)
-    return _campaign(algorithm, evaluator, heed or (lambda state: None), exceeded, now, generations, seed, batch)
+    begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+    evaluator, heed = _Evaluator(evaluate, foresee), heed or (lambda state: None)
+    return _campaign(algorithm, adapted, evaluator, heed, exceeded, now, begun, runs or sys.maxsize, batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -91,30 +109,33 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
 
 def _campaign(
     algorithm: Algorithm[StateT],
+    adapted: Callable[[Algorithm[StateT]], Algorithm[StateT]],
     evaluator: _Evaluator,
     heed: Callable[[StateT], None],
-    exceeded: Callable[[float], EndReason | None],
+    exceeded: Callable[[int, float], EndReason | None],
     now: Callable[[], float],
-    generations: int,
-    seed: int,
+    begun: CampaignStarted,
+    runs: int,
     batch: int,
 ) -> Generator[Event, None, None]:
-    started = now()
+    started, seed, generations = now(), begun.seed, begun.generations or runs
     end = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
-    yield CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+    yield begun
     state = algorithm.start(generation_rng(seed))
-    while state.generation < generations:
+    reason: EndReason | None = None
+    while reason is None and state.generation < generations:
         rng = generation_rng(seed, state.generation, state.local_generation)
+        algorithm = adapted(algorithm) if end.evaluated else algorithm
         state, scenarios = algorithm.ask(state, rng)
         evaluations: list[Evaluation] = []
         heed(state)
-        evaluator.foresee(scenarios)
-        for first in range(0, len(scenarios), batch):
-            reason = exceeded(now() - started) if end.evaluated else None
+        evaluator.foresee(scenarios, runs - end.simulated)
+        while len(evaluations) < len(scenarios):
+            reason = exceeded(end.simulated, now() - started) if end.evaluated else None
             if reason is not None:
-                yield replace(end, reason=reason, seconds=now() - started)
-                return
-            for evaluation, reused in evaluator.evaluated(scenarios[first : first + batch]):
+                break
+            to_come = scenarios[len(evaluations) :][: min(batch, runs - end.simulated)]
+            for evaluation, reused in evaluator.evaluated(to_come):
                 event = Evaluated(
                     generation=state.generation,
                     local_generation=state.local_generation,
@@ -125,14 +146,26 @@ def _campaign(
                 evaluations.append(evaluation)
                 end = _with_one_more(end, event)
                 yield event
-        state, events = algorithm.tell(state, evaluations, rng)
+        events: tuple[AlgorithmEvent, ...] = ()
+        if reason is None:
+            state, events = algorithm.tell(state, evaluations, rng)
+        elif (
+            reason == "runs" and evaluations
+        ):  # No other generation follows, for which an algorithm would need to know.
+            finished = GenerationFinished(
+                generation=state.generation,
+                local_generation=state.local_generation,
+                population=tuple(evaluations),
+                elites=0,
+            )
+            events = (finished,)
         for told in events:
             # A restart that no generation follows does not take place.
             if not (isinstance(told, Restarted) and told.generation >= generations):
                 if isinstance(told, GenerationFinished) and told.local_generation == 0:
                     end = replace(end, generations=end.generations + 1)
                 yield told
-    yield replace(end, seconds=now() - started)
+    yield replace(end, reason=reason or "generations", seconds=now() - started)
 
 
 def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
@@ -154,14 +187,14 @@ class _Evaluator:
         self._foresee = foresee
         self._cache = EvaluationCache()
 
-    def foresee(self, scenarios: Sequence[Scenario]) -> None:
+    def foresee(self, scenarios: Sequence[Scenario], most: int) -> None:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does.
 
         Only between two generations are old runs forgotten, so that no batch makes a difference.
         """
         self._cache.forget()
         if self._foresee is not None:
-            self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None]))
+            self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None])[:most])
 
     def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
         """The evaluation of each scenario, and whether it is reused.

@@ -25,6 +25,8 @@ from pytest_pafot.scenario import (
     Scenario,
     positions_of,
 )
+from pytest_pafot.searching.patterns import chain_of_patterns
+from pytest_pafot.text import plural
 
 LEAST_GENES = 3
 """Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""
@@ -41,6 +43,11 @@ class SearchSpace:
         speed_limit: highest target speed [m/s]; 26.8 m/s are the paper's 60 mph.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: everybody's first speed [m/s].
+        ego_lanes: lanes from which the first one is drawn; none where it is ``ego_lane``, which is then the plain one.
+        ego_speeds: lowest and highest first speed [m/s], between which it is drawn in steps of 0.1; None where it is
+            ``ego_speed``, which is then the plain one.
+        patterns: whether half of the scenarios that are drawn, and a third of the mutations, are made of
+            :data:`~pytest_pafot.searching.patterns.PATTERNS`.
     """
 
     npcs: int = 2
@@ -49,6 +56,9 @@ class SearchSpace:
     speed_limit: float = PAPER_SPEED_LIMIT
     ego_lane: int = EGO_LANE
     ego_speed: float = EGO_SPEED
+    ego_lanes: tuple[int, ...] = ()
+    ego_speeds: tuple[float, float] | None = None
+    patterns: bool = False
 
     def __post_init__(self) -> None:
         for name in ("npcs", "genes"):
@@ -63,6 +73,9 @@ class SearchSpace:
         if not (math.isfinite(self.speed_limit) and self.speed_limit >= 0):
             raise ValueError(f"speed_limit: expected a finite speed in m/s, at least 0, received {self.speed_limit!r}")
 
+        if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
+            raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")
+
     def sliced(self, slices: int) -> SearchSpace:
         """The same with so many genes, which together last as long."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
@@ -71,6 +84,30 @@ class SearchSpace:
     def top_step(self) -> int:
         """The highest target speed in steps of 0.1 m/s."""
         return math.floor(self.speed_limit * SPEED_STEPS_PER_MPS + 1e-6)
+
+    @property
+    def described(self) -> str:
+        """What a user reads of it: ``4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 0 to 3``."""
+        speeds, lanes = self.ego_speeds or (self.ego_speed,), self.ego_lanes or (self.ego_lane,)
+        speed = " to ".join(f"{each:g}" for each in dict.fromkeys(speeds))
+        lane = f"lanes {lanes[0]} to {lanes[-1]}" if len(lanes) > 1 else f"lane {lanes[0]}"
+        return f"{plural(self.npcs, 'NPC')}; the ego starts at {speed} m/s in {lane}"
+
+    @property
+    def draws_start(self) -> bool:
+        """Whether scenarios start differently."""
+        return bool(self.ego_lanes) or self.ego_speeds is not None
+
+    def drawn_lane(self, rng: Generator) -> int:
+        """A first lane of the ego."""
+        return self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
+
+    def drawn_speed(self, rng: Generator) -> float:
+        """A first speed of everybody [m/s]."""
+        if self.ego_speeds is None:
+            return self.ego_speed
+        low, high = (speed * SPEED_STEPS_PER_MPS for speed in self.ego_speeds)
+        return int(rng.integers(math.ceil(low - 1e-6), math.floor(high + 1e-6) + 1)) / SPEED_STEPS_PER_MPS
 
 
 def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int] | None = None) -> SearchSpace:
@@ -106,10 +143,16 @@ def _shared_out(given: Mapping[str, Any], start: tuple[int, float, int], longest
 def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """A random valid scenario.
 
-    The first cells are any distinct ones; then each NPC walks on the ring, with equal chances of holding its
-    cell and of a step to either side. A step into a cell that another NPC holds is repaired. Speeds are uniform
-    over the steps of 0.1 m/s up to the limit.
+    Its start is drawn first, where the space says so. The first cells are any distinct ones; then each NPC walks on the
+    ring, with equal chances of holding its cell and of a step to either side. A step into a cell that another NPC holds
+    is repaired. Speeds are uniform over the steps of 0.1 m/s up to the limit. Where the space has patterns, half of the
+    scenarios are made of these instead, repaired likewise.
     """
+    if space.draws_start:
+        space = replace(space, ego_lane=space.drawn_lane(rng), ego_speed=space.drawn_speed(rng))
+    if space.patterns and rng.integers(2):
+        chains = [chain_of_patterns(space.genes, space.ego_speed, space.top_step, rng) for _ in range(space.npcs)]
+        return repaired(chains, fresh_seed(rng), space)
     first = rng.permutation(8)[: space.npcs, None]
     steps = rng.integers(-1, 2, size=(space.npcs, space.genes - 1))
     walks = (np.cumsum(np.hstack([first, steps]), axis=1) % 8 + 1).tolist()

@@ -16,6 +16,7 @@ from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.first_decision import FirstDecision
 from pytest_pafot.world.limits import HANG_LIMIT
+from pytest_pafot.world.roads.straight import StraightRoad
 
 REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
 """What :class:`WorldLike` has."""
@@ -102,6 +103,12 @@ def road_start(world: Any) -> RoadStart | None:
     """How the ego starts where the road of a world says so, by its ``start``; None where any lane and speed will do."""
     start: tuple[int, float] | None = getattr(world, "start", None)
     return None if start is None else RoadStart(*start, physics_hz=world.physics_hz)
+
+
+def straight_road(world: Any) -> StraightRoad | None:
+    """The road of a world, where that is straight and the world says so."""
+    road = getattr(world, "road", None)
+    return road if isinstance(road, StraightRoad) else None
 
 
 def runs_in_kernel(world: Any, ads: Any) -> bool:

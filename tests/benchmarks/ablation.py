@@ -72,8 +72,8 @@ FAILURES: Mapping[str, Variant] = {
     "distinct, as it is": DISTINCT,
     "no near-misses": replace(DISTINCT, tells_near_misses=False),
     "known failures stay parents": replace(DISTINCT, tells_kinds=False),
-    "no random generations but the first": replace(DISTINCT, parameters=(("random_generations", 1),)),
-    "10 random generations": replace(DISTINCT, parameters=(("random_generations", 10),)),
+    "4 random runs": replace(DISTINCT, parameters=(("random_runs", 4),)),
+    "40 random runs": replace(DISTINCT, parameters=(("random_runs", 40),)),
     "one mutation a child": replace(DISTINCT, parameters=(("most_mutations", 1),)),
     "no crossover": replace(DISTINCT, parameters=(("crossover_rate", 0.0),)),
 }

@@ -178,7 +178,7 @@ def _source(body: str, *, when: str = "1", factory: str = "pass") -> str:
 
 def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
     """Run pytest in a folder, without plugins but this one and those of the options."""
-    command = [sys.executable, "-m", "pytest", "-p", "pafot", "-v", "-rfE", "--pafot-generations=2", "--pafot-seed=1"]
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "-v", "-rfE", "--pafot-runs=8", "--pafot-seed=1"]
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200", "CI": ""}
     with (folder / "output").open("wb") as output:
         process = subprocess.Popen(

@@ -127,6 +127,7 @@ def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
         ego_speed=space.ego_speed,
         blame="ego",
         generations=options.generations,
+        population=4,
         seed=seed,
         on_event=listen,
     )

@@ -126,6 +126,7 @@ def runs_until_found(each: Property, arm: str, seed: int, generations: int) -> i
         POLICIES[each.policy],
         holds=each.check if arm == "check" else each.plainly,
         generations=generations,
+        population=4,
         seed=seed,
         blame="ego",
         stop_after=1,

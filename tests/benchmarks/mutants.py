@@ -85,7 +85,7 @@ def sources(folder: Path) -> dict[str, str]:
         "-q",
         "-p",
         "no:cacheprovider",
-        "--pafot-generations=5",
+        "--pafot-runs=20",
         "--pafot-seed=1",
     ]
     # Seeds depend on node ids, which are relative to the rootdir.

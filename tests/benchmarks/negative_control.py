@@ -73,7 +73,7 @@ class Control:
 
 def searched(name: str, algorithm: str, seed: int, npcs: int, generations: int) -> Control:
     """One search from start to end."""
-    control, search = Control(name), resolve_algorithm(algorithm).make(SearchSpace(npcs=npcs))
+    control, search = Control(name), resolve_algorithm(algorithm).make(SearchSpace(npcs=npcs), population=4)
     for _ in run_campaign(search, control.evaluate, generations=generations, seed=seed):
         pass
     return control

@@ -163,7 +163,7 @@ def factory_of(policy: str) -> Any:
 def searched(policy: str, seed: int, setting: Setting, options: argparse.Namespace) -> Search:
     """One search from start to end."""
     search = Search(policy=policy, seed=seed, setting=setting)
-    algorithm = resolve_algorithm(options.algorithm).make(setting.space)
+    algorithm = resolve_algorithm(options.algorithm).make(setting.space, population=4)
     stop = (lambda: bool(search.finds)) if options.until_first else None
     for event in run_campaign(algorithm, search.evaluate, generations=options.generations, seed=seed, stop=stop):
         if isinstance(event, GenerationFinished) and event.local_generation == 0:

@@ -17,7 +17,7 @@ from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 
-SHORT = {"generations": 2, "genes": 2, "shrink_rollouts": 20}
+SHORT = {"generations": 2, "population": 4, "genes": 2, "shrink_rollouts": 20}
 
 
 class Bare:
@@ -131,7 +131,7 @@ def test_failures_that_no_reference_driver_prevents_are_counted_and_a_search_wit
             pafot.reject()
         assert run.duration < 0
 
-    summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", **SHORT).summary
+    summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", npcs=2, **SHORT).summary
     assert summary.unpreventable > summary.failing == 0
     assert "the test function judged nothing" in summary.warnings[-1]
 
@@ -217,8 +217,8 @@ SHORT_ROAD = pafot.Highway(duration=20.0)
 
 def mistakes_of_one_who_changes_blindly(**settings):
     return pafot.explore(
-        ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", genes=2, generations=8,
-        shrink_rollouts=60, **settings,
+        ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", genes=2, npcs=2, ego_lane=1,
+        ego_speed=22, runs=32, population=4, shrink_rollouts=60, **settings,
     )  # fmt: skip
 
 

@@ -186,8 +186,8 @@ def never_collides(run):
     ("name", "seed", "fault", "npcs"),
     [
         ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 4, "stopped-for-nothing", 1),
-        ("trusts-any-gap-behind", 3, "entered-lane", 2),
+        ("stops-in-its-lane", 35, "stopped-for-nothing", 1),
+        ("trusts-any-gap-behind", 2, "entered-lane", 2),
     ],
 )
 def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, fault, npcs):
@@ -196,7 +196,7 @@ def test_a_search_finds_the_fault_names_it_and_leaves_whom_it_takes(name, seed, 
         holds=never_collides,
         blame="ego",
         seed=seed,
-        generations=2,
+        runs=8,
         genes=4,
         shrink_rollouts=15,
     ).findings

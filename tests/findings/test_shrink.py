@@ -202,6 +202,22 @@ def test_a_small_scenario_may_begin_as_the_run_was_found():
     assert (written(simplest), simplest.ego_lane, simplest.ego_speed) == (("6@25",), 2, 17.0)
 
 
+@pytest.mark.parametrize(
+    ("fails", "start"),
+    [
+        (lambda each: True, (1, 22.0)),
+        (lambda each: each.ego_lane == 3, (3, 22.0)),
+        (lambda each: each.ego_speed < 14, (1, 10.0)),
+        (lambda each: 11 < each.ego_speed < 14, (1, 13.0)),
+    ],
+    ids=["neither matters", "the lane matters", "the speed matters", "a narrow range of speeds matters"],
+)
+def test_the_ego_starts_as_plainly_as_the_failure_allows(fails, start):
+    given = scenario("4@20 3@20 2@5", ego_lane=3, ego_speed=13.7)
+    simplest, _ = shrunk(given, fails, plain=(1, 22.0))
+    assert (simplest.ego_lane, simplest.ego_speed) == start
+
+
 def test_two_steps_are_taken_together_where_neither_helps_alone():
     given = scenario("4@5 3@5 2@5 1@5 8@5")
     assert minimal(given, lambda each: each == given or written(each) == ("3@5 2@5 1@5",)) == ("3@5 2@5 1@5",)
@@ -261,12 +277,27 @@ def test_sizes_read_as_words():
         (scenario("4@20 4@20 4@20"), scenario("4@20 4@0")),
         (scenario("4@20 4@0"), scenario("4@0 3@0")),
         (scenario("4@20"), scenario("4@20 4@20")),
+        (scenario("4@3.7"), scenario("4@0", ego_lane=2)),
+        (scenario("4@3.7", ego_lane=2), scenario("4@0", ego_lane=2, ego_speed=20.0)),
+        (scenario("4@3.7", ego_speed=15.0), scenario("4@0", ego_speed=12.0)),
         (scenario("4@20"), scenario("4@19")),
         (scenario("4@19"), scenario("4@18.5")),
         (scenario("4@15"), scenario("4@20")),
         (scenario("4@15"), scenario("4@15", seed=1)),
     ],
-    ids=["NPCs", "instructions", "moves", "length", "multiples of five", "whole", "slower", "seed"],
+    ids=[
+        "NPCs",
+        "instructions",
+        "moves",
+        "length",
+        "plain lane",
+        "plain speed",
+        "round start",
+        "multiples of five",
+        "whole",
+        "slower",
+        "seed",
+    ],
 )
 def test_the_order_of_simpler(simpler, other):
     assert sort_key(simpler) < sort_key(other)

@@ -41,8 +41,8 @@ def ads():
 """
 """With an ADS that ends every process but that of the session."""
 
-SHORT = "genes=2, gene_seconds=5"
-"""Marker arguments of ten-second scenarios."""
+SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
+"""Marker arguments of ten-second scenarios, all with the same start."""
 
 
 class Project:
@@ -120,9 +120,18 @@ class Project:
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", "PAFOT_SEED", "PAFOT_GENERATIONS", "PAFOT_PROFILE"):
+    for name in (
+        "CI",
+        "BUILD_NUMBER",
+        "PYTEST_ADDOPTS",
+        "PAFOT_SEED",
+        "PAFOT_RUNS",
+        "PAFOT_GENERATIONS",
+        "PAFOT_PROFILE",
+    ):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
+    monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester)

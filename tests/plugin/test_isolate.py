@@ -35,7 +35,7 @@ def ads():
 """
 
 MANY = """
-@pafot.search(genes=2, gene_seconds=4, npcs=2)
+@pafot.search(genes=2, gene_seconds=4, npcs=2, ego_lane=1, ego_speed=22)
 def test_many(run):
     assert not run.collision
     assert run.min_distance > 1.9

@@ -18,12 +18,12 @@ def settings(project, *args, ini="", marker=None, environ=None):
 
 def test_locally_a_search_is_small_and_its_seed_fresh(project):
     local = settings(project)
-    assert (local.profile, local.generations, local.population, local.seed) == ("local", 10, 4, 77)
+    assert (local.profile, local.runs, local.generations, local.population, local.seed) == ("local", 40, None, None, 77)
 
 
 def test_under_ci_a_search_is_large_and_its_seed_fixed(project):
     ci = settings(project, environ={"CI": "true"})
-    assert (ci.profile, ci.generations, ci.seed) == ("ci", 100, 0)
+    assert (ci.profile, ci.runs, ci.generations, ci.seed) == ("ci", 400, None, 0)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_the_environment_wins_over_a_named_profile(project):
 
 
 def test_a_named_profile_wins_over_the_ini_file(project):
-    assert settings(project, "--pafot-profile=ci", ini="pafot_generations = 5").generations == 100
+    assert settings(project, "--pafot-profile=ci", ini="pafot_runs = 5").runs == 400
 
 
 def test_the_ini_file_wins_over_the_automatic_profile(project):
@@ -56,7 +56,23 @@ def test_the_ini_file_wins_over_the_automatic_profile(project):
 @pytest.mark.parametrize("source", ["marker", "environ", "ini"])
 def test_a_profile_may_be_named_anywhere(project, source):
     named = {"marker": {"profile": "ci"}, "environ": {"PAFOT_PROFILE": "ci"}, "ini": "pafot_profile = ci"}
-    assert settings(project, **{source: named[source]}).generations == 100
+    assert settings(project, **{source: named[source]}).runs == 400
+
+
+@pytest.mark.parametrize(
+    ("sources", "runs", "generations"),
+    [
+        ({"marker": {"generations": 100}}, None, 100),
+        ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
+        ({"ini": "pafot_generations = 100"}, None, 100),
+        ({"ini": "pafot_generations = 100", "marker": {"profile": "ci"}}, 400, None),
+        ({"marker": {"runs": 7}, "environ": {"PAFOT_GENERATIONS": "2"}}, 7, 2),
+        ({"marker": {"generations": 0}}, None, 0),
+    ],
+)
+def test_a_budget_comes_from_one_place_and_no_profile_cuts_what_is_asked_for(project, sources, runs, generations):
+    found = settings(project, **sources)
+    assert (found.runs, found.generations) == (runs, generations)
 
 
 @pytest.mark.parametrize("option", [option for option in OPTIONS if option.everywhere], ids=lambda option: option.name)

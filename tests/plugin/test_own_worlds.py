@@ -21,7 +21,7 @@ class Ring:
     def to_dict(self):
         return DATA
 
-@pafot.search(SHORT, npcs=1, world=Ring(LANES), stop_after=1)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1)
 def test_fails(run):
     assert run.VERDICT
 """
@@ -33,7 +33,9 @@ seen = []
 def ads():
     return lambda observation: seen.append(observation.shape) or 1
 
-@pafot.search(SHORT, npcs=1, ads=ads, world=pafot.World("highway-v0", duration=10.0, WRAPPERS), stop_after=1)
+@pafot.search(
+    genes=2, gene_seconds=5, npcs=1, ads=ads, world=pafot.World("highway-v0", duration=10.0, WRAPPERS), stop_after=1
+)
 def test_fails(run):
     assert set(seen) == {SHAPE}
     assert run.VERDICT
@@ -101,7 +103,7 @@ def test_a_world_of_another_class_is_refused_with_the_file_the_line_and_the_way_
     result.stdout.fnmatch_lines(
         [f"*{saved.only_file.name}:3: world: expected *, one of the class Ring, *, received one of the class Circle; *"]
     )
-    saved.write("@pafot.search(SHORT, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
+    saved.write("@pafot.search(genes=2, gene_seconds=5, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
     result = saved.run(generations=0)
     result.stdout.fnmatch_lines(["*one of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"])
 
@@ -205,7 +207,7 @@ def test_an_environment_that_is_registered_with_a_wrapper_fails_its_item_alone(p
             def test_refused(run):
                 assert not run.collision
 
-            @pafot.search(SHORT, npcs=1)
+            @pafot.search(genes=2, gene_seconds=5, npcs=1)
             def test_runs(run):
                 assert run.outcome
             """
@@ -267,7 +269,7 @@ class Ring:
 FINDS = """
 from rings import Ring
 
-@pafot.search(SHORT, npcs=1, world=Ring(3), stop_after=1)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(3), stop_after=1)
 def test_fails(run):
     assert len(run.trace.lanes) != 3
 """

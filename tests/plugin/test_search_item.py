@@ -28,7 +28,7 @@ def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(f
     result.stdout.fnmatch_lines(
         [
             f"pafot: found test_it.py::test_fails[[]saved-{failing.only_id}[]]",
-            "  assert 10.0 < 1 (no collision in 10.0 s)",
+            "  collision after 8.0 s: NPC 1 ahead, NPC at fault",
             "FF*",
             f"saved as   {failing.files[0]}",
         ]
@@ -267,11 +267,11 @@ def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project, fitnes
     project.run().assert_outcomes(passed=1)
 
 
-SHORT_SEARCH = "*note: 10 generations are a short search: --pafot-generations=100 looks further"
+SHORT_SEARCH = "*note: 40 runs are a short search: --pafot-runs=400 looks further"
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 
-def test_a_search_that_finds_nothing_in_the_few_generations_of_its_default_says_so(project):
+def test_a_search_that_finds_nothing_in_the_few_runs_of_its_default_says_so(project):
     project.write(KEEPS.replace("BOUND", "> 0"))
     project.run(generations=None).stdout.fnmatch_lines([SHORT_SEARCH])
 
@@ -281,7 +281,7 @@ def test_a_search_that_finds_nothing_in_the_few_generations_of_its_default_says_
     [
         ("< 1", ["--pafot-shrink-rollouts=0"]),
         ("> 0", ["--pafot-generations=3"]),
-        ("> 0", ["--pafot-profile=ci", "--pafot-generations=10"]),
+        ("> 0", ["--pafot-profile=ci", "--pafot-runs=40"]),
         ("> 0", ["--pafot-max-time=0"]),
     ],
 )

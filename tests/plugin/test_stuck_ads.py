@@ -57,7 +57,7 @@ def ads():
 """
 
 TESTS = """
-@pafot.search(SHORT, shrink_rollouts=0, npcs=2)
+@pafot.search(SHORT, shrink_rollouts=0)
 def test_it(run):
     assert run.min_distance > 3, "what was found"
 
@@ -91,7 +91,7 @@ def named_by_the_next(project):
 
 def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(hanging):
     project = hanging("swallow")
-    result = project.run("--junitxml=junit.xml", generations=9, subprocess=True)
+    result = project.run("--junitxml=junit.xml", generations=9, seed=6, subprocess=True)
     assert result.ret == stuck.STATUS
     found = project.files
     assert found
@@ -113,7 +113,7 @@ def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(h
 
 def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_traceback(hanging):
     project = hanging("hold")
-    result = project.run(generations=9, subprocess=True)
+    result = project.run(generations=9, seed=6, subprocess=True)
     assert result.ret == 1
     result.stderr.fnmatch_lines(["Timeout (*", "*in hold"])
     assert project.files
@@ -125,7 +125,7 @@ def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_tracebac
 def test_under_xdist_only_the_worker_ends(hanging):
     pytest.importorskip("xdist")
     project = hanging("swallow")
-    result = project.run("-n1", generations=9, subprocess=True)
+    result = project.run("-n1", generations=9, seed=6, subprocess=True)
     assert result.parseoutcomes()["passed"] == 1
     result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
     assert "a process (pid" in one_line(result)

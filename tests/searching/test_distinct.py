@@ -52,7 +52,7 @@ def told(algorithm, state, evaluate, rng):
 
 def test_the_first_generations_are_random_ones(make_evaluation):
     judge = Judge(make_evaluation, lambda scenario: None)
-    distinct, random = (search(judge, each, generations=5) for each in (DistinctSearch(), RandomSearch()))
+    distinct, random = (search(judge, each, generations=5) for each in (DistinctSearch(population=4), RandomSearch()))
     assert [e.evaluation for e in of(Evaluated, distinct)] == [e.evaluation for e in of(Evaluated, random)]
 
 
@@ -65,7 +65,7 @@ def test_a_niche_is_an_impact_cell_and_a_closing_speed(make_evaluation):
 
 
 def test_the_worst_run_of_each_niche_stays(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     cells = [2, 2, 6, 6]
     first = told(algorithm, algorithm.start(rng), lambda i, s: crash(make_evaluation, s, cells[i], 3.0, fitness=i), rng)
     assert [(key, each.fitness) for key, each in first.elites] == [((2, 0), 1.0), ((6, 0), 3.0)]
@@ -75,13 +75,13 @@ def test_the_worst_run_of_each_niche_stays(make_evaluation):
 
 @pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": float("nan")}])
 def test_what_is_never_a_best_is_no_parent(make_evaluation, fields):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, **fields), rng)
     assert state.elites == ()
 
 
 def test_what_shows_a_known_failure_is_no_parent(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     kinds = ["front", "front", None, None]
 
     def evaluate(index, scenario):
@@ -93,14 +93,14 @@ def test_what_shows_a_known_failure_is_no_parent(make_evaluation):
 
 
 def test_a_failure_that_nobody_names_cannot_be_known(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, failing=True), rng)
     assert state.kinds == frozenset()
     assert len(state.elites) == 1
 
 
 def test_children_differ_from_a_parent_in_one_to_three_instructions(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch(crossover_rate=0.0)
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4, crossover_rate=0.0)
     state = algorithm.start(rng)
     for _ in range(5):
         state = told(algorithm, state, lambda i, s: make_evaluation(s, fitness=s.npcs[0][0].speed), rng)
@@ -130,7 +130,7 @@ def test_a_failure_that_takes_several_steps_is_found_behind_one_that_absorbs_the
             for seed in range(20)
         )
 
-    assert found(DistinctSearch()) >= 1.5 * found(PafotSearch()) > 0
+    assert found(DistinctSearch(population=4)) >= 1.5 * found(PafotSearch()) > 0
 
 
 def near(mistake, severity):
@@ -142,7 +142,7 @@ def severities(state):
 
 
 def test_the_three_that_came_nearest_to_a_mistake_stay_whatever_their_fitness(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
 
     def evaluate(index, scenario):
         misses = (near("kept-no-distance", 0.1 * index), *([near("moved-in-front", 0.7)] if index == 2 else []))
@@ -173,7 +173,7 @@ def test_a_near_miss_matters_that_is_worse_than_the_third_worst_of_a_mistake_not
 
 
 def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
 
     def evaluate(index, scenario):
         if index == 3:
@@ -188,7 +188,7 @@ def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_eva
 
 @pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
 def test_runs_that_say_nothing_or_that_fail_came_near_to_nothing(make_evaluation, fields):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     misses = (near("moved-in-front", 0.9),)
     state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, near_misses=misses, **fields), rng)
     assert state.near == ()
@@ -212,7 +212,9 @@ def test_a_mistake_without_failures_nearby_is_found_by_its_near_misses(make_eval
                 for each in scenarios
             ]
 
-        return any(event.evaluation.failing for event in of(Evaluated, search(evaluate, DistinctSearch(), seed)))
+        return any(
+            event.evaluation.failing for event in of(Evaluated, search(evaluate, DistinctSearch(population=4), seed))
+        )
 
     with_them, without = (sum(found(is_told, seed) for seed in range(20)) for is_told in (True, False))
     assert with_them >= 10 >= 2 * without
@@ -221,11 +223,11 @@ def test_a_mistake_without_failures_nearby_is_found_by_its_near_misses(make_eval
 @given(st.integers(0, 20))
 def test_the_same_draws_give_the_same_search(make_evaluation, seed):
     judge = Judge(make_evaluation, lambda scenario: "fast" if scenario.npcs[0][0].speed > 20 else None)
-    assert search(judge, DistinctSearch(), seed, 8) == search(judge, DistinctSearch(), seed, 8)
+    assert search(judge, DistinctSearch(population=4), seed, 8) == search(judge, DistinctSearch(population=4), seed, 8)
 
 
 def test_every_best_is_announced_once(make_evaluation):
-    events = search(Judge(make_evaluation, lambda scenario: None), DistinctSearch())
+    events = search(Judge(make_evaluation, lambda scenario: None), DistinctSearch(population=4))
     fitnesses = [event.evaluation.fitness for event in of(NewBest, events)]
     assert fitnesses == sorted(set(fitnesses))
     assert fitnesses[-1] == max(event.evaluation.fitness for event in of(Evaluated, events))
@@ -235,7 +237,7 @@ def test_every_best_is_announced_once(make_evaluation):
     ("parameters", "message"),
     [
         ({"population": 0}, "population: expected a count of at least 1, received 0"),
-        ({"random_generations": 0}, "random_generations: expected a count of at least 1, received 0"),
+        ({"random_runs": 0}, "random_runs: expected a count of at least 1, received 0"),
         ({"most_mutations": 0}, "most_mutations: expected a count of at least 1, received 0"),
         ({"crossover_rate": 1.5}, "crossover_rate: expected a number from 0 to 1, received 1.5"),
     ],
@@ -246,7 +248,7 @@ def test_a_search_that_cannot_work_is_refused(parameters, message):
 
 
 def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluation):
-    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+    algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
     margins = [{"jerk": 0.5, "gap": 0.1}, {"jerk": 0.2}, {"gap": 0.9}, {}]
 
     def judged(index, scenario):
@@ -261,7 +263,7 @@ def test_the_worst_margin_of_each_check_stays_whatever_the_fitness(make_evaluati
 
 
 def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
-    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+    algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
 
     def judged(index, scenario):
         failed = index == 2
@@ -274,7 +276,7 @@ def test_a_check_that_has_failed_is_climbed_no_further(make_evaluation):
 
 
 def test_half_of_all_draws_are_those_of_checks(make_evaluation):
-    algorithm, rng = DistinctSearch(), np.random.default_rng(0)
+    algorithm, rng = DistinctSearch(population=4), np.random.default_rng(0)
     misses = (near("kept-no-distance", 0.5), near("moved-in-front", 0.5))
 
     def judged(index, scenario):

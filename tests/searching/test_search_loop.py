@@ -167,6 +167,35 @@ def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
     assert events[-1].reason == "generations"
 
 
+@pytest.mark.parametrize("runs", [1, 4, 6, 8, 21])
+@pytest.mark.parametrize("batch", [1, 3, 100])
+def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, runs, batch):
+    world, foreseen = cheap_world(), []
+    campaign = run_campaign(
+        PafotSearch(), world, generations=None, runs=runs, seed=1, batch=batch, foresee=foreseen.extend
+    )
+    events = list(campaign)
+    longer = list(run_campaign(PafotSearch(), cheap_world(), generations=20, seed=1))
+    assert len(world.simulated) == len(foreseen) == events[-1].simulated == runs
+    assert of(Evaluated, events) == of(Evaluated, longer)[: len(of(Evaluated, events))]
+    told = [each for event in of(GenerationFinished, events) for each in event.population[event.elites :]]
+    assert told == [event.evaluation for event in of(Evaluated, events)]
+    assert events[-1].reason == "runs"
+
+
+def test_of_runs_and_generations_what_is_over_first_ends_it(cheap_world):
+    ends = [
+        list(run_campaign(RandomSearch(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)
+    ]
+    assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
+
+
+def test_another_algorithm_can_go_on_after_the_first_generation(cheap_world):
+    large = RandomSearch(population=6)
+    campaign = run_campaign(RandomSearch(), cheap_world(), generations=3, seed=1, adapted=lambda algorithm: large)
+    assert [len(event.population) for event in of(GenerationFinished, campaign)] == [4, 6, 6]
+
+
 def test_the_consumer_can_stop_it_and_still_gets_the_last_event(cheap_world):
     seen = []
     campaign = run_campaign(PafotSearch(), cheap_world(), generations=50, seed=1, stop=lambda: len(seen) >= 3)

@@ -1,11 +1,14 @@
 """What a search draws from."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, random_instruction, repaired, sample
 
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40))
@@ -19,6 +22,53 @@ def test_a_sample_is_valid_and_of_the_space(space, seed):
     assert all(0 <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
     start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds)
     assert start == (space.ego_lane, space.ego_speed, space.gene_seconds)
+
+
+wide_spaces = st.builds(
+    SearchSpace,
+    npcs=st.integers(1, 8),
+    genes=st.integers(1, 8),
+    speed_limit=st.floats(5, 40),
+    ego_lanes=st.sampled_from([(), (2,), (0, 1, 2, 3)]),
+    ego_speeds=st.sampled_from([None, (12.0, 26.8), (2.5, 5.0)]),
+    patterns=st.booleans(),
+)
+
+
+@given(wide_spaces, seeds, st.integers(0, 20))
+def test_what_is_drawn_and_varied_is_valid_and_what_is_fixed_stays(space, seed, mutations):
+    rng = np.random.default_rng(seed)
+    scenario = sample(space, rng)
+    for _ in range(mutations):
+        scenario = mutate(scenario, space, rng)
+    assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # which checks all of its rules
+    assert [len(chain) for chain in scenario.npcs] == [space.genes] * space.npcs
+    assert all(0 <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
+    assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
+    low, high = space.ego_speeds or (space.ego_speed, space.ego_speed)
+    assert low <= scenario.ego_speed <= high
+    assert scenario.ego_speed == round(scenario.ego_speed, 1)
+
+
+def test_a_wide_space_draws_all_of_its_starts():
+    rng = np.random.default_rng(6)
+    space = SearchSpace(ego_lanes=(0, 2), ego_speeds=(12.0, 12.3))
+    starts = {(each.ego_lane, each.ego_speed) for each in (sample(space, rng) for _ in range(200))}
+    assert starts == {(lane, speed) for lane in (0, 2) for speed in (12.0, 12.1, 12.2, 12.3)}
+
+
+@pytest.mark.parametrize(
+    ("space", "told"),
+    [
+        (SearchSpace(), "2 NPCs; the ego starts at 22 m/s in lane 1"),
+        (
+            SearchSpace(npcs=4, ego_lanes=(1, 2), ego_speeds=(12.0, 26.8)),
+            "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2",
+        ),
+    ],
+)
+def test_a_space_says_what_is_drawn(space, told):
+    assert space.described == told
 
 
 @given(spaces, seeds)

@@ -1,0 +1,126 @@
+"""Dangerous patterns: phrases of one to three Position-Instructions, and chains that are made of them.
+
+A pattern says what an NPC does around the ego, beginning where all NPCs begin: danger is driven, never given. It is
+told on the ego's left, ahead or behind, and mirrored half of the time.
+
+Sources: Najm, Smith, Yanagisawa, "Pre-Crash Scenario Typology for Crash Avoidance Research", NHTSA, DOT HS 810 767,
+2007; UN Regulation No. 157, annex 4, appendix 3 (critical disturbances: cut-in, cut-out, deceleration) and annex 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from numpy.random import Generator
+
+from pytest_pafot.grid import Cell
+from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction
+
+Bound = tuple[float, float]
+"""Of a speed: a share of the ego's first speed, and what is added to it [m/s]; held within 0 and the speed limit."""
+
+LIMIT = (0.0, math.inf)
+"""The speed limit, as a bound."""
+
+
+class Step(NamedTuple):
+    """One gene of a pattern: a cell, and the lowest and highest speed in it."""
+
+    cell: Cell
+    low: Bound
+    high: Bound
+
+
+class Pattern(NamedTuple):
+    """What an NPC does, and where it is known as a danger."""
+
+    name: str
+    steps: tuple[Step, ...]
+    source: str
+
+
+PATTERNS = (
+    Pattern(
+        "cut-in and brake",
+        (Step(Cell.FRONT_LEFT, (1, -2), (1, 3)), Step(Cell.FRONT, (0, 0), (0.6, 0))),
+        "UN R157, annex 4, appendix 3: cut-in; NHTSA: vehicle changing lanes, same direction",
+    ),
+    Pattern(
+        "leader that brakes or stands",
+        (Step(Cell.FRONT, (0, 0), (0, 5)),),
+        "UN R157, annex 4, appendix 3: deceleration; NHTSA: lead vehicle decelerating, lead vehicle stopped",
+    ),
+    Pattern(
+        "slow leader",
+        (Step(Cell.FRONT, (0.3, 0), (0.8, 0)),),
+        "NHTSA: lead vehicle moving at lower constant speed; UN R157, annex 5: following a lead vehicle",
+    ),
+    Pattern(
+        "vehicle beside",
+        (Step(Cell.LEFT, (1, -2), (1, 2)),),
+        "NHTSA: vehicle changing lanes, same direction (the ego changes)",
+    ),
+    Pattern(
+        "fast one from behind in the next lane",
+        (Step(Cell.REAR_LEFT, (1, 0), LIMIT), Step(Cell.REAR_LEFT, (1, 0), LIMIT)),
+        "NHTSA: vehicle changing lanes, same direction (the ego changes)",
+    ),
+    Pattern(
+        "cut-out",
+        (Step(Cell.FRONT, (1, -4), (1, 0)), Step(Cell.FRONT_LEFT, (0, 0), LIMIT)),
+        "UN R157, annex 4, appendix 3: cut-out",
+    ),
+    Pattern(
+        "slow one ahead in the next lane",
+        (Step(Cell.FRONT_LEFT, (0, 0), (0.5, 0)),),
+        "NHTSA: following vehicle making a maneuver (the ego follows)",
+    ),
+    Pattern(
+        "tailgater",
+        (Step(Cell.REAR, (1, 0), LIMIT),),
+        "NHTSA: lead vehicle decelerating (the ego leads)",
+    ),
+)
+"""The library; each is as likely as any other."""
+
+WALKING = ((1.0, -2.0), (1.0, 3.0))
+"""Bounds of speeds on the way from one pattern to the next."""
+
+
+def chain_of_patterns(genes: int, ego_speed: float, top_step: int, rng: Generator) -> list[PositionInstruction]:
+    """A chain of so many genes: patterns one after the other, and the way between them on the ring.
+
+    Speeds depend on the ego's first one [m/s], and are at most ``top_step``, in steps of 0.1 m/s.
+    """
+    chain: list[PositionInstruction] = []
+    while len(chain) < genes:
+        chain = followed_by_pattern(chain, ego_speed, top_step, rng)
+    return chain[:genes]
+
+
+def followed_by_pattern(
+    chain: Sequence[PositionInstruction], ego_speed: float, top_step: int, rng: Generator
+) -> list[PositionInstruction]:
+    """A chain that may be empty, the way on the ring from its last cell to the first one of a pattern, and that."""
+    steps = PATTERNS[int(rng.integers(len(PATTERNS)))].steps
+    if rng.integers(2):
+        steps = tuple(step._replace(cell=Cell((3 - step.cell) % 8 + 1)) for step in steps)
+    way = [Step(cell, *WALKING) for cell in _between(chain[-1].cell, steps[0].cell, rng)] if chain else []
+    return [*chain, *(_drawn(step, ego_speed, top_step, rng) for step in (*way, *steps))]
+
+
+def _drawn(step: Step, ego_speed: float, top_step: int, rng: Generator) -> PositionInstruction:
+    low, high = (
+        min(max((share * ego_speed + more) * SPEED_STEPS_PER_MPS, 0), top_step) for share, more in (step.low, step.high)
+    )
+    return PositionInstruction(step.cell, int(rng.integers(int(low), int(high) + 1)) / SPEED_STEPS_PER_MPS)
+
+
+def _between(first: Cell, last: Cell, rng: Generator) -> list[Cell]:
+    """The cells on the shorter way round the ring, on either where they are opposite; neither end is among them."""
+    clockwise = (last - first) % 8
+    is_clockwise = clockwise < 4 or (clockwise == 4 and bool(rng.integers(2)))
+    steps = range(1, clockwise) if is_clockwise else range(-1, clockwise - 8, -1)
+    return [Cell((first - 1 + step) % 8 + 1) for step in steps]

@@ -1,0 +1,53 @@
+"""What a search draws its scenarios from, by its world, its algorithm and what the user fixes."""
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot import Highway, World
+from pytest_pafot.campaign.explore import _request
+from pytest_pafot.campaign.request import build_space
+from pytest_pafot.searching.space import sample
+from pytest_pafot.trace import Outcome
+
+ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
+
+
+def space_of(world, **given):
+    """The space of a search with these arguments."""
+    return build_space(_request({"ads": IDMVehicle, **given}), world)
+
+
+@pytest.mark.parametrize(
+    ("world", "given", "drawn"),
+    [
+        (Highway(), {}, (4, ANY_LANE, ANY_SPEED, True)),
+        (Highway(), {"algorithm": "random"}, (4, ANY_LANE, ANY_SPEED, True)),
+        (Highway(), {"npcs": 2}, (2, ANY_LANE, ANY_SPEED, True)),
+        (Highway(), {"npcs": 5}, (5, (1, 2), ANY_SPEED, True)),
+        (Highway(), {"npcs": 8}, (8, 1, ANY_SPEED, True)),
+        (Highway(), {"ego_lane": 0}, (4, 0, ANY_SPEED, True)),
+        (Highway(), {"ego_speed": 25.0}, (4, ANY_LANE, 25.0, True)),
+        (Highway(lanes=3, speed_limit=10.0), {}, (4, (0, 1, 2), (5.0, 10.0), True)),
+        *((Highway(), {"algorithm": each}, (2, 1, 22.0, False)) for each in ("pafot", "av-fuzzer", "random-manoeuvre")),
+        (World("highway-v0"), {}, (4, 1, 22.0, True)),
+        (World("highway-v0", config={"lanes_count": 2}), {}, (4, 1, 22.0, True)),
+        (World("highway-v0", config={"lanes_count": 1}), {"npcs": 1, "ego_lane": 0}, (1, 0, 22.0, True)),
+        (World("roundabout-v0"), {}, (2, 1, 8.0, False)),
+    ],
+    ids=str,
+)
+def test_what_is_drawn_depends_on_the_world_the_algorithm_and_what_is_fixed(world, given, drawn):
+    space = space_of(world, **given)
+    assert (space.npcs, space.ego_lanes or space.ego_lane, space.ego_speeds or space.ego_speed, space.patterns) == drawn
+
+
+@pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, speed_limit=15.0)], ids=["default", "slow"])
+def test_scenarios_fit_their_world_and_hardly_any_is_invalid(world):
+    space, rng = space_of(world), np.random.default_rng(0)
+    outcomes = [world.rollout(sample(space, rng), IDMVehicle).outcome for _ in range(100)]
+    assert outcomes.count(Outcome.INVALID) < 10
+
+
+def test_the_plain_start_is_one_that_the_road_allows():
+    assert space_of(Highway(speed_limit=10.0)).ego_speed == 10.0
