@@ -31,11 +31,11 @@ sys.path.insert(0, str(ROOT))
 from pytest_pafot.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
-EVERY = "--blame ego --algorithms distinct,pafot,av-fuzzer@15,random,nsga2,map-elites,cma-es"
+EVERY = "--blame ego --algorithms distinct,distinct@paper,pafot,av-fuzzer@15,random,nsga2,map-elites,cma-es"
 DEFECT = "--ads example_ads.defects:make:"
 REPORTS = {
-    "paper": "--algorithms pafot,av-fuzzer@15,av-fuzzer,random-manoeuvre,random --runs {10|2} --seconds {14400|600} "
-    "--ads idm_mobil",
+    "paper": "--algorithms pafot,av-fuzzer@15,av-fuzzer,random-manoeuvre,random@paper --ads idm_mobil "
+    "--runs {10|2} --seconds {14400|600}",
     "idm": f"{EVERY},random-manoeuvre --runs {{30|2}} --seconds {{43200|600}} --ads idm_mobil",
     "two-defects": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}two-defects",
     "sees-cut-ins-late": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}sees-cut-ins-late",

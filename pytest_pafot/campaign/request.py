@@ -202,7 +202,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     given = ", ".join(request.space)
     try:
         SearchSpace(**request.space)
-        space = space_on(world, {**_drawn(request, world), **request.space}, protocol.road_start(world))
+        drawn = {} if request.algorithm.is_papers else drawn_space(world, request.space)
+        space = space_on(world, {**drawn, **request.space}, protocol.road_start(world))
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error, and no failing search
     except WorldError as error:
@@ -212,13 +213,13 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     return space
 
 
-def _drawn(request: Request, world: Any) -> dict[str, Any]:
-    """Arguments of the space of an algorithm that need not have the paper's, where the mark does not give them.
+def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of the space of an algorithm that need not have the paper's, where they are not given.
 
     On a straight road. The start is drawn on a Highway alone: an environment says how its ego starts.
     """
-    road, given = protocol.straight_road(world), request.space
-    if road is None or request.algorithm.is_papers:
+    road = protocol.straight_road(world)
+    if road is None:
         return {}
     npcs = given.get("npcs", NPCS)
     lanes = tuple(lane for lane in range(road.lane_count) if len(road.cells(lane)) > npcs)

@@ -52,7 +52,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     Raises:
         PlanError: where the ADS fails alike at its first decision in the whole first generation.
     """
-    (world, space), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
+    (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
     seed, fitness = plan.run_seed(algorithm, run), _fitness(plan, chosen)
     asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
@@ -70,7 +70,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             ]
 
         events = run_campaign(
-            chosen.make(space, **plan.parameters),
+            plan.made(algorithm),
             evaluate,
             generations=generations,
             seed=seed,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import cores
-from pytest_pafot.campaign.request import BLAMES
+from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
 from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.files import write_whole
@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
         help=f"of {', '.join(ALGORITHMS)}, or module:Class of your own; with @S behind it its runs last S "
-        "seconds; the first is compared with each other one (default: %(default)s)",
+        "seconds, with @paper its scenarios are the paper's; the first is compared with each other one "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--ads",
@@ -61,7 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
         "(default: each one's own)",
     )
-    parser.add_argument("--population", type=int, metavar="N", default=4, help="scenarios of a generation (default: 4)")
+    parser.add_argument(
+        "--population", type=int, metavar="N", help="scenarios of a generation (default: each one's own)"
+    )
     _add_world_arguments(parser)
 
 
@@ -120,9 +123,9 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         PlanError: for a value that no world or space takes.
     """
     world = _world(arguments)
-    given = ((name, getattr(arguments, name)) for name in ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed"))
+    given = {name: value for name in SPACE_ARGUMENTS if (value := getattr(arguments, name)) is not None}
     try:
-        space = space_on(world, {name: value for name, value in given if value is not None}, road_start(world))
+        space = space_on(world, given, road_start(world))
     except ValueError as error:
         raise PlanError(str(error)) from None
     generations = None if arguments.seconds is not None else arguments.generations
@@ -137,9 +140,10 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         seed=arguments.seed,
         blame=arguments.blame,
         fitness=arguments.fitness,
-        parameters={"population": arguments.population},
+        parameters={} if arguments.population is None else {"population": arguments.population},
         world=world.to_dict(),
         space=asdict(space),
+        drawn=drawn_space(world, given),
     )
 
 

@@ -45,6 +45,8 @@ HOW_TO_READ = """
 - `NAME@15` is an algorithm with runs of 15 s, which its genes share. So `av-fuzzer@15` has slices of 3 s, as in its
   release; the five slices of `av-fuzzer` last as long as all genes of the others together, as in the paper's
   reimplementation, whose runs last 60 s.
+- Without an `@` an algorithm has the scenarios that it has in a test. `NAME@paper` has the paper's, four in each of its
+  generations.
 - AV-Fuzzer simulates only scenarios that crossover or mutation touched, so that a generation of it is fewer scenarios
   than one of the others. That is why algorithms are compared at equal simulated seconds, too.
 - `results.csv` has a row for every scenario, `runs/` the same run by run.
@@ -77,6 +79,8 @@ def _head(results: Results, command: Sequence[str], wall: Mapping[str, float]) -
     computing = f", {_time(sum(wall.values()))} of computing" if wall else ""
     budget = f"{plan.generations} generations" if plan.generations else f"{plan.seconds:g} simulated seconds"
     hits = HITS[plan.blame]
+    wider = [name for name in plan.names if plan.drawn and not plan.entrant(name).has_papers_scenarios]
+    drawn = f"; of {', '.join(wider)} with `{json.dumps(dict(plan.drawn))}`" if wider else ""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     return f"""
 # {" against ".join(plan.names)} on {plan.ads}
@@ -89,7 +93,7 @@ def _head(results: Results, command: Sequence[str], wall: Mapping[str, float]) -
 What counts as a failure in the search: {hits}; and faults of the ADS, which are exceptions and hangs. {packages}.
 
 World: `{json.dumps(dict(plan.world))}`.
-Scenarios: `{json.dumps(dict(plan.space))}`.
+Scenarios: `{json.dumps(dict(plan.space))}`{drawn}.
 """
 
 

@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.versions import installed_versions
@@ -29,36 +30,52 @@ EXAMPLES = "example_ads"
 RUNS = "runs"  # folder of the results of single runs
 
 
+PAPER, POPULATION = "paper", 4
+"""What stands behind the ``@`` for the paper's scenarios, and how many of them are in a generation then."""
+
+
 class PlanError(ValueError):
     """A comparison that cannot be made; the message says what was expected and what to do."""
 
 
 class Entrant(NamedTuple):
-    """What takes part in a comparison: an algorithm, and how long its runs last."""
+    """What takes part in a comparison: an algorithm, how long its runs last, and which scenarios it has."""
 
     algorithm: AlgorithmClass
-    seconds: float | None  # None: as long as those of the world
+    seconds: float | None = None  # None: as long as those of the world
+    is_papers: bool = False  # whether its scenarios are the paper's; else they are what a test with it has
 
     @classmethod
     def of(cls, given: str) -> Entrant:
-        """Of a name or ``module:Class``, and ``@`` with seconds behind it where its runs last otherwise.
+        """Of a name or ``module:Class``, with ``@`` and seconds, or ``paper``, behind it where it is not as in a test.
 
         Raises:
             ValueError: where there is no such algorithm.
             PlanError: where what follows the ``@`` is no time.
         """
         reference, at, text = given.partition("@")
+        if text == PAPER:
+            return cls(resolve_algorithm(reference), is_papers=True)
         try:
             seconds = float(text) if at else None
         except ValueError:
             seconds = math.nan
         if seconds is not None and not 0 < seconds < math.inf:
-            raise PlanError(f"--algorithms: expected seconds after the @, as in av-fuzzer@15, received {given!r}")
+            raise PlanError(
+                f"--algorithms: expected seconds or {PAPER} after the @, as in av-fuzzer@15, received {given!r}"
+            )
         return cls(resolve_algorithm(reference), seconds)
+
+    @property
+    def has_papers_scenarios(self) -> bool:
+        """Whether the space of its scenarios is the paper's."""
+        return self.is_papers or self.algorithm.is_papers
 
     @property
     def name(self) -> str:
         """By which files, tables and figures call it."""
+        if self.is_papers:
+            return f"{self.algorithm.name}@{PAPER}"
         return self.algorithm.name + ("" if self.seconds is None else f"@{self.seconds:g}")
 
 
@@ -67,7 +84,8 @@ class Plan:
     """A comparison. Every (algorithm, run) is a function of this value alone."""
 
     ads: str  # the policy, ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
-    algorithms: tuple[str, ...]  # names, or ``module:Class``; with ``@15`` its runs last 15 s
+    # names, or ``module:Class``; with ``@15`` its runs last 15 s, with ``@paper`` its scenarios are the paper's
+    algorithms: tuple[str, ...]
     runs: int = 10  # of each algorithm
     generations: int | None = 100  # of the main search; None where the budget is a time
     seconds: float | None = None  # simulated time of a run, after which no scenario begins; None for generations
@@ -81,6 +99,7 @@ class Plan:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # as a corpus file has it
     space: Mapping[str, Any] = field(default_factory=lambda: asdict(SearchSpace()))  # fields of a SearchSpace
+    drawn: Mapping[str, Any] = field(default_factory=dict)  # those that algorithms without the paper's scenarios have
 
     @property
     def question(self) -> str:
@@ -107,13 +126,21 @@ class Plan:
 
         Genes of runs of another length share it evenly, in whole ticks, and last no longer than the plan's.
         """
-        space, seconds = SearchSpace(**self.space), self.entrant(name).seconds
+        entrant = self.entrant(name)
+        space = SearchSpace(**(self.space if entrant.has_papers_scenarios else {**self.space, **self.drawn}))
+        seconds = entrant.seconds
         if seconds is None:
             return world_of(self), space
         world: Any = world_from_dict({**self.world, "duration": seconds})
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
+
+    def made(self, name: str) -> Algorithm[Any]:
+        """The algorithm of one of the names, on the space of its scenarios."""
+        entrant = self.entrant(name)
+        own = {"population": POPULATION} if entrant.is_papers else {}
+        return entrant.algorithm.make(self.setting(name)[1], **{**own, **self.parameters})
 
     def run_seed(self, algorithm: str, run: int) -> int:
         """The seed of one run; runs of different algorithms are independent samples."""
@@ -150,9 +177,8 @@ def _check_searches(plan: Plan) -> None:
         if repeated:
             raise PlanError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
         for name in names:
-            algorithm, (world, space) = plan.entrant(name).algorithm, plan.setting(name)
-            algorithm.make(space, **plan.parameters)
-            algorithm.check_road(is_straight=road_start(world) is None)
+            plan.made(name)
+            plan.entrant(name).algorithm.check_road(is_straight=road_start(plan.setting(name)[0]) is None)
         if plan.fitness is not None:
             resolve(plan.fitness)
     except ValueError as error:

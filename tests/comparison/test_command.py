@@ -106,6 +106,19 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
             assert {json.loads(row["executed"])[-1] for row in csv.DictReader(file)} == {seconds}, "of a gene"
 
 
+def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_for(tmp_path):
+    arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
+    assert compare(tmp_path, *arguments) == 0
+    drawn = {}
+    for name in ("distinct", "distinct@paper", "pafot"):
+        with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
+            scenarios = [json.loads(row["executed"]) for row in csv.DictReader(file)]
+        drawn[name] = len(scenarios), {len(npcs) for npcs, *_ in scenarios}, len({speed for *_, speed, _ in scenarios})
+    assert drawn == {"distinct": (16, {4}, drawn["distinct"][2]), "distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
+    assert drawn["distinct"][2] > 8, "first speeds of the ego"
+    assert "; of distinct with `{" in (tmp_path / "report.md").read_text()
+
+
 def test_the_clock_on_the_wall_is_told_beside_the_simulated_one(report):
     head, _, *rows = tables_of(report)["How fast"]
     assert [head.index(f"wall clock per {each}") for each in ("scenario", "collision")] == [11, 12]
@@ -169,7 +182,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
         (
             ["--algorithms", "av-fuzzer@soon"],
-            "--algorithms: expected seconds after the @, as in av-fuzzer@15, received",
+            "--algorithms: expected seconds or paper after the @, as in av-fuzzer@15, received",
         ),
         (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
         (
