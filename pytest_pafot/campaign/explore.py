@@ -54,7 +54,7 @@ class Exploration:
         return [_row(event) for event in self.events if isinstance(event, Evaluated)]
 
 
-def explore(
+def explore(  # noqa: PLR0913  (what most searches differ in)
     ads: AdsFactory,
     *,
     holds: Callable[[Run], None],

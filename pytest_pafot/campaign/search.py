@@ -33,7 +33,7 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.retrying import Retried, retry
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import run_campaign
-from pytest_pafot.searching.ask_tell import floors_of
+from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import WorldError, codec, protocol
@@ -241,9 +241,10 @@ class Search:
             raise RequestError(str(error)) from None
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
-        def heed(state: Any) -> None:
+        def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
             if reads_near_misses:
                 loop.floors = floors_of(algorithm, state)
+            return for_batches if state.generation and runner.decides_for_many else algorithm
 
         events = run_campaign(
             algorithm,
@@ -255,8 +256,7 @@ class Search:
             clock=self.clock,
             stop=lambda: limit is not None and loop.recorder.count >= limit,
             foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
-            heed=heed,
-            adapted=lambda algorithm: for_batches if runner.decides_for_many else algorithm,
+            adapted=adapted,
         )
         try:
             loop.follow(events, self._tell_progress)

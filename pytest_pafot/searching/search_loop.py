@@ -40,8 +40,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
     foresee: Callable[[Sequence[Scenario]], None] | None = None,
-    heed: Callable[[StateT], None] | None = None,
-    adapted: Callable[[Algorithm[StateT]], Algorithm[StateT]] = lambda algorithm: algorithm,
+    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
@@ -68,8 +67,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             larger ones let ``evaluate`` simulate in parallel.
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
             them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
-        heed: told the state of the algorithm then, from which ``evaluate`` may know what need not be measured.
-        adapted: the algorithm to go on with, asked before each generation but the first.
+        adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
+            ``evaluate`` may know what need not be measured.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
@@ -98,8 +97,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
     begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
-    evaluator, heed = _Evaluator(evaluate, foresee), heed or (lambda state: None)
-    return _campaign(algorithm, adapted, evaluator, heed, exceeded, now, begun, runs or sys.maxsize, batch)
+    evaluator = _Evaluator(evaluate, foresee)
+    return _campaign(algorithm, adapted, evaluator, exceeded, now, begun, runs or sys.maxsize, batch)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -109,9 +108,8 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
 
 def _campaign(
     algorithm: Algorithm[StateT],
-    adapted: Callable[[Algorithm[StateT]], Algorithm[StateT]],
+    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]],
     evaluator: _Evaluator,
-    heed: Callable[[StateT], None],
     exceeded: Callable[[int, float], EndReason | None],
     now: Callable[[], float],
     begun: CampaignStarted,
@@ -125,10 +123,9 @@ def _campaign(
     reason: EndReason | None = None
     while reason is None and state.generation < generations:
         rng = generation_rng(seed, state.generation, state.local_generation)
-        algorithm = adapted(algorithm) if end.evaluated else algorithm
+        algorithm = adapted(algorithm, state)
         state, scenarios = algorithm.ask(state, rng)
         evaluations: list[Evaluation] = []
-        heed(state)
         evaluator.foresee(scenarios, runs - end.simulated)
         while len(evaluations) < len(scenarios):
             reason = exceeded(end.simulated, now() - started) if end.evaluated else None

@@ -192,7 +192,13 @@ def test_of_runs_and_generations_what_is_over_first_ends_it(cheap_world):
 
 def test_another_algorithm_can_go_on_after_the_first_generation(cheap_world):
     large = RandomSearch(population=6)
-    campaign = run_campaign(RandomSearch(), cheap_world(), generations=3, seed=1, adapted=lambda algorithm: large)
+    campaign = run_campaign(
+        RandomSearch(),
+        cheap_world(),
+        generations=3,
+        seed=1,
+        adapted=lambda algorithm, state: large if state.generation else algorithm,
+    )
     assert [len(event.population) for event in of(GenerationFinished, campaign)] == [4, 6, 6]
 
 
