@@ -61,7 +61,7 @@ def test_a_replay_says_in_the_summary_what_its_find_said(explained):
     ("source", "told"),
     [
         ("assert run.duration < 1", r"assert \d+\.\d < 1 \(no collision in .* s\)"),
-        ("if run.min_ttc < 3: raise ValueError('no plan')", r"ValueError: no plan \((no )?collision .*\)"),
+        ("if run.min_ttc < 1: raise ValueError('no plan')", r"ValueError: no plan \((no )?collision .*\)"),
     ],
 )
 def test_the_words_of_the_test_come_first_in_the_summary(project, source, told):

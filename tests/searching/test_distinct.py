@@ -158,7 +158,7 @@ def test_the_three_that_came_nearest_to_a_mistake_stay_whatever_their_fitness(ma
 
 
 def test_a_near_miss_matters_that_is_worse_than_the_third_worst_of_a_mistake_not_known(make_evaluation):
-    rng, algorithm = np.random.default_rng(0), DistinctSearch()
+    rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
 
     def evaluate(index, scenario):
         if index == 3:
