@@ -33,7 +33,9 @@ from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
 from tests.benchmarks import policies_with_defects_2 as held_out
 
 TUNED_ON = ("follows-too-close", "sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead", "two-defects")
-NOT_TUNED_ON = ("LeaderGains", "RelativeTwice", "WayBack", "LaneTruncated", "RampLimit", "TwoStandAndBack", "ThreeVotes")
+NOT_TUNED_ON = (
+    "LeaderGains", "RelativeTwice", "WayBack", "LaneTruncated", "RampLimit", "TwoStandAndBack", "ThreeVotes"
+)  # fmt: skip
 POLICIES: Mapping[str, Callable[[], Any]] = {
     "idm": lambda: IDMVehicle,
     "ppo": lambda: ppo.make,
