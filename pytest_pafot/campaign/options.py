@@ -112,8 +112,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "population",
         "integer",
-        "Scenarios per generation. 16 for distinct, or 64 where the ADS decides for many runs at once by its `batch`; "
-        "4 for the others.",
+        "Scenarios per generation. 16 for distinct, or 64 from the second one on where the ADS decides for many runs "
+        "at once by its `batch`, of which --pafot-isolate, decision_limit and executors make no use; 4 for the others.",
         least=2,
     ),
     Option(
@@ -184,14 +184,14 @@ OPTIONS: tuple[Option, ...] = (
         "isolate",
         "switch",
         "Run the ADS only in other processes, from the first run on: one that ends its process is a find, and the "
-        "session goes on. What is found is the same.",
+        "session goes on. What is found is the same, of an ADS with `batch` where the population is given.",
         default=False,
     ),
     Option(
         "dask",
         "address",
         "Have the workers of the scheduler at ADDRESS simulate the scenarios of a generation; needs "
-        "pytest-pafot[dask]. What is found is the same.",
+        "pytest-pafot[dask]. What is found is the same, of an ADS with `batch` where the population is given.",
         everywhere=False,
         is_argument=False,
     ),

@@ -267,11 +267,13 @@ def _later(scenario: Scenario, starts: Starts) -> Candidates:
 
 
 def _plainer_start(scenario: Scenario, plain: Start | None) -> Candidates:
-    """The ego at the plain start, then in its lane or at its speed, then at a round speed."""
+    """The ego at the plain start, then in its lane or at its speed, then at a round speed where it has not that one."""
     if plain is None:
         return
     yield replace(scenario, ego_lane=plain[0], ego_speed=plain[1])
     yield replace(scenario, ego_lane=plain[0])
+    if scenario.ego_speed == plain[1]:
+        return  # Whoever searches may have fixed it.
     for each in (plain[1], scenario.ego_speed // 5 * 5, scenario.ego_speed // 1):
         yield replace(scenario, ego_speed=each)
 

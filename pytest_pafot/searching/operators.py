@@ -40,7 +40,7 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     it instead would rewrite the rest of the chain and lose what the parent was selected for.
 
     Where the space draws starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one into
-    a chain.
+    a chain, and that tenth as well where the space draws no starts.
     """
     draw = rng.random() if space.draws_start or space.patterns else 1.0
     if space.draws_start and draw < STARTS:

@@ -146,9 +146,7 @@ def _campaign(
         events: tuple[AlgorithmEvent, ...] = ()
         if reason is None:
             state, events = algorithm.tell(state, evaluations, rng)
-        elif (
-            reason == "runs" and evaluations
-        ):  # No other generation follows, for which an algorithm would need to know.
+        elif reason == "runs" and evaluations:  # The algorithm need not know: no other generation follows.
             finished = GenerationFinished(
                 generation=state.generation,
                 local_generation=state.local_generation,

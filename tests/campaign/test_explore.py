@@ -3,6 +3,7 @@
 import math
 import sys
 import traceback
+from collections import Counter
 from contextlib import suppress
 
 import pytest
@@ -16,6 +17,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.searching.events import Evaluated
 
 SHORT = {"generations": 2, "population": 4, "genes": 2, "shrink_rollouts": 20}
 
@@ -79,6 +81,28 @@ def test_no_more_than_eight_frames_lie_between_the_loop_of_a_search_and_the_engi
     pafot.explore(Planner, holds=lambda run: None, seed=5, **SHORT)
     assert Planner.stacks[0] == "run_planner"
     assert Planner.stacks.index("_campaign") < 8
+
+
+class Batched:
+    """Keeps its speed, in many runs at once."""
+
+    def __call__(self, observation):
+        return 0.0, 0.0
+
+    def batch(self, observations):
+        return [(0.0, 0.0)] * len(observations)
+
+
+@pytest.mark.parametrize(
+    ("given", "sizes"),
+    [({}, [16, 64]), ({"decision_limit": 60.0}, [16, 16]), ({"population": 4}, [4, 4])],
+    ids=["in lock step", "one by one", "as given"],
+)
+def test_generations_are_large_from_the_second_on_where_the_ads_decides_for_many(given, sizes):
+    world = pafot.Highway(duration=2.0)
+    searched = pafot.explore(Batched, holds=lambda run: None, world=world, generations=2, seed=1, **given)
+    counts = Counter(event.generation for event in searched.events if isinstance(event, Evaluated))
+    assert [counts[generation] for generation in sorted(counts)] == sizes
 
 
 def test_without_a_corpus_nothing_is_written(tmp_path, monkeypatch):

@@ -218,6 +218,11 @@ def test_the_ego_starts_as_plainly_as_the_failure_allows(fails, start):
     assert (simplest.ego_lane, simplest.ego_speed) == start
 
 
+def test_an_ego_that_has_the_plain_start_keeps_it_however_odd_its_speed_is():
+    simplest, _ = shrunk(scenario("4@22", ego_lane=2, ego_speed=18.0), lambda each: True, plain=(2, 18.0))
+    assert (simplest.ego_lane, simplest.ego_speed) == (2, 18.0)
+
+
 def test_two_steps_are_taken_together_where_neither_helps_alone():
     given = scenario("4@5 3@5 2@5 1@5 8@5")
     assert minimal(given, lambda each: each == given or written(each) == ("3@5 2@5 1@5",)) == ("3@5 2@5 1@5",)
