@@ -144,7 +144,9 @@ class Isolated(Processes):
 
     @property
     def notes(self) -> list[str]:
-        """Which processes died in runs that were made after all."""
+        """Which processes died in runs that were made after all; of an executor, also what it made."""
+        if isinstance(self._pool, ExecutorPool):
+            return self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:

@@ -15,6 +15,7 @@ import pytest
 from pytest_pafot.execution import executors
 from pytest_pafot.execution.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.prefetching import Isolated
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
@@ -187,6 +188,14 @@ def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(po
     assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
     (note,) = pool.notes
     assert note.endswith("2 runs were made in this process, since there: LookupError: my-env-v0 is not registered")
+
+
+def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
+    executors._bench.cache_clear()
+    isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
+    assert isolated.take(SCENARIOS[0], afresh=True) is not None
+    assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
 
 
 def test_what_cannot_travel_is_refused(tmp_path):
