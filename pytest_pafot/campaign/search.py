@@ -77,7 +77,7 @@ class SearchResult:
     first: BaseException | None  # the exception of the first find; None without one
     fault: BaseException | None  # of the set-up, as the exception to show in the place of finds
     skip: BaseException | None  # by which the function declined to judge every run
-    is_vacuous: bool  # whether nothing was tested
+    is_vacuous: bool  # whether nothing was tested, or all that failed was held against a broken reference
 
 
 @dataclass(slots=True, kw_only=True)
@@ -130,7 +130,7 @@ class Search:
             first=recorder.first,
             fault=None if fault is None else fault.shown(harness.world, harness.ads),
             skip=loop.skip if loop.skip is not None and loop.verdicts["skipped"] == loop.runs else None,
-            is_vacuous=loop.health.vacuous,
+            is_vacuous=loop.health.vacuous or bool(loop.broken),
         )
 
     def _prepare(self, stack: ExitStack) -> None:

@@ -242,7 +242,7 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
         return []
     counts = sorted(Counter(replay.label for replay in replays).items())
     figures = ", ".join(f"{count} {label}" for label, count in counts)
-    lines = [f"replayed {plural(len(replays), 'saved scenario')}: {figures}"]
+    lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     shown = [replay for replay in replays if replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))

@@ -83,3 +83,11 @@ def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(f
     failing.run("--pafot-against=old_ads").stdout.fnmatch_lines(
         ["*against: expected module:factory, such as planner_before:make, received 'old_ads'*"]
     )
+
+
+def test_a_search_whose_reference_breaks_wherever_it_is_run_fails(project):
+    project.write(TEST.replace("MORE", ""))
+    policies(project, SPEEDS, "def make():\n    return lambda observation: observation.lanes\n")
+    result = project.run(AGAINST)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["the search tested nothing:", "the reference itself failed wherever it was run, *"])

@@ -160,6 +160,7 @@ def test_replays_are_counted_by_label_and_listed_unless_they_fail_as_before():
         "  drifted: t[saved-c]",
         "    numpy 1 then, 2 now",
     ]
+    assert max(map(len, terminal.replay_lines(replays, 40))) <= 40
 
 
 def test_orphans_say_what_to_do_removed_ones_that_they_are_gone_and_others_why_they_are_left_alone():
