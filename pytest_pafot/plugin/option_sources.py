@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import pytest
@@ -120,7 +121,7 @@ class Sources(NamedTuple):
         return next((value for source in sources if (value := source()) is not None), option.default)
 
     def budget(self, named: str | None, automatic: str) -> dict[str, Any]:
-        """The values of :data:`BUDGETS`, all from the first kind of source that gives any of them."""
+        """The values of :data:`BUDGETS`, all from the first source that gives any of them."""
         each = [self._sources(BY_NAME[name], named, automatic) for name in BUDGETS]
         together = ([source() for source in sources] for sources in zip(*each, strict=True))
         given = next((values for values in together if any(value is not None for value in values)), (None, None))
@@ -128,7 +129,7 @@ class Sources(NamedTuple):
 
     def _sources(self, option: Option, named: str | None, automatic: str) -> tuple[Callable[[], Any], ...]:
         return (
-            lambda: self.given(option),
+            *(partial(_read, option, place, value) for place, value in self._places(option)),
             lambda: PROFILES[named].get(option.name) if named else None,
             lambda: self.ini(option),
             lambda: None if named else PROFILES[automatic].get(option.name),
@@ -136,12 +137,16 @@ class Sources(NamedTuple):
 
     def given(self, option: Option) -> Any:
         """The value on the command line, in the marker or in the environment; None in none of them."""
-        places = {
-            option.flag: self.config.getoption(option.key),
-            f"@pafot.search({option.name}=...)": self.marker.get(option.name) if option.is_argument else None,
-            f"environment variable {option.variable}": self.environ.get(option.variable) or None,
-        }
-        return next((_read(option, place, value) for place, value in places.items() if value is not None), None)
+        read = (_read(option, place, value) for place, value in self._places(option))
+        return next((value for value in read if value is not None), None)
+
+    def _places(self, option: Option) -> tuple[tuple[str, object], ...]:
+        """The command line, the marker and the environment, with what they say of an option."""
+        return (
+            (option.flag, self.config.getoption(option.key)),
+            (f"@pafot.search({option.name}=...)", self.marker.get(option.name) if option.is_argument else None),
+            (f"environment variable {option.variable}", self.environ.get(option.variable) or None),
+        )
 
     def ini(self, option: Option) -> Any:
         """The value in a file of settings; None where there is none."""
@@ -150,11 +155,11 @@ class Sources(NamedTuple):
             value = self.config.getini(option.key)
         except (TypeError, ValueError, pytest.UsageError) as error:
             raise OptionError(f"{place}: {error}") from None
-        return None if value is None else _read(option, place, value)
+        return _read(option, place, value)
 
 
 def _read(option: Option, place: str, value: object) -> Any:
     try:
-        return option.read(value)
+        return None if value is None else option.read(value)
     except OptionError as error:
         raise OptionError(f"{place}: {error}") from None

@@ -66,7 +66,8 @@ def test_a_profile_may_be_named_anywhere(project, source):
         ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
         ({"ini": "pafot_generations = 100"}, None, 100),
         ({"ini": "pafot_generations = 100", "marker": {"profile": "ci"}}, 400, None),
-        ({"marker": {"runs": 7}, "environ": {"PAFOT_GENERATIONS": "2"}}, 7, 2),
+        ({"marker": {"runs": 7}, "environ": {"PAFOT_GENERATIONS": "2"}}, 7, None),
+        ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
         ({"marker": {"generations": 0}}, None, 0),
     ],
 )
