@@ -14,7 +14,7 @@ def test_health_warnings_are_shown_and_fail_only_when_asked(project):
 def parked():
     return lambda observation: (-8.0, 0.0)
 
-@pafot.search(genes=4, gene_seconds=10, ads=parked)
+@pafot.search(npcs=1, genes=4, gene_seconds=10, ads=parked)
 def test_parked(run):
     pass
 """

@@ -48,8 +48,8 @@ def test_a_quarter_of_invalid_runs_is_well_and_more_warns_with_the_figure(make_e
 
 
 def test_genes_that_are_hardly_reached_warn(make_evaluation):
-    (warning,) = health_of(make_evaluation, (4, {"genes_reached": 3})).warnings()
-    assert warning.startswith("NPCs reached the cell of only 25 % (12) of 48 Position-Instructions")
+    (warning,) = health_of(make_evaluation, (4, {"genes_reached": 2})).warnings()
+    assert warning.startswith("NPCs reached the cell of only 17 % (8) of 48 Position-Instructions")
 
 
 @pytest.mark.parametrize(
