@@ -40,7 +40,7 @@ REPORTS = {
     "two-defects": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}two-defects",
     "sees-cut-ins-late": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}sees-cut-ins-late",
     "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --env highway-v0",
-    "fiss": f"{EVERY} --runs {{10|1}} --seconds {{3600|60}} --ads fiss",
+    "fiss": f"{EVERY} --runs {{4|1}} --seconds {{3600|60}} --ads fiss",
 }
 """Arguments of the comparisons, by the folder of the report; of two in braces the second is the quick one."""
 
@@ -50,9 +50,9 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "docs/comparisons/README.md",
     ),
     "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation.md"),
-    "margins": ("margins --seeds {40|1} --generations {60|3} --workers WORKERS", "docs/explanation.md"),
+    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", "docs/explanation.md"),
     "margins-of-others": (
-        "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --generations {60|3} --workers WORKERS",
+        "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
         "docs/explanation.md",
     ),
     "near-misses": (
@@ -66,15 +66,16 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "docs/explanation.md",
     ),
     "failures": ("ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS", "docs/explanation.md"),
-    "shrinking": ("shrinking --generations {20|2} --workers WORKERS", "docs/explanation.md"),
+    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation.md"),
     "every-road": ("every_road --seeds {5|1} --generations {10|1}", "docs/explanation.md"),
-    "distinctness": ("distinctness --of second --seeds {10|1} --generations {100|2} --workers WORKERS", None),
+    "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
+    "training": ("training --seconds {8|1}", "docs/reference.md"),
     "positive-controls": (
-        "positive_controls --first-seed 200 --seeds {10|1} --generations {20|2} --workers WORKERS",
+        "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --workers WORKERS",
         None,
     ),
-    "negative-control": ("negative_control --seeds {10|1} --generations {100|2} --workers WORKERS", None),
+    "negative-control": ("negative_control --seeds {10|1} --runs {400|8} --workers WORKERS", None),
 }
 """Arguments of the programs in tests/benchmarks, and the document with their tables."""
 

@@ -22,6 +22,7 @@ from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
+from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
@@ -65,14 +66,22 @@ COLLISIONS: Mapping[str, Variant] = {
     "1 NPC": replace(DEFAULT, space=SearchSpace(npcs=1)),
     "4 NPCs": replace(DEFAULT, space=SearchSpace(npcs=4)),
 }
-DISTINCT = Variant(algorithm=DistinctSearch)
+WIDE = SearchSpace(**drawn_space(Highway(), {}))
+"""What the default search draws from, where the paper's algorithm keeps to the paper's space."""
+DISTINCT = Variant(algorithm=DistinctSearch, space=WIDE)
 FAILURES: Mapping[str, Variant] = {
-    "random": Variant(algorithm=RandomSearch),
+    "random": Variant(algorithm=RandomSearch, space=WIDE),
+    "random, the paper's space": Variant(algorithm=RandomSearch),
     "pafot": DEFAULT,
     "distinct, as it is": DISTINCT,
+    "the paper's space": replace(DISTINCT, space=SearchSpace()),
+    "2 NPCs": replace(DISTINCT, space=replace(WIDE, npcs=2)),
+    "no patterns": replace(DISTINCT, space=replace(WIDE, patterns=False)),
+    "one start": replace(DISTINCT, space=replace(WIDE, ego_lanes=(), ego_speeds=None)),
     "no near-misses": replace(DISTINCT, tells_near_misses=False),
     "known failures stay parents": replace(DISTINCT, tells_kinds=False),
-    "4 random runs": replace(DISTINCT, parameters=(("random_runs", 4),)),
+    "4 proposals at once": replace(DISTINCT, parameters=(("population", 4),)),
+    "64 proposals at once": replace(DISTINCT, parameters=(("population", 64),)),
     "40 random runs": replace(DISTINCT, parameters=(("random_runs", 40),)),
     "one mutation a child": replace(DISTINCT, parameters=(("most_mutations", 1),)),
     "no crossover": replace(DISTINCT, parameters=(("crossover_rate", 0.0),)),

@@ -1,6 +1,6 @@
 """Is each defect one finding, and each finding one defect?
 
-    python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--generations 100] [--workers 2]
+    python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
         [--of first|second|development] [--policies NAME ...]
 
 Searches policies whose defects are known, and asks of each failing run which defect is to blame: the one whose repair
@@ -34,7 +34,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Signature
 from tests.benchmarks import policies_with_defects, policies_with_defects_2
-from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS
+from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, holds
 
 COMBINED = (
     ("ignores-standing-vehicles", "looks-only-ahead"),
@@ -60,7 +60,6 @@ class Subject:
     name: str
     defects: tuple[str, ...]
     make: Callable[[Sequence[str]], Any]
-    setting: Any = DEFAULT
 
     def label(self, scenario: Scenario) -> Label:
         """The defects that are to blame for a failing scenario."""
@@ -74,7 +73,7 @@ class Subject:
         return self._run(scenario, repaired).responsibility in ("ego", "both")
 
     def _run(self, scenario: Scenario, repaired: Sequence[str]) -> Run:
-        return Run(self.setting.world.rollout(scenario, self.make(repaired)))
+        return Run(pafot.Highway().rollout(scenario, self.make(repaired)))
 
 
 @dataclass(frozen=True)
@@ -83,10 +82,6 @@ class Searched:
 
     findings: list[tuple[Signature, Label]]
     runs: list[tuple[Signature, Label]]
-
-
-def holds(run: Run) -> None:
-    assert not run.collision
 
 
 def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
@@ -103,17 +98,14 @@ def subjects(of: str) -> dict[str, Subject]:
             name: Subject(name, found, partial(policies.make, name)) for name, (_, found) in policies.POLICIES.items()
         }
     alone = [(name,) for name in defects.POLICIES if name not in ("healthy", *defects.COMBINED)]
-    every = [
-        Subject("+".join(names), names, partial(combined, names), SETTINGS.get(names[0], DEFAULT))
-        for names in (*alone, *COMBINED)
-    ]
+    every = [Subject("+".join(names), names, partial(combined, names)) for names in (*alone, *COMBINED)]
     return {each.name: each for each in every}
 
 
 def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
     """One search, with its labels."""
     subject = subjects(options.of)[name]
-    space, failing = subject.setting.space, {}
+    failing = {}
 
     def listen(event: object) -> None:
         if isinstance(event, Judged) and event.verdict.failure is not None:
@@ -122,12 +114,8 @@ def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
     found = pafot.explore(
         subject.make(()),
         holds=holds,
-        world=subject.setting.world,
-        npcs=space.npcs,
-        ego_speed=space.ego_speed,
         blame="ego",
-        generations=options.generations,
-        population=4,
+        runs=options.runs,
         seed=seed,
         on_event=listen,
     )
@@ -187,7 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--generations", type=int, default=100)
+    parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--policies", nargs="*")
     parser.add_argument("--of", choices=(*SETS, "development"), default="first")

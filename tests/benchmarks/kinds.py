@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-from example_ads import defects, ppo
+from example_ads import defects, fiss, ppo
 from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.comparison.statistics import compared, holm
 from pytest_pafot.findings.finding import of_failure
@@ -39,6 +39,7 @@ NOT_TUNED_ON = (
 POLICIES: Mapping[str, Callable[[], Any]] = {
     "idm": lambda: IDMVehicle,
     "ppo": lambda: ppo.make,
+    "fiss": lambda: fiss.make,
     **{name: lambda name=name: defects.make(name) for name in TUNED_ON},
     **{name: lambda name=name: held_out.make(name) for name in NOT_TUNED_ON},
 }

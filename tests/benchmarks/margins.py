@@ -1,6 +1,6 @@
 """Does a check find a property's failure as soon as a fitness written by hand? Runs until the first failure.
 
-    python -m tests.benchmarks.margins [--policies idm careful-human] [--seeds 20] [--first-seed 0] [--generations 60]
+    python -m tests.benchmarks.margins [--policies idm careful-human] [--seeds 20] [--first-seed 0] [--runs 240]
         [--workers 2]
 
 Four measures (a headway, a jerk, a gap, a mean speed) of each policy; the bound of each is broken by one of 200 random
@@ -36,7 +36,7 @@ POLICIES: Mapping[str, Any] = {
     "brakes-weakly": defects.make("brakes-weakly"),
     **{name: held_out.make(name, repaired=every) for name, (_, every) in held_out.POLICIES.items()},
 }
-ONE_IN, RANDOM_GENERATIONS = 200, 200
+ONE_IN, RANDOM_RUNS = 200, 4000
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def bounded(policy: str, measure: str) -> Property:
             values.append(MEASURES[measure](event.run))
 
     pafot.explore(
-        POLICIES[policy], holds=lambda run: None, generations=RANDOM_GENERATIONS, algorithm="random", on_event=note,
-        blame="ego", seed=12345,
+        POLICIES[policy], holds=lambda run: None, runs=RANDOM_RUNS, algorithm="random", on_event=note, blame="ego",
+        seed=12345,
     )  # fmt: skip
     finite = sorted(value for value in values if np.isfinite(value))
     least = finite[-max(len(values) // ONE_IN, 1)]
@@ -110,7 +110,7 @@ def bounded(policy: str, measure: str) -> Property:
     return Property(policy, measure, bound=bound, scale=finite[-1] - finite[0] or 1.0)
 
 
-def runs_until_found(each: Property, arm: str, seed: int, generations: int) -> int | None:
+def runs_until_found(each: Property, arm: str, seed: int, budget: int) -> int | None:
     """Runs until the first failure; None where there was none."""
     runs, found = 0, []
 
@@ -125,8 +125,7 @@ def runs_until_found(each: Property, arm: str, seed: int, generations: int) -> i
     pafot.explore(
         POLICIES[each.policy],
         holds=each.check if arm == "check" else each.plainly,
-        generations=generations,
-        population=4,
+        runs=budget,
         seed=seed,
         blame="ego",
         stop_after=1,
@@ -139,7 +138,7 @@ def runs_until_found(each: Property, arm: str, seed: int, generations: int) -> i
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (("seeds", 20), ("first-seed", 0), ("generations", 60), ("workers", 2)):
+    for name, default in (("seeds", 20), ("first-seed", 0), ("runs", 240), ("workers", 2)):
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=["idm", "careful-human"])
     options = parser.parse_args()
@@ -147,7 +146,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.workers) as pool:
         properties = list(pool.map(bounded, *zip(*product(options.policies, MEASURES), strict=True)))
         jobs = {
-            (each, arm, seed): pool.submit(runs_until_found, each, arm, seed, options.generations)
+            (each, arm, seed): pool.submit(runs_until_found, each, arm, seed, options.runs)
             for each, arm, seed in product(properties, ARMS, seeds)
         }
         head = ["searched for", *(f"{each}, found" for each in (*MEASURES, "all")), "mean runs, a miss counted as all"]
@@ -159,7 +158,7 @@ def main() -> None:
             }
             every = [runs for each in found.values() for runs in each]
             shown = [f"{sum(runs is not None for runs in each)} of {len(each)}" for each in (*found.values(), every)]
-            mean = statistics.mean(4 * options.generations if runs is None else runs for runs in every)
+            mean = statistics.mean(options.runs if runs is None else runs for runs in every)
             print(f"| {told} | {' | '.join(shown)} | {mean:.0f} |")
 
 

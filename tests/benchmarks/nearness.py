@@ -19,13 +19,14 @@ from example_ads import idm_mobil
 from pytest_pafot import Highway, Scenario
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
+from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import Outcome
 
-SPACE = SearchSpace()
+SPACE = SearchSpace(**drawn_space(Highway(), {}))
 MISTAKES = ("moved-in-front", "moved-into-side", "kept-no-distance", "braked-for-nothing")
 
 

@@ -1,6 +1,6 @@
 """How small do findings become? Sizes before and after shrinking, over the positive controls.
 
-    python -m tests.benchmarks.shrinking [--generations 20] [--seeds 1] [--first-seed 0] [--workers 2]
+    python -m tests.benchmarks.shrinking [--runs 400] [--seeds 1] [--first-seed 0] [--workers 2]
         [--policies NAME ...] [--brute-force 5000]
 
 Each policy with a defect is searched as in ``positive_controls``; the first scenario of each kind of failure is shrunk
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 from example_ads import defects
-from pytest_pafot import Run, Scenario
+from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, driven, starts_of
 from pytest_pafot.findings.finding import of_failure
@@ -30,7 +30,7 @@ from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, si
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, ScenarioError
-from tests.benchmarks.positive_controls import DEFAULT, NOT_RUN_COLLISION, SETTINGS, factory_of, searched
+from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
 
 HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"
 
@@ -60,14 +60,13 @@ class Row:
 
 def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
     """The findings of one search, shrunk."""
-    setting = SETTINGS.get(policy, DEFAULT)
-    search = searched(policy, seed, setting, options)
+    world, search = Highway(), searched(policy, seed, options)
     firsts: dict[Signature, Scenario] = {}
     for find in search.finds:
         firsts.setdefault(find.signature, find.scenario)
 
     def signature_of(scenario: Scenario) -> tuple[Run, Signature | None]:
-        trace = setting.world.rollout(scenario, factory_of(policy))
+        trace = world.rollout(scenario, factory_of(policy))
         run = Run(trace)
         return run, of_failure(run, NOT_RUN_COLLISION) if is_ego_responsible(trace) else None
 
@@ -76,16 +75,16 @@ def rows(policy: str, seed: int, options: argparse.Namespace) -> list[Row]:
             run, observed = signature_of(candidate)
             if observed != signature:
                 return None
-            starts[driven(run)] = starts_of(run, setting.world.speed_limit)
+            starts[driven(run)] = starts_of(run, world.speed_limit)
             return driven(run)
 
         starts: dict[Scenario, tuple[Start, ...]] = {}
-        budget = ROLLOUTS_IN_KERNEL if setting.world.runs_in_kernel(factory_of(policy)) else ROLLOUTS
+        budget = ROLLOUTS_IN_KERNEL if world.runs_in_kernel(factory_of(policy)) else ROLLOUTS
         simplest, how = shrink(
             scenario,
             attempt,
             rollouts=budget,
-            top_speed=setting.world.speed_limit,
+            top_speed=world.speed_limit,
             starts=lambda scenario: starts.get(scenario, ()),
         )
         assert signature_of(simplest)[1] == signature
@@ -135,13 +134,13 @@ def summary(found: Sequence[Row]) -> str:
 def main() -> None:
     flawed = [name for name in defects.POLICIES if name != "healthy"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--generations", type=int, default=20)
+    parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--policies", nargs="*", default=flawed)
     parser.add_argument("--brute-force", type=int, default=0)
-    parser.set_defaults(algorithm="distinct", until_first=False)
+    parser.set_defaults(algorithm="distinct")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     found: list[Row] = []

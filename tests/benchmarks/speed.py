@@ -7,7 +7,7 @@
   interpreted. All take turns in one process, and their trajectories are compared by hash in that process.
 - ``ads``: policies of different cost, and the share of the time that is spent inside them.
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
-- ``search``: what the search, the fitness and the bookkeeping cost beside the rollouts.
+- ``search``: what searches cost beside their rollouts.
 - ``batch``: runs in lock step, with policies that decide for all of them at once, against one by one.
 - ``pure``: searches with a policy of 1 ms that is declared pure, against the same that is asked for everything.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
@@ -27,15 +27,16 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace
+from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, explore
 from pytest_pafot.campaign.simplification import ROLLOUTS, driven
 from pytest_pafot.findings.shrink import shrink
 from pytest_pafot.searching import (
@@ -255,36 +256,41 @@ def npcs(rounds: int) -> None:
         print(f"  {count:2} NPCs, loop    {statistics.median(times) * 1e9:7.1f} ns")
 
 
-def search(rounds: int) -> None:
-    """Part ``search``: the default search and fitness, against the rollouts alone."""
-    world, fitness = Highway(), resolve("default")
-    print(f"\nsearch, fitness and bookkeeping beside the rollouts, {KERNEL}, 100 generations")
-    for name, ads in (("constant speed", idle), ("IDM+MOBIL", IDMVehicle)):
-        spent, runs = [0.0, 0.0], 0
+@dataclass(frozen=True, kw_only=True)
+class TimedHighway(Highway):
+    """A road that knows what its runs took."""
 
-        def evaluate(scenarios: Any, ads: Any = ads, spent: list[float] = spent) -> list[Evaluation]:
-            done = []
-            for scenario in scenarios:
-                marks = [time.process_time()]
-                trace = world.rollout(scenario, ads)
-                marks.append(time.process_time())
-                score = fitness(trace)
-                marks.append(time.process_time())
-                done.append(Evaluation.of(trace, fitness=score, failing=trace.outcome is Outcome.COLLISION))
-                spent[0] += marks[1] - marks[0]
-                spent[1] += marks[2] - marks[1]
-            nonlocal runs
-            runs += len(scenarios)
-            return done
+    spent: list[float] = field(default_factory=list, compare=False)  # processor time of each run [s]
 
+    def rollout(self, *args: Any, **more: Any) -> Trace:
+        """As on any road."""
         started = time.process_time()
+        trace = super().rollout(*args, **more)
+        self.spent.append(time.process_time() - started)
+        return trace
+
+
+def search(rounds: int) -> None:
+    """Part ``search``: searches as users have them, of 800 runs and without shrinking, against their rollouts."""
+    print(f"\nsearches with blame='ego', beside their rollouts, {KERNEL}, 800 runs")
+    arms: dict[str, dict[str, Any]] = {
+        "default": {},
+        "default, blame='any'": {"blame": "any"},
+        "random": {"algorithm": "random"},
+        "pafot": {"algorithm": "pafot"},
+    }
+    for (ego, ads), (arm, more) in product((("constant speed", idle), ("IDM+MOBIL", IDMVehicle)), arms.items()):
+        road, started = TimedHighway(), time.process_time()
+        told = {"holds": never_collides, "world": road, "runs": 800, "shrink_rollouts": 0, "blame": "ego", **more}
         for seed in range(rounds):
-            for _ in run_campaign(PafotSearch(SearchSpace()), evaluate, generations=100, seed=seed):
-                pass
-        total = time.process_time() - started
-        parts = {"rollout": spent[0], "fitness": spent[1], "search": total - sum(spent)}
-        told = ", ".join(f"{part} {1e3 * seconds / runs:.3f} ms" for part, seconds in parts.items())
-        print(f"  {name:16} {runs} runs: {told}; all but the rollout: {(total - spent[0]) / spent[0]:.0%} of it")
+            explore(ads, seed=seed, **told)
+        total, rollouts, runs = time.process_time() - started, sum(road.spent), len(road.spent)
+        each = f"rollout {1e3 * rollouts / runs:.2f} ms, all else {1e3 * (total - rollouts) / runs:.2f} ms"
+        print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
+
+
+def never_collides(run: Run) -> None:
+    assert not run.collision
 
 
 class Network:
