@@ -28,6 +28,7 @@ from pytest_pafot.criticality.signals import (
 )
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.shown import Drawn
 from pytest_pafot.text import ascii_text
 from pytest_pafot.trace import AdsError, Collision, FloatArray, Outcome, Trace
 
@@ -102,7 +103,7 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run:
+class Run(Drawn):
     """What happened in one run, and all that a test can ask of it; measures are computed when first asked for.
 
     Attributes:

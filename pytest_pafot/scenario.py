@@ -13,6 +13,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import Any, Literal, cast, get_args
 
@@ -62,6 +63,10 @@ class PositionInstruction:
             object.__setattr__(self, "cell", Cell(number))
         object.__setattr__(self, "speed", _checked_speed(self.speed))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Runs travel between processes, with dozens of genes: one that is known there need not be made again."""
+        return _known_position, (int(self.cell), self.speed)
+
     @property
     def target(self) -> int:
         """The cell, as files and canonical texts have it."""
@@ -71,6 +76,11 @@ class PositionInstruction:
     def goal(self) -> str:
         """Where to, in words: ``2 front``."""
         return f"{int(self.cell)} {self.cell.label}"
+
+
+@lru_cache(maxsize=1 << 14)
+def _known_position(cell: int, speed: float) -> PositionInstruction:
+    return PositionInstruction(Cell(cell), speed)
 
 
 Shift = Literal["keep", "left", "right"]
@@ -205,6 +215,10 @@ class Scenario:
         object.__setattr__(scenario, "ego_speed", ego_speed)
         object.__setattr__(scenario, "gene_seconds", gene_seconds)
         return scenario
+
+    def __hash__(self) -> int:
+        # A search asks for it a dozen times a run, and to hash all genes takes as long as to breed a child.
+        return hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain]))
 
     @property
     def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.shown import Drawn
+
+ReadT = TypeVar("ReadT")
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -112,7 +116,7 @@ class AdsError:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trace:
+class Trace(Drawn):
     """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
 
     Attributes:
@@ -159,6 +163,7 @@ class Trace:
     max_decision_seconds: float = field(default=0.0, compare=False)
     track: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
+    _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("states", "sizes") if self.track is None else ("states", "sizes", "track"):
@@ -180,6 +185,13 @@ class Trace:
         self.states.flags.writeable = self.sizes.flags.writeable = False
         if self.track is not None:
             self.track.flags.writeable = False
+
+    def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
+        """What a pure function reads from the trace, once: the value travels with it to other processes."""
+        if name not in self._readings:
+            self._readings[name] = read(self)
+        value: ReadT = self._readings[name]
+        return value
 
     @property
     def ticks(self) -> int:

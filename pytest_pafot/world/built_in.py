@@ -9,8 +9,9 @@ from typing import Any
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
@@ -39,6 +40,16 @@ class BuiltInWorld(ABC):
     """What steps runs in SI units."""
 
     @property
+    def observation_space(self) -> Any:
+        """What a policy sees, as gymnasium describes it; None where that is a :class:`pytest_pafot.Observation`."""
+        return None
+
+    @property
+    def action_space(self) -> Any:
+        """What a policy decides, as gymnasium describes it; None where that is in SI units."""
+        return None
+
+    @property
     @abstractmethod
     def rules(self) -> Rules:
         """What all runs have in common."""
@@ -53,8 +64,8 @@ class BuiltInWorld(ABC):
         """Simulate a scenario with a fresh ADS."""
 
     @abstractmethod
-    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
-        """A run that is given its decisions."""
+    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
+        """A run that is given its decisions, by an ADS that may have a sight."""
 
     @property
     def has_lock_step(self) -> bool:
@@ -97,6 +108,7 @@ class BuiltInWorld(ABC):
         """
         for scenario in scenarios:
             self.check_fits(scenario)
+        check_drives_in(ads_factory, self)
         if not self.has_lock_step:
             return [self.rollout(scenario, ads_factory) for scenario in scenarios]
         return rollouts(scenarios, ads_factory, self._begin, self.rollout, self.hang_limit)

@@ -17,17 +17,13 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium
-import highway_env  # noqa: F401  (registers its environments)
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
-from highway_env.envs.common import action, observation
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.road.road import Road
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.stock import AbstractEnv, Road, Vehicle, action, observation
 from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, checked_whole, plain_data
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
@@ -78,15 +74,15 @@ class GymEnvironment:
     config: dict[str, Any] | None
     wrappers: Sequence[Callable[[Any], Any]] | None
 
-    def make(self) -> Any:
-        """A fresh environment without traffic in all its wrappers, as ``gymnasium.make`` gives it."""
+    def make(self, *, has_traffic: bool = False) -> Any:
+        """A fresh environment in all its wrappers, as ``gymnasium.make`` gives it, with or without random traffic."""
         creator, given = _creator(self.env_id), self.config or {}
         if isinstance(creator, type):
             _check_base(self.env_id, creator)
         _check_sizes(given, creator)
         try:
             with vehicle_classes_kept():
-                env = _without_traffic(self.env_id, creator, self._given_config)
+                env = _made(self.env_id, creator, self._given_config, has_traffic=has_traffic)
         except Exception as error:
             expected = f"a configuration that the environment {self.env_id} accepts"
             received, fix = f"{self.config!r:.200}", f"it raised {type(error).__name__}: {error!s:.200}"
@@ -108,6 +104,18 @@ class GymEnvironment:
     def outer(self) -> Any:
         """The environment in its wrappers."""
         return self.make()
+
+    def with_traffic(self) -> Any:
+        """An environment with its random traffic, in all its wrappers, to be reset with a seed.
+
+        highway-env's own make everything anew in a reset and are made once; what others keep is not known.
+        """
+        is_stock = self.wrappers is None and type(self.unwrapped).__module__.startswith("highway_env.")
+        return self._stock_with_traffic if is_stock else self.make(has_traffic=True)
+
+    @cached_property
+    def _stock_with_traffic(self) -> Any:
+        return self.make(has_traffic=True)
 
     @property
     def wrapper_names(self) -> list[str]:
@@ -320,14 +328,15 @@ def _options(module: Any) -> set[str]:
     return (taken - {"env", "kwargs"}) | {"type", "flatten"}  # intersection-v0 has "flatten", which none takes
 
 
-def _without_traffic(env_id: str, creator: Any, given: dict[str, Any]) -> Any:
+def _made(env_id: str, creator: Any, given: dict[str, Any], *, has_traffic: bool) -> Any:
     """An environment in the wrappers that it is registered with.
 
     Where its road is not straight, it is as a reset with seed 0 leaves it: road and start may depend on chance.
     """
     known = creator.default_config() if hasattr(creator, "default_config") else {}
     config = _as_known(_with_tuples(given), known)
-    config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
+    if not has_traffic:
+        config |= {"vehicles_count": 0, **{name: 0 for name in TRAFFIC if name in known}}
     parameters = inspect.signature(creator).parameters
     takes_config = "config" in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     keywords: dict[str, Any] = {"config": config} if takes_config else {}

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
@@ -134,6 +135,16 @@ class World(BuiltInWorld):
         return self.road.speed_limit
 
     @property
+    def observation_space(self) -> Any:
+        """What a policy sees, in all wrappers."""
+        return self.environment.outer.observation_space
+
+    @property
+    def action_space(self) -> Any:
+        """What a policy decides, in all wrappers."""
+        return self.environment.outer.action_space
+
+    @property
     def physics_hz(self) -> int:
         """The environment's ``simulation_frequency``."""
         return self.rules.physics_hz
@@ -157,6 +168,7 @@ class World(BuiltInWorld):
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
+        check_drives_in(ads_factory, self)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads = make_ads(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
             ads_factory = ads if is_vehicle_class(ads) else lambda: ads
@@ -177,10 +189,10 @@ class World(BuiltInWorld):
 
         return replay_environment(self.environment, self.rules, scenario, ads_factory)
 
-    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
+    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         from pytest_pafot.world.engines.policy_engine import begin  # noqa: PLC0415  (imports highway-env)
 
-        return begin(self.environment, self.rules, scenario, guard)
+        return begin(self.environment, self.rules, scenario, guard, sight)
 
     @property
     def has_lock_step(self) -> bool:

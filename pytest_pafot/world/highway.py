@@ -9,9 +9,11 @@ from typing import Any
 
 from pytest_pafot.errors import AdsFactoryError, WorldError
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.closing import closing
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines import selection
 from pytest_pafot.world.engines.lock_step import SteppedRun
@@ -30,8 +32,8 @@ ENGINES = ("auto", "kernel", "highway-env")
 class Highway(BuiltInWorld):
     """A straight motorway of three to six lanes.
 
-    Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])``, or
-    a highway-env vehicle class that drives itself.
+    Its ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a
+    :class:`pytest_pafot.Drive`, or a highway-env vehicle class that drives itself.
 
     Attributes:
         lanes: 3 to 6, numbered from 0 at the left.
@@ -92,11 +94,12 @@ class Highway(BuiltInWorld):
         Raises:
             ScenarioError: when the scenario does not fit this world.
             AdsFactoryError: when the factory gives nothing that can drive here.
-            BadAction: when one of the decisions is no pair of finite numbers.
+            BadAction: when one of the decisions is none.
             WorldError: for decisions in the place of a vehicle class, which returns none.
             Exception: whatever the factory itself raises. What the ADS raises ends the run as ``ads_error``.
         """
         self.check_fits(scenario)
+        check_drives_in(ads_factory, self)
         if not is_vehicle_class(ads_factory) and wants_env(ads_factory):
             raise AdsFactoryError(
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
@@ -105,7 +108,8 @@ class Highway(BuiltInWorld):
         ads = make_ads(ads_factory)
         if is_vehicle_class(ads):
             return selection.rollout_vehicle(self, scenario, ads, decisions)
-        return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
+        with closing(ads, self.hang_limit):
+            return selection.rollout_planner(self, self.rules, scenario, ads, decisions)
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Whether an ADS is a vehicle class that the kernel drives here."""
@@ -122,8 +126,8 @@ class Highway(BuiltInWorld):
 
         return replay_highway(self.rules, scenario, ads_factory)
 
-    def _begin(self, scenario: Scenario, guard: HangGuard) -> SteppedRun:
-        return selection.begin(self, scenario, guard)
+    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
+        return selection.begin(self, scenario, guard, sight)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""

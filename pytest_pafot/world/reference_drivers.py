@@ -208,7 +208,8 @@ class FuzzySafety(ReferenceDriver):
 
     Proactive (PFS) and critical (CFS) fuzzy measures, each from 0 to 1, give the braking: PFS up to the comfortable
     4 m/s^2, CFS from there to 6 m/s^2. It reacts to leaders, and to vehicles that will be in its way sideways before
-    it has passed them.
+    it has passed them. CFS takes a leader to keep its speed, so that for one which goes on braking hard the driver
+    brakes with 4 m/s^2 until little time is left: the published model runs into some of those.
     """
 
     COMFORTABLE = 4.0

@@ -1,6 +1,7 @@
 """The reference drivers: what they do alone, and that they see no more than an ADS does."""
 
 import math
+from itertools import takewhile
 
 import pytest
 
@@ -140,6 +141,15 @@ class TestFuzzySafety:
     def test_brakes_with_at_most_6_where_a_slow_vehicle_cuts_in(self):
         rows = drive(FuzzySafety(), cut_in(20.0, 8.0, begins=1.0))
         assert min(a for *_, a in rows) == -6.0
+
+    def test_hits_a_leader_that_brakes_hard_for_which_the_careful_human_stops(self):
+        """It takes the leader to keep its speed: 4 m/s^2 until that no longer is enough, then 6, too late."""
+        brakes = leader(24.0, 20.0, brakes_at=0.0, braking=6.0)
+        approach = list(takewhile(lambda row: row[1] > 0, drive(FuzzySafety(), brakes)))
+        assert len(approach) < 10 * HZ
+        assert sum(a == -4.0 for *_, a in approach) > 1.0 * HZ
+        assert approach[-1][3] == -6.0
+        assert min(gap for _, gap, *_ in drive(CarefulHuman(), brakes)) > 5.0
 
     def test_reacts_to_a_vehicle_that_is_still_in_its_own_lane_but_comes(self):
         other, ego = car(20.0, 0.8, 12.0, heading=0.15), car(0.0)

@@ -6,20 +6,24 @@ import functools
 import inspect
 import re
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from pytest_pafot.errors import AdsFactoryError
+from pytest_pafot.world.driving.seeing import PlannerSight
 from pytest_pafot.world.kernel.action import (
+    Drive,
     checked_si_action,
     possible_acceleration,
     possible_steering,
     shown,
     without_reversing,
 )
-from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
+from pytest_pafot.world.kernel.steering import acceleration_to_speed, steering_to_lane
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 
@@ -32,7 +36,12 @@ PREDICTING = "`lambda: lambda observation: model.predict(observation, determinis
 """The factory of an ADS that asks a trained model."""
 
 AdsFactory = Callable[..., Any]
-"""Gives a fresh ADS, called once per scenario."""
+"""Gives a fresh ADS, called once per scenario.
+
+It may have a method ``check_world(world)``, which raises where it gives nothing that drives there; a method
+``preload()``, which is called in the session, whose forked processes then have what it loads; and a text
+``weights_digest``, a hash of the policy, which findings keep.
+"""
 
 
 class EgoDriver(Protocol):
@@ -78,6 +87,32 @@ def wants_env(factory: AdsFactory) -> bool:
         return "env" in inspect.signature(factory).parameters
     except (TypeError, ValueError):  # builtins without a signature
         return False
+
+
+def check_drives_in(factory: AdsFactory, world: Any) -> None:
+    """Have a factory compare itself with a world, where it can; it says by its error what does not fit."""
+    check = _of_factory(factory, "check_world")
+    if check is not None:
+        check(world)
+
+
+def preload(factory: AdsFactory) -> None:
+    """Have a factory load what its ADSs share, where it can, so that not each forked process has to."""
+    load = _of_factory(factory, "preload")
+    if load is not None:
+        load()
+
+
+def weights_digest(factory: AdsFactory) -> str:
+    """The hash of the policy that a factory gives; empty where it tells none."""
+    told = _of_factory(factory, "weights_digest")
+    return told if isinstance(told, str) else ""
+
+
+def _of_factory(factory: AdsFactory, name: str) -> Any:
+    """An attribute of a factory, or of the one that it is around; None without, and of a class, whose ADSs have it."""
+    inner = inspect.unwrap(factory)
+    return None if isinstance(inner, type) else getattr(inner, name, None)
 
 
 def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
@@ -155,7 +190,7 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
         else:
             hint = (
                 "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: "
-                "`ads=lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
+                "`lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
             )
         raise AdsFactoryError(
             f"ads: expected a factory that can be called {given}, received one with the signature {signature} "
@@ -192,7 +227,7 @@ class SelfDriving:
 
 @dataclass(eq=False)
 class Planner:
-    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad])."""
+    """Kind (a): a callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]) or :class:`Drive`."""
 
     ads: Callable[[Observation], Any]
     road: Road
@@ -200,26 +235,74 @@ class Planner:
     vehicle: Car
     physics_hz: int
     every: int
+    sight: PlannerSight | None = field(default=None, kw_only=True)
 
-    def decide(self, tick: int) -> tuple[float, float]:
+    def __post_init__(self) -> None:
+        # What there was in the last ticks, the oldest as far back as the latency, or at the start.
+        self._past: deque[Observation] = deque(maxlen=0 if self.sight is None else self.sight.delay)
+
+    def decide(self, tick: int) -> tuple[float, float] | Drive:
         """Observe, ask, check and apply."""
         return self.apply(self.ads(self.observe(tick)))
 
-    def apply(self, action: Any) -> tuple[float, float]:
+    def apply(self, action: Any) -> tuple[float, float] | Drive:
         """Check an action, apply it, and return it as checked."""
-        pair = checked_si_action(action)
-        self._wanted = possible_acceleration(pair[0])
-        self.vehicle.control(self._wanted, possible_steering(pair[1]))
-        return pair
+        checked = checked_si_action(action, self.lanes.lane_count)
+        self._drive = checked if isinstance(checked, Drive) else None
+        if isinstance(checked, Drive):
+            self._wanted = possible_acceleration(checked.acceleration or 0.0)
+        else:
+            self._wanted = possible_acceleration(checked[0])
+            self._steer(possible_steering(checked[1]))
+        return checked
 
     def actuate(self) -> None:
-        """Brake to a standstill, never into reverse."""
-        self.vehicle.acceleration = without_reversing(self._wanted, self.vehicle.speed, 1 / self.physics_hz)
+        """Steer to a lane and drive a speed, where so decided; brake to a standstill, never into reverse."""
+        if self._past.maxlen:
+            self._past.append(self._now(0))
+        car, drive = self.vehicle, self._drive
+        if drive is not None:
+            across, heading = self._place()
+            self._steer(steering_to_lane(across - drive.lane * self.lanes.lane_width, heading, car.speed, car.LENGTH))
+            if drive.speed is not None:
+                self._wanted = acceleration_to_speed(drive.speed, car.speed)
+        car.acceleration = without_reversing(self._wanted, car.speed, 1 / self.physics_hz)
+
+    def _steer(self, angle: float) -> None:
+        self.vehicle.control(self._wanted, angle)
+
+    def _place(self) -> tuple[float, float]:
+        """Across the road [m] and the heading to it [rad], now."""
+        road, car = cast("StraightRoad", self.lanes), self.vehicle
+        _, across, heading = road.project(car.x, car.y, car.heading)
+        return across, heading
 
     def observe(self, tick: int) -> Observation:
-        """What the ADS sees: all vehicles as they are now."""
+        """What the ADS sees: all vehicles as they are now, unless its sight is imperfect."""
+        now = self._now(tick)
+        return now if self.sight is None else self.sight.seen(now, self._past[0] if self._past else now)
+
+    def _now(self, tick: int) -> Observation:
         ego, *others = (
             VehicleState(v.x, v.y, v.heading, v.speed, v.lane_index[2], v.LENGTH, v.WIDTH) for v in self.road.vehicles
         )
         road, time = self.lanes, tick / self.physics_hz
-        return Observation(time, ego, tuple(others), len(road.lanes), road.lane_width, road.speed_limit)
+        return Observation(
+            time,
+            ego,
+            tuple(others),
+            len(road.lanes),
+            road.lane_width,
+            road.speed_limit,
+            **self._details(tuple([lateral_velocity(v.heading, v.speed, v.steering) for v in self.road.vehicles])),
+            road_length=road.lanes[0].length,
+        )
+
+    def _details(self, lateral: tuple[float, ...]) -> dict[str, Any]:
+        """What an observation has on any road."""
+        return {
+            "decision_period": self.every / self.physics_hz,
+            "acceleration": self.vehicle.acceleration,
+            "steering": self.vehicle.steering,
+            "lateral_velocities": lateral,
+        }

@@ -15,6 +15,9 @@ from pytest_pafot.world.kernel.action import BadAction, one_line
 UNFIT = BaseException
 """Whatever comes out of the user's code, to be caught where :func:`let_through` sorts out what is not its own doing."""
 
+OWN = ("pytest_pafot.world.", "pytest_pafot.policies.")
+"""Modules between the ADS and a run, in whose frames nobody looks for a mistake of the ADS."""
+
 TIMEOUT_PLUGINS = ("pytest_timeout",)
 """Their failure says that the time of a test is over, and nothing of the code that ran just then."""
 
@@ -67,7 +70,7 @@ def _users_part(error: BaseException) -> TracebackType | None:
     """The traceback without this package's own frames at its top."""
     frames = error.__traceback__
     while frames is not None and frames.tb_next is not None:
-        if not str(frames.tb_frame.f_globals.get("__name__")).startswith("pytest_pafot.world."):
+        if not str(frames.tb_frame.f_globals.get("__name__")).startswith(OWN):
             break
         frames = frames.tb_next
     return frames

@@ -11,11 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.observation import KinematicObservation
-from highway_env.road.lane import AbstractLane
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.world.driving.vehicles import ParallelLanes, straight_road
+from pytest_pafot.world.stock import AbstractLane, Vehicle, observation
 
 _DIRECT = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _RELATIVE = ("x", "y", "vx", "vy")
@@ -26,7 +24,7 @@ def observer(env: Any) -> Any:
     stock = env.observation_type
     network = env.road.network
     is_supported = (
-        type(stock) is KinematicObservation
+        type(stock) is observation.KinematicObservation
         and stock.order == "sorted"
         and stock.vehicles_count >= 2
         and all(feature in _DIRECT for feature in stock.features)

@@ -4,33 +4,37 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from highway_env.road.road import Road
-from highway_env.utils import class_from_path
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.world.driving.kinematics import observer
+from pytest_pafot.world.driving.seeing import PolicySight
 from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
+from pytest_pafot.world.stock import Road, class_from_path
 
 
 class Policy:
     """Kinds (b) and (d): a callable from the environment's observation to its action.
 
     The road and ego of the environment are those of the run. A view, for kind (d), is brought up to the run's state
-    before each decision.
+    before each decision. With a sight, both show what is seen.
     """
 
-    def __init__(self, ads: Any, env: Any, every: int, view: View | None = None) -> None:
+    def __init__(
+        self, ads: Any, env: Any, every: int, view: View | None = None, sight: PolicySight | None = None
+    ) -> None:
         check_action_space(env.action_space)
         self.vehicle = env.vehicle
         self.every = every
         self._ads = ads
-        self._env = env
+        self.env = env
         self._observe = observer(env)
         self._view = view
+        self._sight = sight
 
     def decide(self, tick: int) -> Any:
         """Observe, ask, check and apply."""
@@ -38,21 +42,24 @@ class Policy:
 
     def observe(self, tick: int) -> Any:
         """What the ADS sees."""
-        env = self._env
+        env = self.env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
-        if self._view is not None:
-            self._view.show(tick)
-        return self._observe()
+        with nullcontext() if self._sight is None else self._sight.shown():
+            if self._view is not None:
+                self._view.show(tick)
+            return self._observe()
 
     def apply(self, action: Any) -> Any:
         """Check an action, apply it, and return it as checked."""
-        checked = checked_action(action, self._env.action_space)
-        self._env.action_type.act(checked)
+        checked = checked_action(action, self.env.action_space)
+        self.env.action_type.act(checked)
         return checked
 
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""
+        if self._sight is not None:
+            self._sight.note()
         self.vehicle.act()
 
 
@@ -136,8 +143,10 @@ class View:
         ego.check_collisions = True
         road.objects = copies_on(source.road.objects, road)
         road.vehicles = [ego]
-        for each in source.road.vehicles[1:]:
-            road.vehicles.append(self._traffic(road, np.array(each.position), float(each.heading), float(each.speed)))
+        for each in source.road.vehicles:
+            if each is not source.vehicle:
+                state = np.array(each.position), float(each.heading), float(each.speed)
+                road.vehicles.append(self._traffic(road, *state))
         env.road = road
         env.controlled_vehicles = [ego]
         env.np_random = road.np_random

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pytest_pafot.criticality.relative import driven_between
 from pytest_pafot.world.driving.ads import Planner
 from pytest_pafot.world.driving.vehicles import Car
-from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from pytest_pafot.world.kernel.action import BadAction, Drive
+from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
 from pytest_pafot.world.roads.network import NetworkRoad, Spot
 
 
 @dataclass(eq=False)
 class RoadPlanner(Planner):
-    """A callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]), with the road straightened out.
+    """A callable from :class:`Observation` to (acceleration [m/s^2], steering [rad]) or :class:`Drive`, as if straight.
 
     Positions are along the ego's way and in the measure of lanes, distances as they are driven, headings to the lane.
-    The steering is that beside what following the lane takes.
+    The steering is that beside what following the lane takes. A lane can be driven to where it exists.
 
     Attributes:
         starts: where along the road vehicles start [m].
@@ -30,12 +32,14 @@ class RoadPlanner(Planner):
     _along: list[float] = field(default_factory=list, init=False)
     _lean: float = field(default=0.0, init=False)
 
-    def decide(self, tick: int) -> tuple[float, float]:
-        """Observe, ask, check and apply, with the steering that the bend takes."""
-        action = super().decide(tick)
-        along_the_lane = math.atan(2 * math.tan(-self._lean))
-        self.vehicle.control(self.vehicle.acceleration, self.vehicle.steering + along_the_lane)
-        return action
+    def apply(self, action: Any) -> tuple[float, float] | Drive:
+        """Check an action, apply it, and return it as checked."""
+        checked = super().apply(action)
+        if isinstance(checked, Drive) and not self.lanes.exists(checked.lane, self._along[0]):
+            raise BadAction(
+                f"expected pafot.Drive with a lane that exists at {self._along[0]:.0f} m, received {checked}"
+            )
+        return checked
 
     def observe(self, tick: int) -> Observation:
         """What the ADS sees: all vehicles as they are now, with the road straightened out."""
@@ -45,18 +49,37 @@ class RoadPlanner(Planner):
         self._along = [spot.along for spot in spots]
         own = spots[0]
         self._lean = network.lane_at(own.lane, own.along)[2]
-        states = [self._state(vehicle, spot, own) for vehicle, spot in zip(vehicles, spots, strict=True)]
-        lanes, width, limit = len(network.columns), network.lane_width, network.speed_limit
-        return Observation(tick / self.physics_hz, states[0], tuple(states[1:]), lanes, width, limit)
+        pairs = [self._state(vehicle, spot, own) for vehicle, spot in zip(vehicles, spots, strict=True)]
+        states, lateral = zip(*pairs, strict=True)
+        self._own = states[0]
+        return Observation(
+            tick / self.physics_hz,
+            states[0],
+            states[1:],
+            len(network.columns),
+            network.lane_width,
+            network.speed_limit,
+            **self._details(lateral),
+            road_length=network.end,
+        )
 
-    def _state(self, vehicle: Car, spot: Spot, own: Spot) -> VehicleState:
+    def _steer(self, angle: float) -> None:
+        """With the steering that the bend takes."""
+        super()._steer(angle + math.atan(2 * math.tan(-self._lean)))
+
+    def _place(self) -> tuple[float, float]:
+        return self._own.y, self._own.heading
+
+    def _state(self, vehicle: Car, spot: Spot, own: Spot) -> tuple[VehicleState, float]:
+        """A vehicle, and its velocity across the lane [m/s]."""
         network = self.lanes
         here, there = network.stretch(own.along, own.across), network.stretch(spot.along, spot.across)
         _, direction, lean = network.lane_at(spot.lane, spot.along)
-        heading = spot.angle + network.reference(spot.along)[2] - direction - lean
+        to_lane = spot.angle + network.reference(spot.along)[2] - direction
         x = own.along + driven_between(own.along, spot.along, here, there)
         y = network.in_lanes(spot)
-        return VehicleState(x, y, heading, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)
+        state = VehicleState(x, y, to_lane - lean, vehicle.speed, spot.lane, vehicle.LENGTH, vehicle.WIDTH)
+        return state, lateral_velocity(to_lane, vehicle.speed, vehicle.steering)
 
     def _start_of(self, vehicle: Car) -> float:
         """Of all places along the road where vehicles start, the nearest to one [m]."""

@@ -11,14 +11,12 @@ import math
 from typing import Any
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
-from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.trace import Lane
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.stock import AbstractLane, CircularLane, Road, RoadNetwork, SineLane, StraightLane, Vehicle
 
 BOX_STEP = 1.0
 """Distance of the points of a lane that its box is drawn around, and by how much it is drawn wider [m]."""

@@ -9,25 +9,34 @@ driver, called from the road's ``act``; the contact oracle, called after each of
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import gymnasium
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.road.road import RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
+from pytest_pafot.world.driving.ads import (
+    AdsFactory,
+    Planner,
+    SelfDriving,
+    is_vehicle_class,
+    make_ads,
+    wants_env,
+)
+from pytest_pafot.world.driving.closing import closing
 from pytest_pafot.world.driving.failure import UNFIT, let_through
 from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
+from pytest_pafot.world.driving.seeing import PolicySight, planner_sight, policy_sight
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.stock import AbstractEnv, RoadNetwork, Vehicle
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """What highway-env's intersections call after each step."""
@@ -80,7 +89,9 @@ class StockPolicy:
     simulates inside of the environment is shown before each decision.
     """
 
-    def __init__(self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None) -> None:
+    def __init__(
+        self, ads: Callable[[Any], Any], outer: Any, every: int, view: View | None, sight: PolicySight | None
+    ) -> None:
         check_action_space(outer.action_space)
         self.vehicle = outer.unwrapped.vehicle
         self.every = every
@@ -90,6 +101,9 @@ class StockPolicy:
         self._ads = ads
         self._outer = outer
         self._view = view
+        self._sight = sight
+        if sight is not None:
+            sight.observe_through()
 
     def begin(self, seed: int) -> None:
         """See what a reset returns, which leaves everybody in the places of the scenario, and adds nobody."""
@@ -112,7 +126,8 @@ class StockPolicy:
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
-            self._view.show(tick)
+            with nullcontext() if self._sight is None else self._sight.shown():
+                self._view.show(tick)
         self._action = checked_action(self._ads(self._seen), self._outer.action_space)
         return self._action
 
@@ -132,6 +147,8 @@ class StockPolicy:
 
     def actuate(self) -> None:
         """Low-level control of highway-env's controlled vehicles."""
+        if self._sight is not None:
+            self._sight.note()
         self.vehicle.act()
 
 
@@ -157,7 +174,9 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
     put_new_ego(env, StockVehicle, rules.ego_position(scenario), scenario.ego_speed, None)
-    return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, make_ads(ads_factory), None)).run()
+    ads = make_ads(ads_factory)
+    with closing(ads, rules.hang_limit):
+        return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, None)).run()
 
 
 def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
@@ -178,8 +197,11 @@ def replay_environment(environment: GymEnvironment, rules: Rules, scenario: Scen
     ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
     if is_vehicle_class(ads):
         return _Loop(rules, scenario, env, _si_driver(rules, scenario, env, ads, route)).run()
-    policy = StockPolicy(ads, env if environment.wrappers is None else outer, rules.physics_hz // rules.ads_hz, view)
-    return _Loop(rules, scenario, env, policy).run()
+    seen = env if environment.wrappers is None else outer
+    with closing(ads, rules.hang_limit):
+        ads, sight = ads_and_sight(ads)
+        policy = StockPolicy(ads, seen, rules.physics_hz // rules.ads_hz, view, policy_sight(env, sight, scenario))
+        return _Loop(rules, scenario, env, policy).run()
 
 
 def _reset(outer: Any, scenario: Scenario) -> Any:
@@ -208,7 +230,9 @@ def _si_driver(
         put_ego(env, driver.vehicle, None)
     else:
         every = rules.physics_hz // rules.ads_hz
-        driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every)
+        ads, sight = ads_and_sight(ads)
+        seen = planner_sight(sight, rules, scenario)
+        driver = Planner(ads, env.road, rules.road, env.vehicle, rules.physics_hz, every, sight=seen)
     env.observation_type.observe = env._reward = env._info = _nothing
     return driver
 

@@ -7,10 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.idm_model import IdmModel
+from pytest_pafot.world.driving.perception import ads_and_sight
+from pytest_pafot.world.driving.seeing import planner_sight
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH, Body
 from pytest_pafot.world.kernel.director import Director
@@ -35,9 +38,13 @@ def run_planner(
     ego.place(*rules.ego_position(scenario), scenario.ego_speed)
     record, loop = _prepared(rules, scenario, ego)
     observer = _observer(rules, record)
-    every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
+    every, dt, grid = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz, rules.straight.grid
+    ads, sight = ads_and_sight(ads)
+    seen = planner_sight(sight, rules, scenario)
+    if seen is not None:
+        ads = seen.asking(ads, observer)
     with HangGuard(rules.hang_limit) as guard:
-        pilot = PlannerPilot(ads, ego, observer, guard, every=every, dt=dt, decisions=decisions)
+        pilot = PlannerPilot(ads, ego, grid, observer, guard, every=every, dt=dt, decisions=decisions)
         error = loop.run(pilot, rules.ticks(scenario))
     record.actions, record.slowest = pilot.actions, pilot.slowest
     return _finished(record, loop, error)
@@ -46,19 +53,22 @@ def run_planner(
 class KernelRun:
     """One run that is given its decisions, see :class:`pytest_pafot.world.engines.lock_step.SteppedRun`."""
 
-    def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None = None) -> None:
         ego = Body(NPC_LENGTH, NPC_WIDTH)
         ego.place(*rules.ego_position(scenario), scenario.ego_speed)
         self.trace: Trace | None = None
         self._record, self._loop = _prepared(rules, scenario, ego)
         self._observer = _observer(rules, self._record)
-        self._pilot = GivenPilot(ego, every=rules.physics_hz // rules.ads_hz, dt=1 / rules.physics_hz)
+        every, dt = rules.physics_hz // rules.ads_hz, 1 / rules.physics_hz
+        self._pilot = GivenPilot(ego, rules.straight.grid, every=every, dt=dt)
         self._ticks = rules.ticks(scenario)
         self._guard = guard
+        self._sight = planner_sight(sight, rules, scenario)
 
     def observe(self) -> Observation:
         """What the ADS sees now."""
-        return self._observer.observation(self._loop.tick)
+        now = self._observer.observation(self._loop.tick)
+        return now if self._sight is None else self._sight.recorded(now, self._observer)
 
     def take(self, action: Any, seconds: float) -> None:
         """Drive with a decision that took so long, up to the next one or the end."""
@@ -98,7 +108,9 @@ def _prepared(rules: Rules, scenario: Scenario, ego: Body) -> tuple[Record, Loop
 
 
 def _observer(rules: Rules, record: Record) -> Observer:
-    return Observer(record.rows, record.sizes, rules.straight.grid, rules.straight.speed_limit, rules.physics_hz)
+    every = rules.physics_hz // rules.ads_hz
+    road = rules.straight
+    return Observer(record.rows, record.sizes, road.grid, road.speed_limit, rules.physics_hz, every)
 
 
 def _finished(record: Record, loop: Loop, error: AdsError | None) -> Trace:

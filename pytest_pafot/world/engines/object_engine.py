@@ -9,14 +9,16 @@ from itertools import combinations
 from typing import Any, cast
 
 import numpy as np
-from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver, Planner, SelfDriving, is_vehicle_class
 from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.road_planner import RoadPlanner
+from pytest_pafot.world.driving.seeing import planner_sight
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import Body, Box
@@ -24,6 +26,7 @@ from pytest_pafot.world.kernel.contact import overlap
 from pytest_pafot.world.roads.frame import NetworkFrame, State, StraightFrame
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
+from pytest_pafot.world.stock import Road, RoadNetwork
 
 
 def run(
@@ -62,24 +65,34 @@ def run_on(
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
     if is_vehicle_class(ads):
         return run(rules, scenario, road, lambda start: SelfDriving(ads, road, start, scenario.ego_speed), decisions)
-    return run(rules, scenario, road, partial(_planner, rules, scenario, road, ads, body), decisions)
+    ads, sight = ads_and_sight(ads)
+    return run(rules, scenario, road, partial(_planner, rules, scenario, road, ads, sight, body), decisions)
 
 
-def begin_planner(network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard) -> ObjectRun:
+def begin_planner(
+    network: RoadNetwork, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
+) -> ObjectRun:
     """A run on a road that is given its decisions in SI units."""
     road = Road(network, np_random=np.random.default_rng(scenario.seed))
-    return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None, None), guard)
+    return ObjectRun(rules, scenario, road, partial(_planner, rules, scenario, road, None, sight, None), guard)
 
 
 def _planner(
-    rules: Rules, scenario: Scenario, road: Road, ads: Any, body: Body | None, start: tuple[float, float, float]
+    rules: Rules,
+    scenario: Scenario,
+    road: Road,
+    ads: Any,
+    sight: Sight | None,
+    body: Body | None,
+    start: tuple[float, float, float],
 ) -> Planner:
     ego = Car(road, start[:2], start[2], scenario.ego_speed, body)
     if isinstance(rules.road, NetworkRoad):
         far = rules.start_distance(scenario)
         starts = [rules.ego_start + row * far for row in (-1, 0, 1)]
         return RoadPlanner(ads, road, rules.road, ego, rules.physics_hz, starts)
-    return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz)
+    seen = planner_sight(sight, rules, scenario)
+    return Planner(ads, road, rules.road, ego, rules.physics_hz, rules.physics_hz // rules.ads_hz, sight=seen)
 
 
 class ObjectRun:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
-from highway_env.road.road import Road
 
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import (
     AdsFactory,
@@ -20,39 +21,50 @@ from pytest_pafot.world.driving.ads import (
     make_ads,
     wants_env,
 )
+from pytest_pafot.world.driving.closing import closing
 from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import Policy, View, copies_on
+from pytest_pafot.world.driving.seeing import policy_sight
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.stock import Road
 
 
 def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
     """Simulate a scenario, which fits the rules, with a fresh ADS of any kind."""
     env, route, every = _env_of(environment, scenario), environment.route, rules.physics_hz // rules.ads_hz
 
+    at_the_end = ExitStack()
+
     def make_ego(start: tuple[float, float, float]) -> EgoDriver:
-        ads = ads_factory
+        ads, view = ads_factory, None
         if not is_vehicle_class(ads):
             put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, route)
             if wants_env(ads_factory):
                 view = View(environment.make().unwrapped, env)
-                return Policy(make_ads(ads_factory, env=view.env), env, every, view)
-            ads = make_ads(ads_factory)
+            ads = make_ads(ads_factory) if view is None else make_ads(ads_factory, env=view.env)
+            at_the_end.enter_context(closing(ads, rules.hang_limit))
         if is_vehicle_class(ads):
             return SelfDriving(ads, env.road, start, scenario.ego_speed, route)
-        return Policy(ads, env, every)
+        ads, sight = ads_and_sight(ads)
+        return Policy(ads, env, every, view, policy_sight(env, sight, scenario))
 
-    return run(rules, scenario, env.road, make_ego)
+    with at_the_end:
+        return run(rules, scenario, env.road, make_ego)
 
 
-def begin(environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard) -> ObjectRun:
-    """A run that is given its actions."""
+def begin(
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
+) -> ObjectRun:
+    """A run that is given its actions, by an ADS that may have a sight."""
     env = _env_of(environment, scenario)
 
     def make_ego(start: tuple[float, float, float]) -> Policy:
         put_new_ego(env, env.action_type.vehicle_class, start, scenario.ego_speed, environment.route)
-        return Policy(None, env, rules.physics_hz // rules.ads_hz)
+        every = rules.physics_hz // rules.ads_hz
+        return Policy(None, env, every, sight=policy_sight(env, sight, scenario))
 
     return ObjectRun(rules, scenario, env.road, make_ego, guard)
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.idm_model import IdmModel, idm_model
@@ -76,13 +77,13 @@ def rollout_planner(
     return run_planner(rules, scenario, ads, decisions, body)
 
 
-def begin(world: SiWorld, scenario: Scenario, guard: HangGuard) -> SteppedRun:
-    """A run that is given its decisions in SI units."""
+def begin(world: SiWorld, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
+    """A run that is given its decisions in SI units, by an ADS that may have a sight."""
     if world.engine != "highway-env":
-        return KernelRun(world.rules, scenario, guard)
+        return KernelRun(world.rules, scenario, guard, sight)
     from pytest_pafot.world.engines.object_engine import begin_planner  # noqa: PLC0415  (a second of imports)
 
-    return begin_planner(world.network, world.rules, scenario, guard)
+    return begin_planner(world.network, world.rules, scenario, guard, sight)
 
 
 def _by_objects(

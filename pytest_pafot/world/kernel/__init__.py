@@ -12,7 +12,9 @@ from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import module_from_spec
 from pathlib import Path
 
-MODULES = ("action", "bodies", "lanes", "contact", "driver", "director", "observation", "idm", "loop")
+MODULES = (
+    "driver", "action", "steering", "bodies", "lanes", "contact", "director", "observation", "idm", "loop", "traffic",
+)  # fmt: skip
 """Of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import math
+import operator
+from dataclasses import dataclass
 from typing import Any
 
 EGO_ACCELERATION = 6.0
@@ -14,18 +16,38 @@ EGO_STEERING = math.pi / 4
 """Largest steering angle that a planner's action has an effect up to [rad]."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """What a planner may return in place of acceleration and steering: a lane, and either a speed or an acceleration.
+
+    The controllers of highway-env's ``ControlledVehicle`` steer to the centre of the lane and drive the speed, in every
+    physics tick until the next decision; the acceleration is held.
+
+    Attributes:
+        lane: 0 at the left, as in :class:`VehicleState`.
+        speed: [m/s], 0 or more.
+        acceleration: [m/s^2].
+    """
+
+    lane: int
+    speed: float | None = None
+    acceleration: float | None = None
+
+
 class BadAction(Exception):  # noqa: N818  (named in findings as the fault it is)
     """What an ADS returned is no action; the message says what was expected."""
 
 
-def checked_si_action(action: Any) -> tuple[float, float]:
-    """(acceleration, steering) as two floats.
+def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
+    """(acceleration, steering) as two floats, or a :class:`Drive` with an int and a float.
 
     Raises:
-        BadAction: unless it is a pair of finite numbers.
+        BadAction: unless it is a pair of finite numbers, or a :class:`Drive` to one of so many lanes.
     """
     if type(action) is tuple and len(action) == 2 and type(action[0]) is float and type(action[1]) is float:
         pair = action
+    elif isinstance(action, Drive):
+        return _checked_drive(action, lanes)
     else:
         pair = _floats(action)
     if not (math.isfinite(pair[0]) and math.isfinite(pair[1])):
@@ -74,13 +96,39 @@ def _floats(action: Any) -> tuple[float, float]:
         raise BadAction(_expected(action)) from None
 
 
+def _checked_drive(drive: Drive, lanes: int) -> Drive:
+    given = [value for value in (drive.speed, drive.acceleration) if value is not None]
+    if len(given) != 1:
+        raise _bad_drive("either a speed [m/s] or an acceleration [m/s^2]", drive)
+    try:
+        if isinstance(drive.lane, bool) or isinstance(given[0], (str, bytes)):
+            raise TypeError("neither is a number")
+        lane, value = operator.index(drive.lane), float(given[0])
+    except (TypeError, ValueError, OverflowError):
+        raise _bad_drive("numbers, that of the lane a whole one", drive) from None
+    if not 0 <= lane < lanes:
+        raise _bad_drive(f"a lane from 0, at the left, to {lanes - 1}", drive)
+    if not math.isfinite(value):
+        raise _bad_drive("finite numbers", drive)
+    if drive.speed is None:
+        return Drive(lane=lane, acceleration=value)
+    if value < 0.0:
+        raise _bad_drive("a speed of at least 0 m/s", drive)
+    return Drive(lane=lane, speed=value)
+
+
+def _bad_drive(expected: str, drive: Drive) -> BadAction:
+    return BadAction(f"expected pafot.Drive with {expected}, received {shown(drive)}")
+
+
 def _expected(action: Any) -> str:
     hint = hint_at(action)
     if not hint and getattr(action, "ndim", 0) == 0 and hasattr(action, "__int__"):
         hint = 'policies of a highway-env environment need world=pafot.World("highway-v0")'
     if not hint and isinstance(action, dict):
         hint = "return the two values as a tuple"
-    received = f"expected (acceleration [m/s^2], steering [rad]), two finite numbers, received {shown(action)}"
+    expected = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive"
+    received = f"{expected}, received {shown(action)}"
     return f"{received}; {hint}" if hint else received
 
 
@@ -92,6 +140,8 @@ def hint_at(action: Any) -> str:
         return (
             "(action, state) is what `model.predict` returns: take `model.predict(observation, deterministic=True)[0]`"
         )
+    if isinstance(action, Drive):
+        return "pafot.Drive is for planners in SI units, which drive in pafot.Highway, that is without world="
     if inspect.iscoroutine(action) or inspect.isgenerator(action):
         if inspect.iscoroutine(action):
             action.close()  # else Python warns of it, too

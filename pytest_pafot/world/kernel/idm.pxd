@@ -1,9 +1,11 @@
 cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.driver cimport clamped
 from pytest_pafot.world.kernel.lanes cimport Lanes
+from pytest_pafot.world.kernel.steering cimport lane_steering, not_zero
 
-cdef double ON_LANE, LANE_ENDS, STEEPEST
+cdef double ON_LANE, LANE_ENDS
 
 cdef class IdmEgo(Body):
     cdef Lanes _lanes
@@ -32,10 +34,12 @@ cdef class IdmEgo(Body):
     @cython.locals(liked=double, share=double, acceleration=double, gap=double)
     cdef double _pulled(self, Body vehicle, Body front) except? -1
 
+    cdef double _liked(self, Body vehicle) except? -1
+
     @cython.locals(cos_h=double, sin_h=double, closing_x=double, closing_y=double, closing=double, ab=double)
     cdef double _desired_gap(self, Body vehicle, Body front) except? -1
 
-    @cython.locals(speed=double, sideways=double, heading=double, turn=double, slip=double)
+    @cython.locals(offset=double, angle=double)
     cdef double _steering(self) except? -1
 
 @cython.locals(found=Body, other=Body)
@@ -46,6 +50,3 @@ cdef Body _behind(list others, Body mine, int lane, Lanes lanes)
 
 @cython.locals(inside=bint)
 cdef bint _is_on(Body vehicle, int lane, Lanes lanes) except -1
-
-cdef double _not_zero(double value) except? -1
-cdef double _cut(double value, double bound) except? -1

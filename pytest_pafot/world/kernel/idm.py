@@ -11,14 +11,14 @@ import math
 from collections.abc import Mapping
 
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.driver import clamped
 from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.steering import lane_steering, not_zero
 
 ON_LANE = 1.0
 """A vehicle counts for a lane up to this far beyond its lines [m]."""
 LANE_ENDS = 5.0
 """A lane reaches this far beyond its ends [m]."""
-STEEPEST = math.pi / 4
-"""Largest heading to the lane that is steered for [rad]."""
 
 
 class IdmEgo(Body):
@@ -112,14 +112,17 @@ class IdmEgo(Body):
         """The model's acceleration of a vehicle behind another [m/s^2]."""
         if vehicle is None:
             return 0.0
-        liked = self._target_speed if vehicle is self else vehicle.speed
-        liked = min(max(liked, 0.0), self._speed_limit)
-        share = max(vehicle.speed, 0.0) / abs(_not_zero(liked))
+        liked = min(max(self._liked(vehicle), 0.0), self._speed_limit)
+        share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
         acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
         if front is not None:
-            gap = self._desired_gap(vehicle, front) / _not_zero(front.x - vehicle.x)
+            gap = self._desired_gap(vehicle, front) / not_zero(front.x - vehicle.x)
             acceleration -= self._comfort * (gap * gap)
         return acceleration
+
+    def _liked(self, vehicle: Body) -> float:
+        """The speed that a vehicle wants to drive, as far as this one knows [m/s]."""
+        return self._target_speed if vehicle is self else vehicle.speed
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
         cos_h, sin_h = math.cos(vehicle.heading), math.sin(vehicle.heading)
@@ -130,19 +133,21 @@ class IdmEgo(Body):
         return self._distance + vehicle.speed * self._time + vehicle.speed * closing / (2.0 * math.sqrt(ab))
 
     def _steering(self) -> float:
-        speed = _not_zero(self.speed)
-        sideways = -self._kp_lateral * (self.y - self._goal * self._lanes.width)
-        heading = math.asin(_cut(sideways / speed, 1.0))
-        turn = (_cut(heading, STEEPEST) - self.heading + math.pi) % (2.0 * math.pi) - math.pi
-        slip = math.asin(_cut(self.length / 2.0 / speed * (self._kp_heading * turn), 1.0))
-        return _cut(math.atan(2.0 * math.tan(slip)), self._max_steering)
+        offset = self.y - self._goal * self._lanes.width
+        angle = lane_steering(offset, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
+        return clamped(angle, self._max_steering)
 
 
 def _ahead(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | None:
     """The nearest of other vehicles ahead in a lane; of several at one place the last."""
     found = None
     for other in others:
-        if other.x >= mine.x and (found is None or other.x <= found.x) and _is_on(other, lane, lanes):
+        if (
+            other is not mine
+            and other.x >= mine.x
+            and (found is None or other.x <= found.x)
+            and _is_on(other, lane, lanes)
+        ):
             found = other
     return found
 
@@ -159,13 +164,3 @@ def _behind(others: list[Body], mine: Body, lane: int, lanes: Lanes) -> Body | N
 def _is_on(vehicle: Body, lane: int, lanes: Lanes) -> bool:
     inside = -LANE_ENDS <= vehicle.x < lanes.length + LANE_ENDS
     return inside and abs(vehicle.y - lane * lanes.width) <= lanes.width / 2.0 + ON_LANE
-
-
-def _not_zero(value: float) -> float:
-    if abs(value) > 1e-2:
-        return value
-    return 1e-2 if value >= 0.0 else -1e-2
-
-
-def _cut(value: float, bound: float) -> float:
-    return min(max(value, -bound), bound)

@@ -8,6 +8,7 @@ from pytest_pafot.world.kernel.director cimport Director
 from pytest_pafot.world.kernel.idm cimport IdmEgo
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Observer
+from pytest_pafot.world.kernel.steering cimport acceleration_to_speed, steering_to_lane
 
 cdef class Pilot:
     cdef readonly int every
@@ -25,11 +26,13 @@ cdef class GivenPilot(Pilot):
     cdef readonly list actions
     cdef readonly double slowest
     cdef Body _ego
-    cdef double _dt, _wanted
+    cdef Lanes _lanes
+    cdef int _lane
+    cdef double _dt, _wanted, _speed
 
-    @cython.locals(acceleration=double, steering=double)
     cpdef take(self, action, double seconds)
 
+    @cython.locals(ego=Body)
     cpdef void actuate(self) except *
 
 cdef class PlannerPilot(GivenPilot):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 from pytest_pafot.trace import AdsError
 from pytest_pafot.world.driving.failure import UNFIT, error_of
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
+    Drive,
     checked_si_action,
     possible_acceleration,
     possible_steering,
@@ -22,6 +23,7 @@ from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer
+from pytest_pafot.world.kernel.steering import acceleration_to_speed, steering_to_lane
 
 
 class Pilot:
@@ -56,10 +58,11 @@ class SelfPilot(Pilot):
 
 
 class GivenPilot(Pilot):
-    """Pairs of acceleration [m/s^2] and steering [rad] that are given from outside, for each decision.
+    """Pairs of acceleration [m/s^2] and steering [rad], or lanes to drive to, given from outside for each decision.
 
     Args:
         ego: is driven.
+        lanes: of the road.
         every: physics ticks from one decision to the next.
         dt: physics tick [s].
 
@@ -68,12 +71,15 @@ class GivenPilot(Pilot):
         slowest: the longest decision [s].
     """
 
-    def __init__(self, ego: Body, *, every: int, dt: float) -> None:
+    def __init__(self, ego: Body, lanes: Lanes, *, every: int, dt: float) -> None:
         super().__init__(every)
         self._ego = ego
+        self._lanes = lanes
         self._dt = dt
         self._wanted = 0.0
-        self.actions: list[tuple[float, float]] = []
+        self._lane = -1  # none, as for a pair
+        self._speed = -1.0  # none, as where the acceleration is given
+        self.actions: list[tuple[float, float] | Drive] = []
         self.slowest = 0.0
 
     def take(self, action: Any, seconds: float) -> None:
@@ -82,23 +88,38 @@ class GivenPilot(Pilot):
         Raises:
             BadAction: when it is none.
         """
-        pair = acceleration, steering = checked_si_action(action)
-        self.actions.append(pair)
+        checked = checked_si_action(action, self._lanes.count)
+        self.actions.append(checked)
         self.slowest = max(self.slowest, seconds)
-        self._wanted = possible_acceleration(acceleration)
-        self._ego.steering = possible_steering(steering)
+        self._lane, self._speed = -1, -1.0
+        if type(checked) is tuple:  # quicker than isinstance
+            self._wanted = possible_acceleration(checked[0])
+            self._ego.steering = possible_steering(checked[1])
+            return
+        drive = cast("Drive", checked)
+        self._lane = drive.lane
+        if drive.acceleration is not None:
+            self._wanted = possible_acceleration(drive.acceleration)
+        elif drive.speed is not None:
+            self._speed = drive.speed
 
     def actuate(self) -> None:
-        """Brake to a standstill, never into reverse."""
-        self._ego.acceleration = without_reversing(self._wanted, self._ego.speed, self._dt)
+        """Steer to a lane and drive a speed, where so decided; brake to a standstill, never into reverse."""
+        ego = self._ego
+        if self._lane >= 0:
+            ego.steering = steering_to_lane(ego.y - self._lane * self._lanes.width, ego.heading, ego.speed, ego.length)
+        if self._speed >= 0.0:
+            self._wanted = acceleration_to_speed(self._speed, ego.speed)
+        ego.acceleration = without_reversing(self._wanted, ego.speed, self._dt)
 
 
 class PlannerPilot(GivenPilot):
-    """A callable from an observation to (acceleration [m/s^2], steering [rad]).
+    """A callable from an observation to its action.
 
     Args:
         ads: the callable.
         ego: it drives.
+        lanes: of the road.
         observer: it sees.
         guard: of its decisions.
         every: physics ticks from one decision to the next.
@@ -110,6 +131,7 @@ class PlannerPilot(GivenPilot):
         self,
         ads: Callable[[Any], Any],
         ego: Body,
+        lanes: Lanes,
         observer: Observer,
         guard: HangGuard,
         *,
@@ -117,7 +139,7 @@ class PlannerPilot(GivenPilot):
         dt: float,
         decisions: Sequence[Any] = (),
     ) -> None:
-        super().__init__(ego, every=every, dt=dt)
+        super().__init__(ego, lanes, every=every, dt=dt)
         self._decisions = tuple(decisions)
         self._given = len(self._decisions)
         self._ads = ads

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -35,6 +36,15 @@ class VehicleState(NamedTuple):
     width: float
 
 
+_Details = tuple[float, float, float, tuple[int, ...], float]
+"""What few planners look at: decision period, acceleration, steering, ids and road length of an observation."""
+
+
+def lateral_velocity(heading: float, speed: float, steering: float) -> float:
+    """Of the centre of a vehicle [m/s], by its heading to the road [rad], speed [m/s] and steering angle [rad]."""
+    return speed * math.sin(heading + math.atan(0.5 * math.tan(steering)))
+
+
 class Observer:
     """Makes observations of a run as far as it has come.
 
@@ -44,16 +54,24 @@ class Observer:
         lanes: of the road.
         speed_limit: [m/s].
         physics_hz: ticks per second.
+        every: ticks from one decision to the next.
     """
 
     def __init__(
-        self, record: array[float], sizes: list[tuple[float, float]], lanes: Lanes, speed_limit: float, physics_hz: int
+        self,
+        record: array[float],
+        sizes: list[tuple[float, float]],
+        lanes: Lanes,
+        speed_limit: float,
+        physics_hz: int,
+        every: int,
     ) -> None:
         self.record = record
         self.sizes = sizes
         self.lanes = lanes
         self.speed_limit = speed_limit
         self.physics_hz = physics_hz
+        self.every = every
         self.columns = COLUMNS
 
     def vehicle(self, tick: int, index: int) -> VehicleState:
@@ -63,6 +81,20 @@ class Observer:
         x, y, heading = self.record[row], self.record[row + 1], self.record[row + 2]
         lane = self.lanes.closest(x, y, heading)
         return tuple.__new__(VehicleState, (x, y, heading, self.record[row + 3], lane, length, width))
+
+    def details(self, tick: int) -> _Details:
+        """What few planners look at, of a tick."""
+        row, count = tick * len(self.sizes) * self.columns, len(self.sizes) - 1
+        period, ids = self.every / self.physics_hz, tuple(range(count))
+        return period, self.record[row + 4], self.record[row + 5], ids, self.lanes.length
+
+    def lateral_velocities(self, tick: int) -> tuple[float, ...]:
+        """Of all vehicles at a tick [m/s], the ego first."""
+        first, columns, record, values = tick * len(self.sizes) * self.columns, self.columns, self.record, []
+        for index in range(len(self.sizes)):
+            row = first + index * columns
+            values.append(lateral_velocity(record[row + 2], record[row + 3], record[row + 5]))
+        return tuple(values)
 
     def fill(self, tick: int, values: FloatArray, run: int) -> None:
         """Write all vehicles at a tick into the rows of a run of [runs, vehicles, 7]."""
@@ -84,7 +116,7 @@ class Observer:
         seen._observer = self
         seen._tick = tick
         seen._time = tick / self.physics_hz
-        seen._ego = seen._others = None
+        seen._ego = seen._others = seen._details = seen._lateral = None
         seen._lanes = self.lanes.count
         seen._lane_width = self.lanes.width
         seen._speed_limit = self.speed_limit
@@ -101,11 +133,20 @@ class Observation:
         lanes: number of lanes.
         lane_width: [m].
         speed_limit: [m/s].
+        decision_period: from this decision to the next [s].
+        acceleration, steering: of the ego in the last tick [m/s^2, rad]; 0 at the start.
+        lateral_velocities: to the right [m/s], of the ego and then of the others; with the slip of turned wheels.
+        ids: of the others, the same all through the run: the NPC's place in ``run.npcs``.
+        lane_centres: y of the centre line of each lane, from the left [m].
+        road_length: the lanes go from x = 0 to here [m].
     """
 
-    __slots__ = ("_ego", "_lane_width", "_lanes", "_observer", "_others", "_speed_limit", "_tick", "_time")
+    __slots__ = (
+        "_details", "_ego", "_lane_width", "_lanes", "_lateral", "_observer", "_others", "_speed_limit", "_tick",
+        "_time",
+    )  # fmt: skip
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917  (a value with many fields)
         self,
         time: float,
         ego: VehicleState,
@@ -113,6 +154,12 @@ class Observation:
         lanes: int,
         lane_width: float,
         speed_limit: float,
+        decision_period: float = 0.2,
+        acceleration: float = 0.0,
+        steering: float = 0.0,
+        lateral_velocities: tuple[float, ...] | None = None,
+        ids: tuple[int, ...] | None = None,
+        road_length: float = 1e5,
     ) -> None:
         self._time = float(time)
         self._ego: VehicleState | None = ego
@@ -120,6 +167,9 @@ class Observation:
         self._lanes = lanes
         self._lane_width = float(lane_width)
         self._speed_limit = float(speed_limit)
+        numbers = tuple(range(len(others))) if ids is None else tuple(ids)
+        self._details: _Details | None = (decision_period, acceleration, steering, numbers, road_length)
+        self._lateral = lateral_velocities
         self._observer: Any = None  # everything is here
         self._tick = 0
 
@@ -159,10 +209,55 @@ class Observation:
         return self._speed_limit
 
     @property
+    def decision_period(self) -> float:
+        """From this decision to the next [s]."""
+        return self._detailed()[0]
+
+    @property
+    def acceleration(self) -> float:
+        """Of the ego in the last tick [m/s^2]."""
+        return self._detailed()[1]
+
+    @property
+    def steering(self) -> float:
+        """Of the ego in the last tick [rad]."""
+        return self._detailed()[2]
+
+    @property
+    def lateral_velocities(self) -> tuple[float, ...]:
+        """To the right [m/s], of the ego and then of the others."""
+        if self._lateral is None and self._observer is not None:
+            self._lateral = self._observer.lateral_velocities(self._tick)
+        elif self._lateral is None:  # nobody has said how the wheels are turned
+            vehicles = [self.ego, *self.others]
+            self._lateral = tuple([lateral_velocity(each.heading, each.speed, 0.0) for each in vehicles])
+        return self._lateral
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Of the others, the same all through the run."""
+        return self._detailed()[3]
+
+    @property
+    def lane_centres(self) -> tuple[float, ...]:
+        """The y of the centre line of each lane, from the left [m]."""
+        return tuple([lane * self._lane_width for lane in range(self._lanes)])
+
+    @property
+    def road_length(self) -> float:
+        """The lanes go from x = 0 to here [m]."""
+        return self._detailed()[4]
+
+    @property
     def array(self) -> FloatArray:
         """All vehicles as float64, shape [vehicles, 7], the ego first; columns as in :class:`VehicleState`."""
         values: FloatArray = stacked([self])[0]
         return values
+
+    def _detailed(self) -> _Details:
+        if self._details is None:
+            self._details = self._observer.details(self._tick)
+        return self._details
 
     def _count(self) -> int:
         """Of vehicles."""
@@ -178,7 +273,9 @@ class Observation:
             self._observer.fill(self._tick, values, run)
 
     def _values(self) -> tuple[Any, ...]:
-        return self.time, self.ego, self.others, self.lanes, self.lane_width, self.speed_limit
+        period, acceleration, steering, ids, length = self._detailed()
+        seen = self.time, self.ego, self.others, self.lanes, self.lane_width, self.speed_limit
+        return *seen, period, acceleration, steering, self.lateral_velocities, ids, length
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Observation) and self._values() == other._values()
@@ -187,7 +284,10 @@ class Observation:
         return hash(self._values())
 
     def __repr__(self) -> str:
-        names = ("time", "ego", "others", "lanes", "lane_width", "speed_limit")
+        names = (
+            "time", "ego", "others", "lanes", "lane_width", "speed_limit", "decision_period", "acceleration",
+            "steering", "lateral_velocities", "ids", "road_length",
+        )  # fmt: skip
         fields = ", ".join([f"{name}={value!r}" for name, value in zip(names, self._values(), strict=True)])
         return f"Observation({fields})"
 

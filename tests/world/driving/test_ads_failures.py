@@ -140,7 +140,7 @@ def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick
         assert trace.error.tick == trace.ticks == 30
 
 
-PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, received"
+PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive, received"
 
 
 @pytest.mark.parametrize(

@@ -123,14 +123,15 @@ def test_an_ads_without_batch_drives_one_by_one():
     world, made = Highway(duration=4.0), []
     traces = world.rollout_batch(scenarios(3), lambda: made.append(None) or Planner().decided)
     assert differences(traces, [world.rollout(scenario, Planner) for scenario in scenarios(3)]) == []
-    assert batching_ads(lambda: Planner().decided) is None
+    assert batching_ads(lambda: Planner().decided, 1.0) is None
     assert len(made) >= 3
 
 
 def test_vehicle_classes_and_planners_inside_of_an_environment_have_no_batch():
     from highway_env.vehicle.behavior import IDMVehicle
 
-    assert batching_ads(IDMVehicle) is batching_ads(lambda: IDMVehicle) is batching_ads(lambda env: Planner()) is None
+    factories = (IDMVehicle, lambda: IDMVehicle, lambda env: Planner())
+    assert [batching_ads(factory, 1.0) for factory in factories] == [None, None, None]
     assert len(Highway(duration=2.0).rollout_batch(scenarios(2), IDMVehicle)) == 2
 
 

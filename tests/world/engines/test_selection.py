@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -203,7 +204,7 @@ def test_a_run_by_the_kernel_imports_neither_highway_env_nor_gymnasium():
 def test_the_compiled_kernel_is_that_of_the_present_source():
     folder = Path(kernel.__file__).parent
     for name in kernel.MODULES:
-        compiled = Path(sys.modules[f"{kernel.__name__}.{name}"].__file__).stat().st_mtime
+        compiled = Path(import_module(f"{kernel.__name__}.{name}").__file__).stat().st_mtime
         for source in (folder / f"{name}.py", folder / f"{name}.pxd"):
             assert source.stat().st_mtime <= compiled + 1, f"{source.name} is newer; run: python -m pip install ."
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
@@ -22,6 +23,16 @@ def test_both_engines_show_the_same_also_when_one_looks_after_the_run():
     assert seen_by("kernel") == seen_by("highway-env")
 
 
+def test_it_has_what_the_trace_has_of_the_last_tick():
+    seen = []
+    trace = Highway(ads_hz=3).rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
+    assert [(now.acceleration, now.steering) for now in seen] == [tuple(row) for row in trace.ego[:-1:5, 4:6].tolist()]
+    assert {(now.decision_period, now.ids, now.road_length) for now in seen} == {(1 / 3, (0, 1), trace.lanes[0].length)}
+    assert {now.lane_centres for now in seen} == {tuple(lane.y for lane in trace.lanes)}
+    next_tick = np.diff(trace.states[:, 0, 1])[5::5] * 15  # the ego's controls are held
+    assert [now.lateral_velocities[0] for now in seen[1:]] == pytest.approx(next_tick, abs=1e-9)
+
+
 def test_observations_of_different_times_differ():
     first, second, *_ = seen_by("kernel")
     assert first != second
@@ -33,13 +44,14 @@ def test_an_observation_can_be_made_printed_and_pickled():
     state = VehicleState(1.0, 2.0, 0.0, 20.0, 0, 5.0, 2.0)
     made = Observation(time=1, ego=state, others=(state,), lanes=4, lane_width=4, speed_limit=26.8)
     assert type(made.time) is type(made.lane_width) is float
+    assert (made.ids, made.lateral_velocities, made.lane_centres) == ((0,), (0.0, 0.0), (0.0, 4.0, 8.0, 12.0))
     assert eval(repr(made)) == made
     assert made.array.tolist() == [list(state), list(state)]
     for observation in (made, seen_by("kernel")[3]):
         assert pickle.loads(pickle.dumps(observation)) == observation
 
 
-@pytest.mark.parametrize("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit"])
+@pytest.mark.parametrize("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit", "ids", "steering"])
 def test_an_observation_is_read_only(name):
     with pytest.raises(AttributeError):
         setattr(seen_by("kernel")[0], name, 1)

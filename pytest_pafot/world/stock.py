@@ -1,0 +1,66 @@
+"""What the package uses of highway-env, without waiting for what highway-env imports for other purposes.
+
+It imports matplotlib for one function that plots, and pandas for observations that most runs have no use for. Together
+they take three times as long as all the rest. Here they are imported when something of them is first used.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class _Later(ModuleType):
+    """Stands for a library until something of it is used."""
+
+    def __init__(self, name: str, **parts: ModuleType) -> None:
+        super().__init__(name)
+        vars(self).update(parts)
+
+    def __getattr__(self, name: str) -> Any:
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(import_module(self.__name__), name)
+
+
+@contextmanager
+def _later() -> Iterator[None]:
+    """Whoever imports matplotlib or pandas meanwhile has something that imports it when it is used."""
+    pyplot = _Later("matplotlib.pyplot")
+    libraries = _Later("matplotlib", pyplot=pyplot), pyplot, _Later("pandas")
+    absent = {each.__name__: each for each in libraries if each.__name__ not in sys.modules}
+    sys.modules.update(absent)
+    try:
+        yield
+    finally:
+        for name, library in absent.items():
+            if sys.modules.get(name) is library:
+                del sys.modules[name]
+
+
+with _later():
+    import highway_env  # noqa: F401  (registers its environments)
+    from highway_env.envs.common import action, observation
+    from highway_env.envs.common.abstract import AbstractEnv
+    from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
+    from highway_env.road.road import Road, RoadNetwork
+    from highway_env.utils import class_from_path
+    from highway_env.vehicle.kinematics import Vehicle
+
+__all__ = [
+    "AbstractEnv",
+    "AbstractLane",
+    "CircularLane",
+    "Road",
+    "RoadNetwork",
+    "SineLane",
+    "StraightLane",
+    "Vehicle",
+    "action",
+    "class_from_path",
+    "observation",
+]

@@ -1,0 +1,327 @@
+"""An ADS in a Perception: what it is shown, in each engine and kind, against what the trace says there was."""
+
+from collections import deque
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from highway_env.envs.highway_env import HighwayEnv
+from highway_env.vehicle.behavior import IDMVehicle
+
+import pytest_pafot as pafot
+from pytest_pafot.errors import AdsFactoryError, FieldError, WorldError
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.sight import hidden
+from pytest_pafot.trace import HEADING, SPEED, X, Y
+from pytest_pafot.world.driving.ads import weights_digest
+from tests.support.world_cases import changing_lanes
+
+CHAINS = ((5, 17.4), (4, 26.6), (4, 13.7)), ((4, 26.4), (3, 13.3), (2, 23.6)), ((3, 17.5), (2, 21.0), (3, 25.5))
+SCENARIO = Scenario(
+    npcs=[[PositionInstruction(*gene) for gene in chain] for chain in CHAINS],
+    seed=11,
+    ego_lane=1,
+    ego_speed=22.0,
+    gene_seconds=3.0,
+)
+KINEMATICS = {
+    "type": "Kinematics",
+    "features": ["presence", "x", "y", "vx", "vy", "heading"],
+    "absolute": True,
+    "normalize": False,
+    "vehicles_count": 4,
+    "order": "sorted",
+    "see_behind": True,
+}
+GYM = {"observation": KINEMATICS, "policy_frequency": 3, "duration": 6}
+EVERYTHING = {
+    "range": 40.0,
+    "latency": 0.5,
+    "noise": {"position": 0.5, "speed": 1.0},
+    "dropout": 0.2,
+    "occlusion": True,
+}
+FASTER, IDLE = 3, 1
+
+
+class Watching:
+    """Drives like another planner, and keeps what it is shown."""
+
+    def __init__(self):
+        self.shown = []
+        self._drive = changing_lanes()
+
+    def __call__(self, observation):
+        self.shown.append(observation)
+        return self._drive(observation)
+
+
+class WatchingPolicy:
+    """Drives at its speed, and keeps what it is shown."""
+
+    def __init__(self, env=None):
+        self.shown = []
+        self.env = env
+        self.views = []
+
+    def __call__(self, observation):
+        self.shown.append(observation)
+        if self.env is not None:
+            self.views.append([tuple(each.position) for each in self.env.road.vehicles])
+        return IDLE
+
+
+def run(rollout, kind, **imperfections):
+    """The trace of a run, and the ADS that drove it."""
+    made = []
+
+    def factory():
+        made.append(kind())
+        return made[-1]
+
+    return rollout(SCENARIO, pafot.Perception(factory, **imperfections)), made[-1]
+
+
+def delayed(rows, ticks):
+    """Rows as a delay line gives them out: the first one until it is full."""
+    line = deque([rows[0]] * (ticks + 1), maxlen=ticks + 1)
+    for row in rows:
+        line.append(row)
+        yield line[0]
+
+
+PLANNERS = {
+    "kernel": pafot.Highway(duration=9.0).rollout,
+    "objects": pafot.Highway(duration=9.0, engine="highway-env").rollout,
+    "gymnasium": pafot.Highway(duration=9.0).rollout_in_gym,
+}
+POLICIES = {
+    "objects": pafot.World("highway-v0", GYM).rollout,
+    "gymnasium": pafot.World("highway-v0", GYM).rollout_in_gym,
+    "wrappers": pafot.World("highway-v0", GYM, wrappers=[gymnasium.wrappers.FlattenObservation]).rollout,
+}
+
+
+@pytest.mark.parametrize("engine", PLANNERS)
+def test_a_planner_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_is(engine):
+    trace, ads = run(PLANNERS[engine], Watching, latency=0.5)  # 8 ticks, and decisions are 3 apart
+    lines = list(delayed(trace.npcs, 8))
+    assert len(ads.shown) > 20
+    for decision, seen in enumerate(ads.shown):
+        tick = 3 * decision
+        assert seen.time == tick / 15
+        assert seen.ego[:4] == tuple(trace.ego[tick, [X, Y, HEADING, SPEED]])
+        assert [each[:4] for each in seen.others] == [tuple(row) for row in lines[tick][:, [X, Y, HEADING, SPEED]]]
+
+
+@pytest.mark.parametrize("engine", POLICIES)
+def test_a_policy_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_is(engine):
+    trace, ads = run(POLICIES[engine], WatchingPolicy, latency=0.5)
+    lines = list(delayed(trace.npcs, 8))
+    assert len(ads.shown) > 10
+    for decision, observed in enumerate(ads.shown):
+        tick, rows = 5 * decision, observed.reshape(4, 6)
+        assert rows[0, 1:3] == pytest.approx(trace.ego[tick, [X, Y]], rel=1e-6)
+        expected = sorted(lines[tick][:, [X, Y]].tolist())
+        assert np.array(sorted(rows[1:, 1:3].tolist())) == pytest.approx(np.array(expected), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_all_engines_show_a_planner_the_same(name):
+    runs = [run(rollout, Watching, **{name: EVERYTHING[name]}) for rollout in PLANNERS.values()]
+    (trace, first), objects, gym = runs
+    assert objects[1].shown == first.shown != run(PLANNERS["kernel"], Watching)[1].shown
+    assert [each.array for each in gym[1].shown] == [pytest.approx(each.array) for each in first.shown]
+    assert gym[0].states == pytest.approx(trace.states)
+
+
+def test_all_engines_show_a_policy_the_same():
+    runs = [run(rollout, WatchingPolicy, **EVERYTHING)[1].shown for rollout in POLICIES.values()]
+    for shown in runs[1:]:
+        assert np.array([each.ravel() for each in shown]) == pytest.approx(np.array([each.ravel() for each in runs[0]]))
+
+
+@pytest.mark.parametrize("env_id", ["merge-v0", "two-way-v0", "racetrack-v0"])
+def test_a_policy_sees_the_same_by_either_means_on_any_road_and_in_any_observation(env_id):
+    world = pafot.World(env_id, duration=4.0)
+    lane, speed = world.start or (1, 22.0)
+    scenario = Scenario(npcs=[[PositionInstruction(2, 8.0)]], ego_lane=lane, ego_speed=speed, seed=5)
+    shown = []
+
+    def policy():
+        shown.append([])
+        action = [0.0] if env_id == "racetrack-v0" else IDLE
+        return lambda observation: shown[-1].append(np.array(observation)) or action
+
+    factory = pafot.Perception(policy, **EVERYTHING)
+    for rollout, each in ((world.rollout, factory), (world.rollout_in_gym, factory), (world.rollout, policy)):
+        rollout(scenario, each)
+    direct, stepped, perfect = map(np.array, shown)
+    assert np.array_equal(direct, stepped)
+    assert not np.array_equal(direct, perfect)
+
+
+def test_an_environment_that_resets_itself_shows_a_policy_the_same(monkeypatch):
+    class Resetting(HighwayEnv):
+        def reset(self, **options):
+            return super().reset(**options)
+
+    monkeypatch.setitem(gymnasium.registry, "mine-v0", EnvSpec("mine-v0", entry_point=Resetting))
+    own, stock = (
+        run(pafot.World(name, GYM).rollout_in_gym, WatchingPolicy, **EVERYTHING)[1]
+        for name in ("mine-v0", "highway-v0")
+    )
+    assert np.array_equal(own.shown, stock.shown)
+
+
+def test_range_and_occlusion_are_those_of_the_moment_that_is_seen():
+    trace, ads = run(PLANNERS["kernel"], Watching, latency=1.0, range=50.0, occlusion=True)
+    sizes = np.broadcast_to(trace.sizes, (len(trace.states), 4, 2))
+    states = np.concatenate([trace.states[..., :4], np.zeros_like(sizes[..., :1]), sizes], axis=-1)
+    counts = set()
+    for decision, seen in enumerate(ads.shown):
+        then = states[max(0, 3 * decision - 15)]
+        near = np.hypot(*(then[1:, :2] - then[0, :2]).T) <= 50.0
+        expected = [tuple(row[:2]) for row in then[1:][near & ~hidden(then)]]
+        assert [each[:2] for each in seen.others] == expected
+        assert seen.ids == tuple(np.flatnonzero(near & ~hidden(then)))
+        counts.add(len(expected))
+    assert len(counts) > 1
+
+
+def test_the_lane_of_a_vehicle_is_that_in_which_it_is_seen():
+    _, ads = run(PLANNERS["kernel"], Watching, noise={"position": 3.0})
+    seen = [each for observation in ads.shown for each in observation.others]
+    assert {each.lane == min(range(4), key=lambda lane: abs(each.y - 4.0 * lane)) for each in seen} == {True}
+
+
+def test_an_occupancy_grid_is_empty_where_nobody_is_seen():
+    config = {"observation": {"type": "OccupancyGrid", "features": ["presence"]}, "duration": 3}
+    rollout = pafot.World("highway-v0", config).rollout
+    assert sum(grid.sum() for grid in run(rollout, WatchingPolicy)[1].shown) > 3  # of four times, the ego aside
+    assert {grid.sum() for grid in run(rollout, WatchingPolicy, range=0.0)[1].shown} == {1.0}
+
+
+def test_a_planner_inside_of_the_environment_finds_only_those_on_its_road_that_are_seen():
+    made = []
+
+    def factory(env):
+        made.append(WatchingPolicy(env))
+        return made[-1]
+
+    for rollout in (POLICIES["objects"], POLICIES["gymnasium"]):
+        rollout(SCENARIO, pafot.Perception(factory, range=30.0))
+    first, second = (ads.views for ads in made)
+    assert first == second
+    assert {len(view) for view in first} == {1, 2, 3, 4} & {len(view) for view in first} != {4}
+
+
+class OfItsOwn:
+    """An ADS that says how it was made, and is closed."""
+
+    pure = True
+
+    def __init__(self):
+        self.closed = []
+
+    def __call__(self, observation):
+        return -1.0 if len(observation.others) % 2 else 0.5, 0.0
+
+    def batch(self, observations):
+        return [self(each) for each in observations]
+
+    def close(self):
+        self.closed.append(True)
+
+
+def test_runs_in_lock_step_are_those_one_by_one():
+    scenarios = [
+        Scenario(npcs=SCENARIO.npcs[:count], seed=seed, ego_lane=1) for seed, count in ((1, 2), (2, 3), (3, 1))
+    ]
+    for engine in ("auto", "highway-env"):
+        world, factory = pafot.Highway(duration=6.0, engine=engine), pafot.Perception(OfItsOwn, **EVERYTHING)
+        together = world.rollout_batch(scenarios, factory)
+        alone = [world.rollout(scenario, factory) for scenario in scenarios]
+        assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
+
+
+def test_policies_in_lock_step_are_shown_what_they_are_shown_one_by_one():
+    class Policy:
+        def __call__(self, observation):
+            return FASTER if observation[:, 0].sum() > 3 else IDLE
+
+        def batch(self, observations):
+            return [self(each) for each in observations]
+
+    world, factory = pafot.World("highway-v0", GYM), pafot.Perception(Policy, **EVERYTHING)
+    scenarios = [SCENARIO, Scenario(npcs=SCENARIO.npcs[:2], seed=4, ego_lane=1, gene_seconds=3.0)]
+    alone = [world.rollout(scenario, factory) for scenario in scenarios]
+    together = world.rollout_batch(scenarios, factory)
+    assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
+
+
+@pytest.mark.parametrize(
+    ("imperfections", "is_pure"),
+    [
+        ({}, True),
+        ({"range": 50.0, "occlusion": True}, True),
+        ({"latency": 0.2}, False),
+        ({"noise": {"speed": 1}}, False),
+    ],
+)
+def test_an_ads_stays_pure_where_it_sees_what_is_there_alone(imperfections, is_pure):
+    assert pafot.Perception(OfItsOwn, **imperfections)().pure is is_pure
+    assert not getattr(pafot.Perception(Watching)(), "pure", False)
+
+
+def test_a_factory_that_knows_its_policy_is_asked_through_the_perception():
+    class Loading:
+        weights_digest = "sha256:abc"
+
+        def check_world(self, world):
+            raise WorldError(f"not on {world.lanes} lanes")
+
+        def __call__(self):
+            return Watching()
+
+    factory = pafot.Perception(Loading(), latency=0.2)
+    assert weights_digest(factory) == "sha256:abc"
+    with pytest.raises(WorldError, match="not on 4 lanes"):
+        pafot.Highway().rollout(SCENARIO, factory)
+
+
+def test_an_ads_is_closed_and_has_only_the_methods_of_its_own():
+    _, ads = run(PLANNERS["kernel"], OfItsOwn, latency=0.2)
+    assert ads.closed == [True]
+    assert not hasattr(pafot.Perception(Watching)(), "batch")
+    assert not hasattr(pafot.Perception(Watching)(), "close")
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),
+        (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all that is imperfect to one"),
+        (lambda: pafot.Perception(42), AdsFactoryError, "give a function or class that makes one"),
+        (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
+        (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
+        (
+            lambda: pafot.Perception(Watching)("what is seen"),
+            AdsFactoryError,
+            "expected pafot.Perception as the factory",
+        ),
+        (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+@pytest.mark.parametrize("rollout", ["rollout", "rollout_in_gym"])
+def test_an_observation_that_is_not_made_of_the_road_is_refused(rollout):
+    config = {"observation": {"type": "AttributesObservation", "attributes": ["steps"]}}
+    world = pafot.World("highway-v0", config)
+    with pytest.raises(WorldError, match=r"config\.observation: expected .*\"Kinemat.*received AttributesObservation"):
+        getattr(world, rollout)(SCENARIO, pafot.Perception(WatchingPolicy, latency=0.2))
