@@ -1,0 +1,76 @@
+"""SUMO's drivers: any of its car-following and lane-change models, by libsumo (``pip install "pytest-pafot[sumo]"``).
+
+Kind (a), for ``pafot.Highway``. At each decision everybody is put into a simulation of SUMO's where they are, and that
+makes one step: what the ego does in it is the decision. SUMO changes lanes at once, so that its ego is in the lane that
+the real one is on its way to. The others are seen in the lane that is nearest to them, and hold their speeds.
+
+SUMO counts lanes from the right, and has the position of a vehicle at its front bumper. libsumo has one simulation in a
+process, which ``close`` ends with the run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import libsumo
+from libsumo import vehicle
+
+from pytest_pafot import Drive, Observation
+
+NETWORK = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
+<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape=""/>
+<junction id="b" type="dead_end" x="{length}" y="0" incLanes="" intLanes="" shape=""/></net>"""
+LANE = '<lane id="road_{0}" index="{0}" speed="{limit}" length="{length}" shape="0,{0} {length},{0}"/>'
+MODELS = """<additional><route id="road" edges="road"/>
+<vType id="ego" length="5" speedDev="0" carFollowModel="{following}" laneChangeModel="{changing}"/>
+<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/></additional>"""
+OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
+
+
+@dataclass
+class SumoDriver:
+    """Drives as a vehicle of SUMO's with these models, the names of which are SUMO's.
+
+    Attributes:
+        following, changing: how it follows others, and how it changes lanes.
+        lane: that it is on its way to; none before the first decision.
+    """
+
+    following: str = "Krauss"
+    changing: str = "LC2013"
+    lane: int = -1
+
+    def __call__(self, seen: Observation) -> Drive:
+        """What SUMO's ego does in one step from where everybody is."""
+        if self.lane < 0:
+            self.start(seen)
+        for name, car in zip(("ego", *map(str, seen.ids)), (seen.ego, *seen.others), strict=True):
+            lane = self.lane if name == "ego" else car.lane
+            vehicle.moveTo(name, f"road_{seen.lanes - 1 - lane}", car.x + car.length / 2)
+            vehicle.setPreviousSpeed(name, car.speed)
+        libsumo.simulationStep()
+        self.lane = seen.lanes - 1 - vehicle.getLaneIndex("ego")
+        return Drive(lane=self.lane, acceleration=vehicle.getAcceleration("ego"))
+
+    def start(self, seen: Observation) -> None:
+        """A simulation with this road and these vehicles."""
+        road = {"limit": seen.speed_limit, "length": seen.road_length}
+        lanes = "".join([LANE.format(lane, **road) for lane in range(seen.lanes)])
+        with TemporaryDirectory() as folder:
+            network, models = Path(folder, "network.xml"), Path(folder, "models.xml")
+            network.write_text(NETWORK.format(lanes=lanes, **road), encoding="utf-8")
+            models.write_text(MODELS.format(following=self.following, changing=self.changing), encoding="utf-8")
+            step = f"--step-length={seen.decision_period}"
+            libsumo.start(["sumo", f"--net-file={network}", f"--additional-files={models}", step, *OPTIONS])
+        for name in ("ego", *map(str, seen.ids)):
+            vehicle.add(name, "road", typeID="ego" if name == "ego" else "other")
+        self.lane = seen.ego.lane
+
+    def close(self) -> None:
+        """End the simulation."""
+        libsumo.close()
+
+
+make = SumoDriver

@@ -1,0 +1,252 @@
+"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers of their training around them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import pickle
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.policies.loading import PolicyLoader, digest_of, library, named, refused
+
+Array = npt.NDArray[Any]
+
+TOLD_BY = {
+    "_last_lstm_states": "RecurrentPPO",
+    "maskable": "MaskablePPO",
+    "cg_max_steps": "TRPO",
+    "delta_std_schedule": "ARS",
+    "top_quantiles_to_drop_per_net": "TQC",
+    "n_quantiles": "QRDQN",
+    "crossq": "CrossQ",
+    "exploration_fraction": "DQN",
+    "target_policy_noise": "TD3",
+    "clip_range": "PPO",
+    "target_entropy": "SAC",
+    "gae_lambda": "A2C",
+}
+"""Algorithms by what the first of these is that a zip has: a parameter, or part of the module of the policy's class.
+
+A zip does not name its algorithm. DDPG is read as the TD3 that it derives from.
+"""
+
+OF_TRAINING = {"learning_rate": 0.0, "lr_schedule": 0.0, "clip_range": 0.0, "buffer_size": 1}
+"""In the place of parameters that only training needs: functions of another Python, and memory for a million steps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sb3Policy(PolicyLoader):
+    """See :func:`pytest_pafot.policies.sb3`."""
+
+    file: Path
+    vecnormalize: Path | None = None
+    frame_stack: int = 1
+    algorithm: str | type[Any] | None = None
+    deterministic: bool = True
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.frame_stack, int) or self.frame_stack < 1:
+            raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give as many as VecFrameStack had")
+
+    @functools.cached_property
+    def weights_digest(self) -> str:
+        """Of the zip, and of the statistics after it."""
+        return digest_of(path for path in (self.file, self.vecnormalize) if path is not None)
+
+    def load(self) -> BaselineModel:
+        """The model on the CPU."""
+        library("torch", "sb3").set_num_threads(1)
+        zipped = _parameters(self.file)
+        given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
+        model = self._class(zipped).load(self.file, device="cpu", custom_objects=given)
+        statistics = None
+        if self.vecnormalize is not None:
+            with self.vecnormalize.open("rb") as file:
+                statistics = pickle.load(file)  # noqa: S301  (the user's own file, named in the user's own test)
+        return BaselineModel(model, statistics, self.frame_stack, self.deterministic)
+
+    def _class(self, zipped: dict[str, Any]) -> Any:
+        name = self.algorithm or _algorithm(self.file, zipped)
+        if not isinstance(name, str):
+            return name
+        own = getattr(library("stable_baselines3", "sb3"), name, None)
+        found = own or getattr(library("sb3_contrib", "sb3"), name, None)
+        if found is None:
+            raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "give its class")
+        return found
+
+    def __call__(self) -> BaselineAds:
+        """A fresh ADS, which has seen nothing."""
+        model: BaselineModel = self.loaded
+        return BatchingBaselineAds(model) if model.decides_for_many else BaselineAds(model)
+
+    def check_world(self, world: Any) -> None:
+        """Compare actions, and the shape and type of observations once they are stacked."""
+        model: BaselineModel = self.loaded
+        if not model.fits(world.observation_space, world.action_space):
+            of_model = f"observations {model.observation_space} and actions {model.action_space}"
+            stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
+            raise refused(
+                f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
+                named(world),
+                "give it the env_id, config= and wrappers= of the training, and frame_stack= where frames were stacked",
+            )
+
+
+class BaselineModel:
+    """A loaded model, and what its wrappers did to observations.
+
+    Args:
+        model: with ``predict``, ``observation_space`` and ``action_space``.
+        statistics: a ``VecNormalize`` without its environments, or None.
+        frame_stack: observations that it sees at once.
+        deterministic: as for ``predict``.
+    """
+
+    def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
+        self.observation_space, self.action_space = model.observation_space, model.action_space
+        self.is_recurrent = hasattr(model, "_last_lstm_states")
+        self.remembers = self.is_recurrent or frame_stack > 1
+        self.is_pure = deterministic and not self.remembers
+        # Of real numbers the last bits depend on how many observations go through a network at once.
+        self.decides_for_many = (
+            deterministic and not self.is_recurrent and type(self.action_space).__name__ == "Discrete"
+        )
+        self._model, self._statistics = model, statistics
+        self._frame_stack, self._deterministic = frame_stack, deterministic
+        shape = None if statistics is None else statistics.observation_space.shape
+        self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
+
+    def fits(self, observation_space: Any, action_space: Any) -> bool:
+        """Whether it drives with the observations and actions of an environment."""
+        own, other = self.observation_space, observation_space
+        if type(own) is not type(other) or self.action_space != action_space:
+            return False
+        if own.shape is None or other.shape is None:  # of many parts
+            return bool(own == other)
+        is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
+        return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
+
+    def seen(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
+        """The frames so far with an observation, and what the model sees of them.
+
+        Args:
+            frames: of the observations before, None without any.
+            observation: the environment's.
+        """
+        if isinstance(observation, dict):
+            return None, self._normalised(observation)
+        own = np.asarray(observation, dtype=self.observation_space.dtype)
+        own = own if self._is_of_stack else self._normalised(own)
+        if self._frame_stack == 1:
+            return None, own
+        frames = pushed(frames, own, self._frame_stack, self.observation_space.shape)
+        return frames, self._normalised(frames) if self._is_of_stack else frames
+
+    def _normalised(self, observation: Any) -> Any:
+        return observation if self._statistics is None else self._statistics.normalize_obs(observation)
+
+    def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
+        """The action for what the model sees, one or a row for each run, and the state of one that is recurrent."""
+        start = np.array([is_first])
+        action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
+        return action, state
+
+
+class BaselineAds:
+    """Drives one run.
+
+    Attributes:
+        pure: whether it decides from its observation alone.
+    """
+
+    def __init__(self, model: BaselineModel) -> None:
+        self.pure = model.is_pure
+        self._model = model
+        self._frames: Array | None = None
+        self._state: Any = None
+        self._is_first = True
+
+    def __call__(self, observation: Any) -> Any:
+        """The environment's action."""
+        self._frames, seen = self._model.seen(self._frames, observation)
+        action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
+        self._is_first = False
+        return action
+
+
+class BatchingBaselineAds(BaselineAds):
+    """Drives one run, or many in lock step."""
+
+    def __init__(self, model: BaselineModel) -> None:
+        super().__init__(model)
+        self._frames_of: dict[int, Array | None] = {}
+
+    def batch(self, observations: Any) -> list[int]:
+        """The action for each of the :class:`~pytest_pafot.world.engines.lock_step.Observations`."""
+        rows = []
+        for run, observation in zip(observations.runs, observations, strict=True):
+            self._frames_of[run], seen = self._model.seen(self._frames_of.get(run), observation)
+            rows.append(seen)
+        actions, _ = self._model.predict(np.stack(rows))
+        listed: list[int] = actions.tolist()
+        return listed
+
+
+def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
+    """The axis along which ``count`` arrays of a shape become one of another; None where they do not."""
+    for axis in range(len(one)):
+        if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
+            return axis
+    return None
+
+
+def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
+    """The last observations as one array, the newest last, zeros in the place of those before the first.
+
+    So it is in ``VecFrameStack`` of Stable-Baselines3.
+
+    Args:
+        frames: the array before, None at the first observation.
+        observation: the newest.
+        count: observations in an array.
+        shape: of the array.
+
+    Raises:
+        AdsFactoryError: where so many observations do not give that shape.
+    """
+    axis = stacking_axis(observation.shape, shape, count)
+    if axis is None:
+        fix = "give the frame_stack= of the training"
+        raise refused(f"{count} observations that make one of shape {shape}", f"observations {observation.shape}", fix)
+    if frames is None:
+        frames = np.zeros(shape, observation.dtype)
+    _, older = np.split(frames, [observation.shape[axis]], axis)
+    return np.concatenate([older, observation], axis)
+
+
+def _parameters(file: Path) -> dict[str, Any]:
+    """What a zip says of its model as JSON; nothing is unpickled."""
+    try:
+        with zipfile.ZipFile(file) as zipped:
+            parameters: dict[str, Any] = json.loads(zipped.read("data"))
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        received = f"{file} ({type(error).__name__}: {error})"
+        raise refused("a zip that the save() of a Stable-Baselines3 model wrote", received, "save it again") from None
+    return parameters
+
+
+def _algorithm(file: Path, zipped: dict[str, Any]) -> str:
+    module = str(dict(zipped.get("policy_class", {})).get("__module__", ""))
+    marks = {*zipped, *module.split(".")}
+    name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
+    if name is None:
+        raise refused("a zip of a known algorithm", str(file), 'give algorithm="PPO", or a class')
+    return name

@@ -1,0 +1,202 @@
+"""What loaders do whatever they load, and frames: without the libraries that real models need."""
+
+import json
+import pickle
+import subprocess
+import sys
+import zipfile
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Discrete
+
+import pytest_pafot as pafot
+from pytest_pafot.policies.baselines import BaselineModel, BatchingBaselineAds, pushed, stacking_axis
+from pytest_pafot.policies.loading import PolicyLoader, digest_of
+from pytest_pafot.searching import SearchSpace, sample
+
+WORLD = pafot.World("highway-fast-v0", duration=5.0)
+CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
+
+
+class Weighing:
+    """A model as Stable-Baselines3 has it: its action is a weighted sum of all that it sees."""
+
+    action_space = Discrete(5)
+
+    def __init__(self, frames):
+        self.observation_space = Box(-np.inf, np.inf, (5, 5 * frames), np.float32)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        weights = np.arange(1, 1 + 25 * (observation.shape[-1] // 5)).reshape(5, -1)
+        return (np.abs(observation * weights).sum(axis=(-1, -2)) * 100).astype(int) % 5, state
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loader(PolicyLoader):
+    frames: int = 1
+    weights_digest = "sha256:00"
+    loads: ClassVar = []
+
+    def load(self):
+        self.loads.append(self)
+        return BaselineModel(Weighing(self.frames), None, self.frames, deterministic=True)
+
+    def __call__(self):
+        return BatchingBaselineAds(self.loaded)
+
+    def check_world(self, world):
+        if not self.loaded.fits(world.observation_space, world.action_space):
+            raise TypeError(f"{world.observation_space} {world.action_space}")
+
+
+def test_the_loaders_are_there_at_no_cost():
+    libraries = {"numpy", "torch", "onnxruntime", "stable_baselines3", "gymnasium", "highway_env"}
+    code = f"import sys, pytest_pafot as p; p.policies.sb3; print({libraries} & {{*sys.modules}})"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+
+
+def test_a_policy_is_loaded_once_in_a_process_and_its_factory_is_a_value():
+    first, second = Loader(frames=2), pickle.loads(pickle.dumps(Loader(frames=2)))
+    Loader.loads.clear()
+    assert first == second
+    assert first.loaded is second.loaded
+    assert pickle.loads(pickle.dumps(first)).loaded is first.loaded
+    assert Loader.loads == [first]
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (3,), (4, 6, 2)])
+def test_frames_are_the_last_observations_with_zeros_before_the_first(shape):
+    rng = np.random.default_rng(0)
+    seen = [rng.normal(size=shape).astype(np.float32) for _ in range(6)]
+    for axis in range(len(shape)):
+        stacked = [size * (3 if index == axis else 1) for index, size in enumerate(shape)]
+        frames = None
+        for newest in range(len(seen)):
+            frames = pushed(frames, seen[newest], 3, stacked)
+            last = [seen[place] if place >= 0 else np.zeros(shape) for place in (newest - 2, newest - 1, newest)]
+            assert np.array_equal(frames, np.concatenate(last, axis))
+            assert frames.dtype == np.float32
+
+
+def test_frames_of_another_number_than_in_training_are_an_error_that_says_so():
+    assert stacking_axis((5, 5), (5, 15), 3) == 1
+    assert stacking_axis((5, 5), (5, 15), 2) is None
+    with pytest.raises(TypeError, match=r"2 observations that make one of shape \(5, 15\).*give the frame_stack="):
+        pushed(None, np.zeros((5, 5)), 2, (5, 15))
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_in_lock_step_each_run_has_its_own_frames(frames):
+    rng = np.random.default_rng(2)
+    space = SearchSpace(npcs=3, genes=1, gene_seconds=5.0, speed_limit=26.0)
+    scenarios = [sample(space, rng) for _ in range(6)]
+    together = WORLD.rollout_batch(scenarios, Loader(frames=frames))
+    assert len({trace.ticks for trace in together}) > 1  # so that runs end one after the other
+    for trace in together:
+        alone = WORLD.rollout(trace.scenario, Loader(frames=frames))
+        assert alone.actions == trace.actions
+        assert alone.states.tobytes() == trace.states.tobytes()
+
+
+def test_only_a_policy_that_remembers_nothing_is_pure():
+    assert Loader(frames=1)().pure
+    assert not Loader(frames=3)().pure
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        pafot.Highway(),
+        pafot.World("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}),
+        pafot.World("highway-fast-v0", config={"observation": {"type": "Kinematics", "vehicles_count": 7}}),
+    ],
+)
+def test_a_policy_is_compared_with_the_world_before_any_run(world):
+    for drive in (world.rollout, lambda scenario, ads: world.rollout_batch([scenario], ads)):
+        with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
+            drive(CUT_IN, Loader())
+
+
+class Planner:
+    """Its methods, called alike, are those of an ADS and not of its factory."""
+
+    def __call__(self, observation):
+        return 1
+
+    def check_world(self, world):
+        raise AssertionError
+
+    def preload(self):
+        raise AssertionError
+
+
+def test_a_class_that_makes_adss_is_asked_nothing_of_them():
+    assert WORLD.rollout(CUT_IN, Planner).error is None
+    assert pafot.explore(Planner, holds=lambda run: None, world=WORLD, runs=1).summary.runs == 1
+
+
+def test_so_is_one_with_an_imperfect_sight():
+    with pytest.raises(TypeError, match="None None"):
+        pafot.Highway().rollout(CUT_IN, pafot.Perception(Loader(), latency=0.2))
+    alone, together = Loader(frames=3), pafot.Perception(Loader(frames=3), range=1000.0)
+    for seen in WORLD.rollout_batch([CUT_IN, CUT_IN], together):
+        assert seen.actions == WORLD.rollout(CUT_IN, alone).actions
+
+
+def test_a_policy_of_the_world_drives_in_it():
+    assert WORLD.rollout(CUT_IN, Loader()).error is None
+
+
+def zipped(path, parameters):
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("data", json.dumps(parameters))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (lambda folder: pafot.policies.sb3(folder / "model.zip"), "expected a file that can be read, received .*model"),
+        (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
+    ],
+)
+def test_what_cannot_be_loaded_is_an_error_with_the_way_out(policy, message, tmp_path):
+    with pytest.raises(TypeError, match=message):
+        pafot.Highway().rollout(CUT_IN, policy(tmp_path))
+
+
+def test_a_library_that_is_missing_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    file = zipped(tmp_path / "model.zip", {"clip_range": 0.2})
+    with pytest.raises(TypeError, match=r'expected torch for this policy.*pip install "pytest-pafot\[sb3\]"'):
+        pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
+
+
+def test_the_hash_is_of_all_files_in_their_order(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    one.write_bytes(b"1")
+    two.write_bytes(b"2")
+    assert digest_of([one, two]) != digest_of([two, one])
+    assert digest_of([one]) == digest_of([one])
+    assert digest_of([one]).startswith("sha256:")
+    before = digest_of([one])
+    one.write_bytes(b"3")
+    assert digest_of([one]) != before
+
+
+def test_a_policy_is_loaded_in_the_session_whose_forks_run_it():
+    Loader.loads.clear()
+    pafot.explore(Loader(frames=4), holds=lambda run: None, world=WORLD, runs=1, isolate=True)
+    assert Loader.loads == [Loader(frames=4)]
+
+
+@pytest.mark.parametrize("ads", [Loader(), pafot.Perception(Loader(), latency=0.2)])
+def test_a_finding_keeps_the_hash_of_the_policy(ads):
+    found = pafot.explore(
+        ads, holds=lambda run: run.duration > 100 or pytest.fail("short"), world=WORLD, runs=1, shrink_rollouts=0
+    ).findings
+    assert [finding.found.weights for finding in found] == ["sha256:00"]

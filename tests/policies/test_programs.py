@@ -1,0 +1,253 @@
+"""Planners that are programs, and everything that programs can do instead of answering."""
+
+import gc
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.policies import programs
+from pytest_pafot.world import Observation, VehicleState
+
+CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
+ROAD = pafot.Highway(duration=4.0, hang_limit=5.0)
+LOOP = """
+import json, sys, time, os
+
+def answer(**values):
+    print(json.dumps(values), flush=True)
+
+for number, line in enumerate(sys.stdin):
+    seen = json.loads(line)
+    {body}
+"""
+
+
+def program(folder, body, **options):
+    file = folder / f"planner_{len(list(folder.iterdir()))}.py"
+    file.write_text(LOOP.replace("{body}", textwrap.indent(textwrap.dedent(body), "    ").strip()))
+    return pafot.policies.process([sys.executable, str(file)], **options)
+
+
+@pytest.fixture(autouse=True)
+def no_program_is_left():
+    yield
+    programs._idle_in.cache_clear()
+    gc.collect()
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
+    if children.exists():
+        names = [Path(f"/proc/{pid}/cmdline").read_bytes() for pid in children.read_text().split()]
+        assert not [name for name in names if b"planner_" in name or name == b""]  # a zombie has no command line
+
+
+def brakes_in_python():
+    return lambda observation: (-1.0 if observation.others[0].x - observation.ego.x < 40 else 0.1, 0.0)
+
+
+def test_a_program_drives_as_the_same_planner_in_this_process(tmp_path):
+    ads = program(
+        tmp_path,
+        "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)",
+    )
+    ours, theirs = ROAD.rollout(CUT_IN, brakes_in_python), ROAD.rollout(CUT_IN, ads)
+    assert theirs.error is None
+    assert theirs.states.tobytes() == ours.states.tobytes()
+
+
+def test_a_line_has_all_that_an_observation_has():
+    lines = []
+
+    def ads():
+        return lambda observation: lines.append((programs.line_of(observation, reset=True), observation)) or (0.0, 0.0)
+
+    ROAD.rollout(CUT_IN, ads)
+    line, observation = lines[0]
+    assert line.endswith(b"}\n")
+    assert line.count(b"\n") == 1
+    told = programs.json.loads(line)
+    attributes = {name for name in dir(Observation) if not name.startswith("_")} - {"array"}
+    assert told.keys() == attributes | {"reset"}
+    assert told["ego"] == observation.ego._asdict()
+    assert VehicleState(**told["others"][0]) == observation.others[0]
+    assert told["lane_centres"] == list(observation.lane_centres)
+
+
+def test_a_policy_of_an_environment_gets_and_gives_what_the_environment_has(tmp_path):
+    world = pafot.World("highway-fast-v0", duration=3.0)
+    ads = program(tmp_path, "answer(action=4 if seen['observation'][0][3] > 0.2 and number else 1)")
+    trace = world.rollout(CUT_IN, ads)
+    assert trace.error is None
+    assert set(trace.actions) == {1, 4}
+    seen = {"image": np.zeros((2, 2), np.uint8), "speed": np.float32(1.5)}
+    told = programs.json.loads(programs.line_of(seen, reset=False))
+    assert told == {"reset": False, "observation": {"image": [[0, 0], [0, 0]], "speed": 1.5}}
+
+
+def test_a_program_may_answer_with_a_lane(tmp_path):
+    trace = ROAD.rollout(CUT_IN, program(tmp_path, "answer(lane=2, speed=20.0)"))
+    assert trace.error is None
+    assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0)
+
+
+def test_a_program_that_is_kept_hears_of_the_next_scenario(tmp_path, capfd):
+    body = """
+        if seen["reset"]: print("pid", os.getpid(), "reset at", number, file=sys.stderr)
+        answer(acceleration=0.0, steering=0.0)
+    """
+    for keep, count in ((True, 1), (False, 3)):
+        ads = program(tmp_path, body, keep=keep)
+        for _ in range(3):
+            assert ROAD.rollout(CUT_IN, ads).error is None
+        told = re.findall(r"pid (\d+) reset at (\d+)", capfd.readouterr().err)
+        assert len({pid for pid, _ in told}) == count
+        assert [number == "0" for _, number in told] == [True, not keep, not keep]
+
+
+def test_two_runs_at_once_have_a_program_each(tmp_path):
+    loader = program(tmp_path, "answer(acceleration=float(number), steering=0.0)")
+    first, second = loader(), loader()
+    seen = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
+    assert [first(seen), first(seen), second(seen)] == [(0.0, 0.0), (1.0, 0.0), (0.0, 0.0)]
+    for ads in (first, second):
+        ads.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "message"),
+    [
+        ("sys.exit(3)", "ProgramEnded", r"ended with exit code 3 in the place of an answer"),
+        ("os.kill(os.getpid(), 11)", "ProgramEnded", r"was ended by signal 11, Segmentation fault, in the place"),
+        ("os.close(1); time.sleep(60)", "ProgramEnded", r"closed its output in the place of an answer"),
+        ("print('hello', flush=True)", "BadAction", r"expected a line of JSON with .*received 'hello'"),
+        ("answer(acceleration=1.0)", "BadAction", r"expected a line of JSON with"),
+        ("answer(acceleration='fast', steering=0)", "BadAction", r"expected \(acceleration \[m/s\^2\], steering"),
+        ("answer(lane=9, speed=1)", "BadAction", r"a lane from 0"),
+        ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
+        ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
+    ],
+)
+def test_what_a_program_does_in_the_place_of_an_answer_is_told(body, kind, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(programs, "GRACE", 0.2 if "os.close" in body else 10.0)  # a busy machine ends it late
+    once = f"if seen['time'] == 1.0:\n    {body}\nelse:\n    answer(acceleration=0.0, steering=0.0)"
+    ads = program(tmp_path, once)
+    error = ROAD.rollout(CUT_IN, ads).error
+    assert error is not None
+    assert (error.kind, error.tick) == (kind, 15)
+    assert re.search(message, error.message)
+    assert ROAD.rollout(CUT_IN, program(tmp_path, "answer(acceleration=0.0, steering=0.0)")).error is None
+    again = ROAD.rollout(CUT_IN, ads).error
+    assert again is not None
+    assert again.tick == 15
+
+
+def test_a_program_that_does_not_answer_in_its_time_is_killed(tmp_path):
+    ads = program(tmp_path, "answer(action=1) if number == 0 else time.sleep(60)")()
+    assert ads([1]) == 1  # however long it takes to start here
+    ads._loader = replace(ads._loader, timeout=0.1)
+    with pytest.raises(programs.ProgramTimeout, match=r"did not answer within 0.1 s"):
+        ads([1])
+    ads.close()
+    assert not ads._program.is_running
+
+
+def test_a_program_that_hangs_is_ended_by_the_hang_limit_of_the_world(tmp_path):
+    ads = program(tmp_path, "time.sleep(60)")
+    error = pafot.Highway(duration=4.0, hang_limit=0.3).rollout(CUT_IN, ads).error
+    assert error is not None
+    assert error.kind == "Hang"
+
+
+def test_the_last_words_of_a_program_are_in_the_finding(tmp_path, capfd):
+    ads = program(tmp_path, "print('no map here', file=sys.stderr); sys.exit(1)")
+    error = ROAD.rollout(CUT_IN, ads).error
+    assert error is not None
+    assert "the end of its stderr:\nno map here" in error.traceback
+    assert "no map here" not in error.message  # which is part of what makes two failures the same
+    assert capfd.readouterr().err == "no map here\n"
+
+
+def test_a_program_that_cannot_be_started_is_an_error_of_the_set_up():
+    with pytest.raises(TypeError, match=r"expected a program that can be started, received .*no-such.*build it first"):
+        ROAD.rollout(CUT_IN, pafot.policies.process(["./no-such-program"]))
+
+
+@pytest.mark.parametrize(
+    ("command", "timeout", "message"),
+    [
+        (
+            "./planner",
+            None,
+            r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)",
+        ),
+        ([], None, r"in a list, received \[\]; name it"),
+        (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
+        (["./planner"], 0, "received 0; give it seconds"),
+    ],
+)
+def test_what_is_no_command_or_no_timeout_is_refused_where_it_is_written(command, timeout, message):
+    with pytest.raises(TypeError, match=message):
+        pafot.policies.process(command, timeout=timeout)
+
+
+def test_a_long_observation_goes_through_a_pipe_that_is_shorter(tmp_path):
+    ads = program(tmp_path, "answer(action=len(seen['observation']))")()
+    assert ads(np.zeros(300_000)) == 300_000
+    ads.close()
+
+
+IN_TWO_PROCESSES = """
+import os, sys
+import pytest_pafot as pafot
+
+loader = pafot.policies.process(sys.argv[1:])
+
+def answer():
+    ads = loader()
+    answered = ads([1])
+    ads.close()
+    return answered
+
+pid = answer()
+child = os.fork()
+if not child:
+    other = answer()
+    os._exit(other == pid or other != answer())
+assert os.waitpid(child, 0)[1] == 0
+assert answer() == pid
+print(pid)
+"""
+
+
+def test_a_program_is_kept_in_its_process_and_ends_with_it_while_a_forked_one_starts_its_own(tmp_path):
+    command = program(tmp_path, "answer(action=os.getpid())").command
+    pid = int(subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command]))
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_the_hash_is_of_the_files_that_the_command_names(tmp_path):
+    one = program(tmp_path, "answer(action=1)")
+    before = one.weights_digest
+    Path(one.command[1]).write_text("pass")
+    assert pafot.policies.process(one.command).weights_digest != before
+    assert pafot.policies.process(["planner", "--fast"]).weights_digest == ""
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+def test_the_planner_in_c_of_the_documents_drives(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "how-to.md").read_text(encoding="utf-8")
+    (source,) = re.findall(r"```text\n/\* planner.c \*/\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "planner.c").write_text(source)
+    (command,) = re.findall(r"^\$ (cc .*)$", text, re.MULTILINE)
+    subprocess.run(command.split(), check=True, cwd=tmp_path)
+    trace = ROAD.rollout(CUT_IN, pafot.policies.process([str(tmp_path / "planner")]))
+    assert trace.error is None
+    assert min(acceleration for acceleration, _ in trace.actions) < -1
