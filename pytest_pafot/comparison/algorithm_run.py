@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.near_misses import NONE, Floors, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
 from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory
 from pytest_pafot.comparison.rows import Row
@@ -22,6 +22,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
+from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
 from pytest_pafot.trace import AdsError, Outcome, Trace
@@ -57,7 +58,13 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
     asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
-    seconds = 0.0
+    seconds, floors = 0.0, NONE
+
+    def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
+        nonlocal floors
+        if asks_for_near_misses:
+            floors = floors_of(algorithm, state)
+        return algorithm
 
     with _runner(world, factory) as runner:
 
@@ -65,9 +72,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             nonlocal seconds
             traces = [runner.run(scenario) for scenario in scenarios]
             seconds += sum(trace.duration for trace in traces)
-            return [
-                evaluated(trace, fitness, plan.blame, world, is_near_missed=asks_for_near_misses) for trace in traces
-            ]
+            return [evaluated(trace, fitness, plan.blame, world, floors) for trace in traces]
 
         events = run_campaign(
             plan.made(algorithm),
@@ -76,6 +81,7 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
             seed=seed,
             stop=lambda: seconds >= budget,
             foresee=runner.announce,
+            adapted=adapted,
         )
         first: list[Evaluation] = []
         for event in events:
@@ -99,12 +105,11 @@ def _runner(world: WorldLike, factory: Callable[..., Any]) -> Iterator[Runner]:
             yield runner
 
 
-def evaluated(
-    trace: Trace, fitness: Fitness, blame: str, world: WorldLike, *, is_near_missed: bool = False
-) -> Evaluation:
+def evaluated(trace: Trace, fitness: Fitness, blame: str, world: WorldLike, floors: Floors = NONE) -> Evaluation:
     """A run in a world judged by who is responsible for it, with its :class:`RunFacts` as its note.
 
-    The text of a signature can be read, and is equal exactly for equal signatures.
+    It has near-misses where they are above their floors, and none where it fails, as in a search. The text of a
+    signature can be read, and is equal exactly for equal signatures.
     """
     run, signature, mistake = Run(trace, world=reference_world(world)), None, None
     failure = ads_failure(run) or (COLLISION if run.collision is not None else None)
@@ -123,7 +128,7 @@ def evaluated(
         failing=failing,
         kind=signature if failing else None,
         mistake=mistake if failing else None,
-        near_misses=near_misses(trace) if is_near_missed else (),
+        near_misses=() if failing or trace.outcome is Outcome.INVALID else near_misses(trace, floors),
     )
     facts = RunFacts(
         responsibility=responsibility,

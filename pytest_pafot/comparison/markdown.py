@@ -13,7 +13,7 @@ import pandas as pd
 from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.paper_results import PAPER, PEAKS
 from pytest_pafot.comparison.plan import Plan, file_name
-from pytest_pafot.comparison.resumable_runs import TIME
+from pytest_pafot.comparison.resumable import TIME
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
     SECONDS_PER_HOUR,

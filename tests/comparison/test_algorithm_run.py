@@ -8,7 +8,9 @@ from itertools import count
 import pytest
 
 from pytest_pafot import Highway
+from pytest_pafot.attribution.near_misses import ALL, near_misses
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.algorithm_run import evaluated, run_rows
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.rows import COLUMNS, text_of
@@ -154,3 +156,19 @@ def test_seeds_differ_between_runs_and_algorithms_and_come_from_the_base_seed():
     seeds = [each.run_seed(name, run) for each in (plan, other) for name in plan.algorithms for run in range(10)]
     assert len(set(seeds)) == 40
     assert plan.run_seed("pafot", 0) == Plan(ads="y", algorithms=("pafot",)).run_seed("pafot", 0)
+
+
+def test_near_misses_are_judged_down_to_their_floors_as_in_a_search_and_the_rows_are_the_same(quick, monkeypatch):
+    plan = quick(generations=6, blame="ego")
+    given = []
+
+    def noted(trace, floors):
+        given.append(dict(floors))
+        return near_misses(trace, floors)
+
+    monkeypatch.setattr(algorithm_run, "near_misses", noted)
+    rows = list(run_rows(plan, "distinct", 0))
+    assert given[0] == dict(ALL)
+    assert len({str(floors) for floors in given}) > 1
+    monkeypatch.setattr(algorithm_run, "near_misses", lambda trace, floors: near_misses(trace))
+    assert list(run_rows(plan, "distinct", 0)) == rows

@@ -15,6 +15,8 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.comparison import command
 from pytest_pafot.comparison.paper_results import PAPER
 
+pytestmark = pytest.mark.processes
+
 SMALL = ["--ads", "constant_speed", "--runs", "3", "--generations", "4", "--duration", "20", "--workers", "1"]
 
 
@@ -33,6 +35,12 @@ def made(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(made):
     return (made / "report.md").read_text()
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Reports without figures, which take longer than the runs."""
+    monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", lambda measured, folder: {})
 
 
 def tables_of(report):
@@ -93,6 +101,7 @@ def test_every_test_has_its_p_value(report):
     assert {row[3] for row in rows} == {"av-fuzzer", "random-manoeuvre", "random"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_lengths_last_so(tmp_path):
     arguments = ["--ads", "constant_speed", "--runs", "2", "--seconds", "200", "--duration", "20", "--workers", "1"]
     algorithms = ["--algorithms", "pafot,av-fuzzer@5,random@15"]
@@ -106,6 +115,7 @@ def test_runs_of_equal_seconds_are_compared_at_these_alone_and_those_of_other_le
             assert {json.loads(row["executed"])[-1] for row in csv.DictReader(file)} == {seconds}, "of a gene"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_for(tmp_path):
     arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
     assert compare(tmp_path, *arguments) == 0
@@ -187,7 +197,7 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
         (
             ["--ads", "constant_speedd"],
-            "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, ppo, or module:factory "
+            "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, ppo, sumo, or module:factory "
             "for a policy of your own, received 'constant_speedd'; did you mean 'constant_speed'",
         ),
         (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
@@ -238,6 +248,7 @@ def test_a_wrong_policy_is_told_before_libraries_that_are_missing(tmp_path, caps
     assert "did you mean 'constant_speed'?" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_path, capsys, workers):
     """As one of an environment without --env; the folder is left free for the command that is right."""
@@ -250,13 +261,13 @@ def test_a_policy_that_fails_at_once_in_every_run_is_an_error_of_the_set_up(tmp_
         'raise ValueError(f"unexpected shape {shape}")\n',
         "So it was in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
-        "must return (acceleration [m/s^2], steering [rad]), two finite numbers. A policy of a highway-env environment "
-        "needs that environment, such as --env highway-v0.\n",
+        "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
+        "A policy of a highway-env environment needs that environment, such as --env highway-v0.\n",
     ):
         assert part in said.err
     assert not (tmp_path / "report.md").exists()
     more = ["--env", "highway-v0", "--duration", "5", "--generations", "1", "--algorithms", "random"]
-    assert compare(tmp_path, *arguments, *more) == 0
+    assert compare(tmp_path, *arguments, *more, "--workers", "1") == 0
 
 
 def of_an_environment():
@@ -306,12 +317,14 @@ def test_the_help_needs_no_library():
     assert "--algorithms" in done.stdout
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_policy_of_an_environment_is_compared_in_it(tmp_path):
     arguments = ["--ads", "ppo", "--env", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
     assert compare(tmp_path, *arguments) == 0
     assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it(tmp_path, monkeypatch):
     (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
     arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
@@ -323,6 +336,7 @@ def test_on_a_road_that_is_not_straight_the_ego_starts_as_its_environment_has_it
     assert space["gene_seconds"] == pytest.approx(430 / 30 / 3, abs=0.1)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_named_defect_is_a_factory_with_an_argument(tmp_path):
     arguments = ["--ads", "example_ads.defects:make:follows-too-close", "--algorithms", "random", "--runs", "1"]
     assert compare(tmp_path, *arguments, "--generations", "1") == 0

@@ -12,7 +12,8 @@ import pytest
 
 from pytest_pafot.comparison import resumable_runs
 from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.resumable_runs import ProgressLine, run_all
+from pytest_pafot.comparison.resumable import ProgressLine
+from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.world import Highway
 
 

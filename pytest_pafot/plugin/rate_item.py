@@ -1,0 +1,49 @@
+"""Items that count crashes in ordinary traffic: what ``@pafot.rate`` makes of a test function."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.marks import RATE_ARG, RATE_MARK
+
+
+class Rates:
+    """Hooks that give such a function its rate, and fail it where that is too high."""
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """The parameter that takes the rate, where the function has one."""
+        if metafunc.definition.get_closest_marker(RATE_MARK) is not None and RATE_ARG in metafunc.fixturenames:
+            metafunc.parametrize(RATE_ARG, [pytest.param(None, id=RATE_ARG)])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
+        """Drive the episodes, then call the function."""
+        mark = pyfuncitem.get_closest_marker(RATE_MARK)
+        if mark is None:
+            return None
+        from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+        from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
+        from pytest_pafot.rating.rate_request import checked_rate  # noqa: PLC0415
+        from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
+
+        try:
+            request = checked_rate(mark.kwargs)
+            ads = request.ads
+            factory = checked_factory(pyfuncitem.funcargs[ads], ads) if isinstance(ads, str) else ads
+            with session_ends_if_stuck(pyfuncitem):
+                rate = request.measured(factory)
+        except (RequestError, WorldError, AdsFactoryError) as error:
+            raise pytest.fail.Exception(str(error), pytrace=False) from None
+        messages.send(pyfuncitem, "rate", {"text": f"{pyfuncitem.nodeid}: {rate.sentence}"})
+        pyfuncitem.user_properties.append(("pafot_rate", rate.sentence))
+        objection = request.objection(rate)
+        if objection:
+            pytest.fail(objection, pytrace=False)
+        names = inspect.signature(pyfuncitem.obj).parameters
+        given = {name: pyfuncitem.funcargs[name] for name in names if name in pyfuncitem.funcargs}
+        pyfuncitem.obj(**(given | ({RATE_ARG: rate} if RATE_ARG in names else {})))
+        return True

@@ -1,0 +1,92 @@
+"""``@pafot.rate``: a test that fails where an ADS crashes too often in ordinary traffic."""
+
+import pytest
+
+import pytest_pafot.rating.rate_request
+import pytest_pafot.world.engines.ordinary_traffic  # noqa: F401  pytester forgets modules that a run imports
+
+WORLD = 'world=pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 12})'
+
+
+def rated(arguments, body="pass", parameters=""):
+    return f"@pafot.rate({arguments})\ndef test_rate({parameters}):\n    {body}\n"
+
+
+def test_it_passes_where_crashes_are_few_and_fails_where_they_are_not(project):
+    project.write(rated(f"at_most=0.9, episodes=10, planner=True, {WORLD}"))
+    result = project.run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["test_it.py::test_rate: ? of 10 episodes crashed, ??.0 % (95 %: *"])
+    project.write(rated(f"at_most=0.1, episodes=10, planner=True, {WORLD}"))
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "expected crashes in at most 10.0 % of the episodes, received: ??.0 %",
+            "? of 10 episodes crashed, *",
+            "seeds of the crashes: 2, 4, 5, 7",
+        ]
+    )
+
+
+def test_the_function_may_look_at_the_rate_besides(project):
+    project.write(
+        "from example_ads import idm_mobil\n\n"
+        + rated(f"at_most=0, ads=idm_mobil.make, episodes=5, {WORLD}", "assert rate.hours > 1", "rate")
+    )
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*assert 0.01* > 1*"])
+
+
+def test_with_a_confidence_it_passes_only_where_the_episodes_show_it(project):
+    mark = f"ads=idm_mobil.make, confidence=0.9, {WORLD}"
+    project.write(
+        "from example_ads import idm_mobil\n\n" + rated(f"at_most=0.2, episodes=11, {mark}"), name="test_enough"
+    )
+    project.write(
+        "from example_ads import idm_mobil\n\n" + rated(f"at_most=0.2, episodes=10, {mark}"), name="test_too_few"
+    )
+    result = project.run()
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        ["@pafot.rate(episodes=...): expected 11 or more, as without any crash show that crashes are at most 20.0 %*"]
+    )
+
+
+def test_an_ads_that_fails_fails_the_test(project):
+    project.write(rated(f"at_most=0.9, episodes=2, {WORLD}"))  # without planner=True
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    told = " ".join(result.outlines)
+    assert "expected an ADS that drives all episodes, received one that failed; planner=True says that it is a " in told
+
+
+def test_a_rate_that_is_too_high_is_told_in_lines_that_fit_and_by_nothing_else(project, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    project.write(rated(f"at_most=0.1, episodes=10, planner=True, {WORLD}"))
+    result = project.run()
+    result.stdout.fnmatch_lines(["FAILED test_it.py::test_rate - expected crashes in at most 10.0 %*"])
+    result.stdout.no_fnmatch_line("*traceback*")
+    assert "4 of 10 episodes crashed, 40.0 % (95 %: 12.2 to 73.8 %); 136 an hour in 0.029 h" in result.outlines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (f"episodes=2, {WORLD}", "@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02"),
+        ("at_most=0.1", "@pafot.rate(world=...): expected it to be given"),
+        ("at_most=0.1, world=pafot.Highway()", "@pafot.rate(world=...): expected an environment with traffic of its"),
+        ('at_most=0.1, world="highway-v9"', "*did you mean 'highway-v0'*"),
+        (f"at_most=2, {WORLD}", "@pafot.rate(at_most=...): expected a share of the episodes, from 0 to less than 1"),
+        (f"at_most=0.1, episode=2, {WORLD}", "@pafot.rate(episode=...): did you mean 'episodes'?"),
+        (f"at_most=0.1, episodes=0, {WORLD}", "@pafot.rate(episodes=...): expected a whole number, at least 1"),
+        (f"at_most=0.1, planner='no', {WORLD}", "@pafot.rate(planner=...): expected True or False, received 'no'"),
+        (f"at_most=0.1, confidence=95, {WORLD}", "@pafot.rate(confidence=...): expected a number between 0 and 1"),
+    ],
+)
+def test_a_wrong_argument_fails_the_test_with_a_way_out(project, arguments, text):
+    project.write(rated(arguments))
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([f"{text}*"])

@@ -1,0 +1,129 @@
+"""The command from its arguments to its page, and rates as values."""
+
+import csv
+import re
+
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.rating import rate_plan
+from pytest_pafot.rating.rate import EpisodeRow, Pair, Rate
+
+SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
+
+
+def rate(*arguments):
+    return main(["rate", *SHORT, *arguments])
+
+
+def rated(name, **outcomes):
+    """A rate of episodes of 36 s, with the outcomes of some of the first ten seeds, `s0="collision"`."""
+    return Rate(
+        ads=name,
+        rows=tuple(
+            EpisodeRow(ads=name, seed=seed, outcome=outcomes.get(f"s{seed}", "safe"), seconds=36.0, error="", steps="")
+            for seed in range(10)
+        ),
+    )
+
+
+def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tmp_path, capsys):
+    assert (
+        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "30", "--out", str(tmp_path))
+        == 0
+    )
+    out, told = capsys.readouterr()
+    assert re.search(r"^constant_speed@planner in highway-fast-v0: \d+ of 30 episodes crashed, [\d.]+ % \(95 %: ", out)
+    assert "idm_mobil in highway-fast-v0: 0 of 30 episodes crashed, 0 % (95 %: at most 11.6 %); none in " in out
+    assert "0 with idm_mobil alone, 0 with both" in out
+    assert "rate: 60 of 60 episodes done after " in told
+    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
+    assert [int(row["seed"]) for row in rows] == [*range(30), *range(30)]
+    crashed = [row["seed"] for row in rows if row["outcome"] == "collision"]
+    assert f"seeds of the crashes: {', '.join(crashed[:10])}" in out
+    page = (tmp_path / "report.md").read_text()
+    assert "| idm_mobil | 30 | 0 | 0 % | at most 11.6 % |" in page
+    (picture,) = re.findall(r"!\[The first crash\]\((.*)\)", page)
+    assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, capsys, monkeypatch):
+    whole = tmp_path / "whole"
+    assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
+    seeds, drive = [], rate_plan.driven
+
+    def watched(world, name, factory, seed, **options):
+        if seed == 30 and 30 not in seeds:
+            seeds.append(seed)
+            raise KeyboardInterrupt
+        seeds.append(seed)
+        return drive(world, name, factory, seed, **options)
+
+    monkeypatch.setattr(rate_plan, "driven", watched)
+    for episodes in ("50", "50", "60"):
+        rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
+    assert "rate: interrupted; what is finished is kept" in capsys.readouterr().err
+    assert seeds == [*range(31), *range(25, 60)]
+    assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+
+
+def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys):
+    assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path)) == 0
+    assert "constant_speed@planner in highway-fast-v0, seed 2: crashed after " in capsys.readouterr().out
+    assert (tmp_path / "constant_speed-planner-2.png").read_bytes().startswith(b"\x89PNG")
+
+
+def unloadable():
+    raise OSError("no weights")
+
+
+def test_one_episode_of_a_policy_that_cannot_be_made_says_why_without_a_picture(tmp_path, capsys):
+    assert rate("--ads", f"{__name__}:unloadable", "--episode", "2", "--out", str(tmp_path)) == 0
+    assert capsys.readouterr().out.endswith("seed 2: failed after 0.0 s: OSError: no weights\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_given(capsys):
+    assert rate("--ads", "constant_speed", "--episodes", "2") == 0
+    out = capsys.readouterr().out
+    assert "no episode of 2 was driven to its end" in out
+    assert (
+        "the ADS failed in 2 episodes, which no rate counts; seeds 0, 1; the first: BadAction: expected a whole" in out
+    )
+    assert "a planner in SI units, as for pafot.Highway, is --ads constant_speed@planner" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
+        (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
+        (["--against", "idm_mobil"], "--against: expected another policy than --ads"),
+        (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
+        (["--config", "{count: 3}"], "--config: expected JSON such as"),
+        (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
+        (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
+        (["--episode", "-1"], "--episode: expected a seed, at least 0, received -1"),
+        (["--workers", "0"], "--workers: expected at least 1, received 0"),
+        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+    ],
+)
+def test_what_is_wrong_on_the_command_line_is_told_with_a_way_out(arguments, text, capsys):
+    assert rate("--ads", "idm_mobil", "--episodes", "2", *arguments) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
+    rate = rated("a", s1="collision", s4="collision", s5="hang")
+    assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
+    assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
+    assert repr(rate) == f"<Rate of a: {rate.sentence}>"
+    assert rate.interval()[1] > rate.upper_bound() > rate.share
+
+
+def test_two_policies_are_told_apart_by_the_seeds_that_one_alone_crashes_at():
+    first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
+    second = rated("b", s2="collision", s9="collision")
+    pair = Pair.of(first, second)
+    assert (pair.first_only, pair.second_only, pair.both, len(pair.neither)) == ((0, 1), (), (2,), 6)
+    assert "2 crashed with a alone, 0 with b alone, 1 with both, 6 with neither: p = 0.5" in pair.sentence
