@@ -11,7 +11,7 @@ the weights that are shipped: 1 crash in 30 episodes, at 20 m/s.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -64,20 +64,30 @@ class UnevenTraffic(gym.Wrapper[Any, Any, Any, Any]):
 
 def train(steps: int, seed: int) -> Any:
     """A stable-baselines3 PPO model after so many environment steps."""
+    model = untrained(
+        UnevenTraffic(gym.make("highway-fast-v0", config=TRAINING_CONFIG)),
+        seed,
+        learning_rate=lambda remaining: 6e-4 * remaining,
+        verbose=1,
+    )
+    model.learn(total_timesteps=steps, log_interval=4)
+    model.env.close()
+    return model
+
+
+def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
+    """A stable-baselines3 PPO model, with further arguments, in an environment whose observations it multiplies."""
     import torch  # noqa: PLC0415 - the extra `train`
     from stable_baselines3 import PPO  # noqa: PLC0415
 
     torch.set_num_threads(1)
-    plain = gym.make("highway-fast-v0", config=TRAINING_CONFIG)
-    plain = UnevenTraffic(plain)
     env = gym.wrappers.TransformObservation(plain, lambda observation: observation * SCALES, plain.observation_space)
-    model = PPO(
+    return PPO(
         "MlpPolicy",
         env,
         n_steps=512,
         batch_size=64,
         n_epochs=10,
-        learning_rate=lambda remaining: 6e-4 * remaining,
         gamma=0.9,
         ent_coef=0.003,
         policy_kwargs={
@@ -86,21 +96,38 @@ def train(steps: int, seed: int) -> Any:
         },
         seed=seed,
         device="cpu",
-        verbose=1,
+        **arguments,
     )
-    model.learn(total_timesteps=steps, log_interval=4)
-    env.close()
-    return model
 
 
 def actor_of(model: Any) -> Layers:
     """The actor's layers from the input on, for observations as highway-env gives them."""
+    layers = [(layer.weight.detach().numpy().T, layer.bias.detach().numpy()) for layer in actor_modules(model)]
+    return in_scale(layers, SCALES)
+
+
+def give_actor(model: Any, layers: Layers) -> None:
+    """The inverse of :func:`actor_of`: have a model decide as these layers do. Its critic stays as it is."""
+    import torch  # noqa: PLC0415
+
+    with torch.no_grad():
+        for layer, (weights, biases) in zip(actor_modules(model), in_scale(layers, np.reciprocal(SCALES)), strict=True):
+            layer.weight.copy_(torch.from_numpy(weights.T.copy()))
+            layer.bias.copy_(torch.from_numpy(biases.copy()))
+
+
+def actor_modules(model: Any) -> list[Any]:
+    """The linear modules of a model's actor, from the input on."""
     import torch  # noqa: PLC0415
 
     modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    (first, biases), *rest = [(layer.weight.detach().numpy().T, layer.bias.detach().numpy()) for layer in linear]
-    per_input = np.tile(SCALES, len(first) // len(SCALES))[:, np.newaxis]
+    return [module for module in modules if isinstance(module, torch.nn.Linear)]
+
+
+def in_scale(layers: Iterable[tuple[Any, Any]], scales: npt.NDArray[np.float32]) -> Layers:
+    """The layers for inputs that are not yet multiplied by scales, one for each feature of a vehicle."""
+    (first, biases), *rest = layers
+    per_input = np.tile(scales, len(first) // len(scales))[:, np.newaxis]
     return ((first * per_input, biases), *rest)
 
 

@@ -28,13 +28,7 @@ def model():
 @pytest.fixture(scope="module")
 def shipped(model):
     """stable-baselines3's own policy with the weights that are shipped."""
-    modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    scales = np.tile(train.SCALES, 5)[:, np.newaxis]
-    with torch.no_grad():
-        for number, (layer, (weights, biases)) in enumerate(zip(linear, ppo.read_actor(), strict=True)):
-            layer.weight.copy_(torch.from_numpy((weights if number else weights / scales).T.copy()))
-            layer.bias.copy_(torch.from_numpy(biases))
+    train.give_actor(model, ppo.read_actor())
     return model
 
 

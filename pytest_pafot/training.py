@@ -1,0 +1,180 @@
+"""Failures to learn from: an environment whose episodes are scenarios, and ordinary traffic beside them.
+
+Importing this module registers it with gymnasium as ``pafot/Scenarios-v0``.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from gymnasium.error import ResetNeeded
+from numpy.random import Generator
+
+from pytest_pafot.attribution.responsibility import rss_rule
+from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.corpus.reader import load, located
+from pytest_pafot.errors import WorldError
+from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.searching.space import sample, space_on
+from pytest_pafot.trace import Trace
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.world.driving.policy import checked_action
+from pytest_pafot.world.engines.compiled_traffic import CompiledSteps, why_not
+from pytest_pafot.world.engines.episode import Start, Step
+from pytest_pafot.world.engines.scenario_steps import ScenarioSteps
+from pytest_pafot.world.protocol import road_start
+
+Sampler = Callable[[Generator], Scenario]
+Scenarios = str | os.PathLike[str] | Sequence[Scenario] | Sampler | None
+
+
+class TrainingEnv(gymnasium.Env[Any, Any]):
+    """See :func:`training_env`, whose arguments it takes.
+
+    Attributes:
+        trace: of the scenario that was driven last, once its run is over; None in an episode, and in ordinary traffic.
+    """
+
+    def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
+        _check_world(world)
+        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+            raise ValueError(f"share: expected that of scenarios among the episodes, 0 to 1, received {share!r}")
+        self.trace: Trace | None = None
+        self.observation_space = copy.deepcopy(world.observation_space)
+        self.action_space = copy.deepcopy(world.action_space)
+        self._world, self._share, self._drawn = world, share, _sampler(world, scenarios)
+        self._ordinary = world.environment.make(has_traffic=True)
+        self._guard = HangGuard(world.hang_limit)
+        self._scenario: Scenario | None = None
+        self._steps: Any = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin a scenario, or an episode of ordinary traffic; all chance follows from the seeds that were given.
+
+        Raises:
+            ScenarioError: when the sampler draws a scenario that does not fit the world.
+        """
+        super().reset(seed=seed)
+        self.trace, rng = None, self.np_random
+        is_scenario = rng.random() < self._share
+        self._scenario = self._drawn(rng) if is_scenario else None
+        if self._scenario is not None:
+            self._world.check_fits(self._scenario)
+            self._steps = ScenarioSteps(self._world.environment, self._world.rules, self._scenario)
+            seen, info = self._steps.reset()
+        else:
+            seen, info = self._ordinary.reset(seed=int(rng.integers(2**31)))
+            start = Start(outer=self._ordinary, seen=seen, ads=None, kind="policy", guard=self._guard)
+            self._steps = self._ordinary if why_not(start) else CompiledSteps(start)
+        return seen, self._told(info)
+
+    def step(self, action: Any) -> Step:
+        """Drive with an action up to the next decision, or to the end of the episode.
+
+        Raises:
+            BadAction: when the action space does not have the action.
+            gymnasium.error.ResetNeeded: when no episode is under way.
+        """
+        if self._steps is None:
+            raise ResetNeeded("step: expected an episode that is under way, received none; call reset() first")
+        seen, reward, terminated, truncated, info = self._steps.step(checked_action(action, self.action_space))
+        if terminated or truncated:
+            self.trace = None if self._scenario is None else self._steps.trace
+            self._steps = None
+        return seen, reward, terminated, truncated, self._told(info)
+
+    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+        responsible = "" if self.trace is None or self.trace.collision is None else rss_rule(self.trace).responsibility
+        identity = "" if self._scenario is None else self._scenario.id
+        return {**info, "is_scenario": bool(identity), "scenario": identity, "responsible": responsible}
+
+
+gymnasium.register(id="pafot/Scenarios-v0", entry_point=f"{__name__}:TrainingEnv")
+
+
+def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) -> TrainingEnv:
+    """An environment of gymnasium to train a policy in: what was found to fail, and ordinary traffic.
+
+    Observations, actions and reward are those of the world's environment. An episode is either a scenario, then it is
+    the run that the world's ``rollout`` makes of the same actions, to the last bit, and ends at the first contact of
+    the ego; or it is one of the environment's own random traffic, as it is without this package, but compiled where
+    :mod:`pytest_pafot.world.engines.compiled_traffic` can do so.
+
+    Beside what the environment tells, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary traffic)
+    and ``responsible`` (once the ego has crashed in a scenario ``ego``, ``npc``, ``both`` or ``none``; else empty).
+
+    Args:
+        world: with an environment that takes no steps of its own, and without wrappers: these go around the result.
+        scenarios: a folder with saved scenarios, in it or below; scenarios; or a function of a numpy ``Generator`` that
+            draws one. By default random ones, as a search of this world begins with.
+        share: of the episodes that are scenarios, 0 to 1.
+
+    Raises:
+        WorldError: when the world has no environment that can be trained in.
+        ValueError: when the share is out of range, or there is no scenario.
+        ScenarioError: when a scenario does not fit the world.
+        CorpusError: when a file cannot be used.
+    """
+    return TrainingEnv(world, scenarios, share)
+
+
+def random_scenarios(world: Any) -> Sampler:
+    """What draws scenarios of the kind that a search of a world begins with, where nothing else is asked for."""
+    return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
+
+
+def _check_world(world: Any) -> None:
+    if not isinstance(world, World):
+        expected = 'an environment, such as pafot.World("highway-fast-v0"), whose reward there is to learn from'
+        raise WorldError(field="world", expected=expected, received=f"{world!r:.200}")
+    if world.wrappers is not None:
+        expected, fix = "a world without wrappers", "put them around the training environment instead"
+        raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
+    world.check()
+    if world.environment.steps_itself(drives_itself=False):
+        expected = "an environment that highway-env steps, with the NPCs in place of its traffic"
+        received = f"{world.env_id!r}, whose class has steps of its own"
+        raise WorldError(field="world", expected=expected, received=received)
+
+
+def _sampler(world: World, scenarios: Scenarios) -> Sampler:
+    """What draws a scenario."""
+    if scenarios is None:
+        return random_scenarios(world)
+    if isinstance(scenarios, str | os.PathLike):
+        scenarios = _saved_in(Path(scenarios), world)
+    elif callable(scenarios):
+        return scenarios
+    if not scenarios:
+        raise ValueError("scenarios: expected at least one, received none")
+    for each in scenarios:
+        world.check_fits(each)
+    known = tuple(scenarios)
+    return lambda rng: known[int(rng.integers(len(known)))]
+
+
+def _saved_in(folder: Path, world: World) -> list[Scenario]:
+    """The scenarios of all corpus files of a folder and those below it, by path."""
+    files = sorted(folder.rglob(f"*{SUFFIX}"))
+    if not files:
+        received = f"{folder}, {'which has none' if folder.is_dir() else 'which is no folder'}"
+        fix = "a search saves them, as that of a test with @pafot.search, or pafot.explore(..., corpus=...)"
+        raise ValueError(f"scenarios: expected a folder with saved scenarios, *{SUFFIX}, received {received}; {fix}")
+    return [_fitting(file, world) for file in files]
+
+
+def _fitting(file: Path, world: World) -> Scenario:
+    scenario = load(file).scenario
+    try:
+        world.check_fits(scenario)
+    except ScenarioError as error:
+        raise located(file, "scenario", error) from error
+    return scenario

@@ -1,0 +1,58 @@
+"""What the example counts before and after training; the training itself runs where stable-baselines3 is."""
+
+import numpy as np
+import pytest
+
+from example_ads import ppo
+from example_ads.ppo import train, train_on_failures
+from example_ads.ppo.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
+
+TO_THE_RIGHT = ppo.PpoPolicy(((np.zeros((25, 5), np.float32), np.float32([0, 0, 1, 0, 0])),))
+"""Changes to the next lane, and then on to the last one."""
+
+
+@pytest.fixture(scope="module")
+def before():
+    return measured("before", ppo.make(), scenarios(2, 40), 10)
+
+
+def test_the_shipped_policy_fails_in_more_than_a_third_of_random_scenarios_mostly_behind_a_leader(before):
+    failed = [fault for fault in before.faults if fault is not None]
+    assert len(failed) > 40 / 3
+    assert failed.count(TRAINED_ON) > len(failed) / 2
+
+
+def test_a_row_has_all_scenarios_both_kinds_of_failures_and_ordinary_traffic(before):
+    failed, kind = sum(map(bool, before.faults)), before.faults.count(TRAINED_ON)
+    name, random, trained_on, others, ordinary = row(before, before).strip("| ").split(" | ")
+    assert name == "before"
+    assert random.startswith(f"{100 * failed / 40:.1f} % (95 %: ")
+    assert (random.endswith("of 40"), ordinary.endswith("of 10")) == (True, True)
+    assert trained_on == f"100 % (95 %: {trained_on.split('95 %: ')[1]}"
+    assert trained_on.endswith(f"of {kind}")
+    assert others.endswith(f"of {failed - kind}")
+
+
+def test_failures_after_training_count_among_those_before(before):
+    after = measured("to the right", TO_THE_RIGHT, scenarios(2, 40), 10)
+    still = sum(then == TRAINED_ON and now is not None for then, now in zip(before.faults, after.faults, strict=True))
+    share = 100 * still / before.faults.count(TRAINED_ON)
+    assert 0 < share < 100
+    assert row(before, after).split(" | ")[2].startswith(f"{share:.1f} %")
+
+
+def test_weights_taken_from_scaled_observations_and_back_are_the_same_to_the_last_bit():
+    inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
+    for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):
+        assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(kept, again, strict=True))
+
+
+def test_training_begins_with_the_shipped_policy_and_changes_it(monkeypatch):
+    pytest.importorskip("torch", reason='needs pip install "pytest-pafot[train]"')
+    pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[train]"')
+    monkeypatch.setattr(train_on_failures, "CRITIC_STEPS", 512)
+    given = scenarios(2, 20)
+    assert faults(train_on_failures.trained(given, 0.5, 0, 0), given) == faults(ppo.make(), given)
+    changed = train_on_failures.trained(given, 0.5, 512, 0)
+    seen = np.random.default_rng(1).uniform(-1, 1, size=(5, 5)).astype(np.float32)
+    assert not np.array_equal(changed.logits(seen), ppo.make().logits(seen))
