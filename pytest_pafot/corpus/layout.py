@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 SUFFIX = ".pafot.yaml"
@@ -34,6 +35,21 @@ def files_in(folder: Path) -> list[Path]:
 def modules_in(root: Path) -> list[Path]:
     """The folders of a corpus, each of a module, by name; none where there is no corpus."""
     return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+
+
+def folders_below(root: Path) -> list[Path]:
+    """All folders at or below one that hold corpus files, whatever the layout."""
+    return sorted({path.parent for path in root.rglob(f"*{SUFFIX}")})
+
+
+def counterparts(place: Path, folders: Iterable[Path]) -> list[Path]:
+    """The folders of tests that lie in their corpora as a folder does in another one, given by its path in that.
+
+    It has the folder of the module and that of the test, and those above where the other has the corpora of several
+    folders of test files.
+    """
+    parts = place.parts
+    return [folder for folder in folders if len(parts) > 1 and folder.parts[-len(parts) :] == parts]
 
 
 def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:

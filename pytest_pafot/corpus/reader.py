@@ -24,11 +24,12 @@ from pytest_pafot.corpus.schema import VERSION, VERSIONS
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import CorpusError, FieldError
-from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, check_plain, is_id
+from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Outcome, Side
 
 MAX_RECEIVED = 300
@@ -63,6 +64,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         scenario=scenario,
         expect=_expect(fields["expect"], len(scenario.npcs)),
         found=_found(fields["found"]),
+        perception=_given(fields, "perception", _perceived),
         original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario)),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
@@ -255,7 +257,18 @@ def _found(field: Field) -> Found:
         generation=fields["generation"].whole(),
         algorithm=fields["algorithm"].text(),
         versions={name: version.text() for name, version in fields["versions"].any_mapping().items()},
+        weights=_given(fields, "weights", Field.text, ""),
     )
+
+
+def _perceived(field: Field) -> Perceived:
+    fields = field.mapping(schema.PERCEPTION)
+    try:
+        sight = Sight(**{name: inner.value for name, inner in fields.items() if name != "needed"})
+    except FieldError as error:
+        raise _rule_broken(field, error) from None
+    needed = _given(fields, "needed", lambda inner: tuple(name.choice(sight.imperfections) for name in inner.items()))
+    return Perceived(sight=sight, needed=needed)
 
 
 def _shrunk(field: Field, scenario: Scenario) -> Shrunk:

@@ -25,7 +25,9 @@ class Keys:
     optional: tuple[str, ...] = ()
 
 
-FILE = Keys(("pafot", "test", "world", "scenario", "expect", "found"), ("original", "shrunk", "flaky", "xfail"))
+FILE = Keys(
+    ("pafot", "test", "world", "scenario", "expect", "found"), ("perception", "original", "shrunk", "flaky", "xfail")
+)
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
 WORLDS: Mapping[str, Keys] = MappingProxyType(
@@ -60,7 +62,8 @@ CHECK = Keys((), ("value", "at_most", "at_least", "unit"))
 LAST_CHANCE = Keys(("time", "driver", "action", "ego_action"))
 """Of ``expect.last_chance``."""
 
-FOUND = Keys(("seed", "generation", "algorithm", "versions"))
+FOUND = Keys(("seed", "generation", "algorithm", "versions"), ("weights",))
+PERCEPTION = Keys((), ("range", "latency", "noise", "dropout", "occlusion", "needed"))
 SHRUNK = Keys(("rollouts", "is_minimal", "speeds"))
 SPEEDS = Keys(("npc", "gene", "low", "high"))
 """Of each entry of the list ``shrunk.speeds``."""

@@ -54,6 +54,15 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     return kept
 
 
+def overwrite(path: Path, finding: Finding) -> None:
+    """Write a file, all at once, whatever is there.
+
+    Raises:
+        CorpusWriteError: when it cannot be written.
+    """
+    _written(path, finding, write_whole)
+
+
 def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> tuple[Path, Finding]:
     """The path for a new finding, and the finding under the id that this gives it.
 

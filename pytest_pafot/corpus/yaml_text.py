@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from pytest_pafot.corpus.schema import FOUND, VERSION
-from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.finding import Expect, Finding, Perceived
 from pytest_pafot.scenario import PositionInstruction, Scenario
 
 WIDTH = 120
@@ -27,19 +27,26 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 def text_of(finding: Finding) -> str:
     """The file's whole text, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
+    found = {key: getattr(finding.found, key) for key in (*FOUND.required, *FOUND.optional)}
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {test}",
         *_filled("world: ", finding.world),
         *_scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
-        *_filled("found: ", {key: getattr(finding.found, key) for key in FOUND.required}),
+        *_filled("found: ", {key: value for key, value in found.items() if value or key in FOUND.required}),
+        *([] if finding.perception is None else _filled("perception: ", _perceived(finding.perception))),
         *([] if finding.original is None else _scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         '# xfail: "reason"' if finding.xfail is None else f"xfail: {_quoted(finding.xfail)}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _perceived(perception: Perceived) -> dict[str, Any]:
+    needed = {} if perception.needed is None else {"needed": perception.needed}
+    return {**perception.sight.to_dict(), **needed}
 
 
 def _scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.errors import CorpusError
+from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.sight import Sight
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
 
@@ -21,6 +23,7 @@ LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
 SHRUNK = plain_finding(
+    perception=Perceived(sight=Sight(latency=0.3, noise={"position": 0.5}, dropout=0.1), needed=("latency", "noise")),
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
     shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
     flaky="running it again gave another run",
@@ -363,8 +366,12 @@ def test_no_damage_gives_any_other_error(tmp_path_factory, data):
         parsed(path, (TEXT[:start] + patch + TEXT[end:]).encode())
 
 
-def test_how_a_finding_was_shrunk_stands_in_its_file(path):
+def test_how_a_finding_was_seen_and_shrunk_stands_in_its_file(path):
     assert "\noriginal:\n  seed: 9\n" in text_of(SHRUNK)
+    assert (
+        "\nperception: {latency: 0.3, noise: {position: 0.5}, dropout: 0.1, needed: [latency, noise]}\norig"
+        in text_of(SHRUNK)
+    )
     assert (
         "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
         'flaky: "running it again gave another run"\n'
@@ -384,9 +391,14 @@ def test_how_a_finding_was_shrunk_stands_in_its_file(path):
         ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
         ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
         ('flaky: "running it again gave another run"', 'flaky: " "', "flaky"),
+        ("latency: 0.3", "latency: -0.3", "perception.latency"),
+        ("latency: 0.3", "lag: 0.3", "perception.lag"),
+        ("position: 0.5", "position: far", "perception.noise.position"),
+        ("dropout: 0.1", "dropout: 1.1", "perception.dropout"),
+        ("[latency, noise]", "[latency, range]", "perception.needed[1]"),
     ],
 )
-def test_a_fault_in_what_shrinking_wrote_is_one_error_at_its_field(path, old, new, field):
+def test_a_fault_in_what_came_after_the_find_is_one_error_at_its_field(path, old, new, field):
     assert text_of(SHRUNK).count(old) == 1
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 

@@ -1,0 +1,115 @@
+"""Merging: finds of other machines are run here, and the corpus of a test keeps the simplest of each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pytest_pafot.campaign.replays import Replays
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.corpus.joining import Candidate, Joined, join, reasons
+from pytest_pafot.corpus.layout import SUFFIX, relative
+from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.corpus.writer import CorpusWriteError, overwrite
+from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import expectation
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.text import plural
+
+SHOWS_AGAIN = ("still failing", "introduced")
+"""Labels of replays that show what their file was saved for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """What to tell of a merge: what became of the files, and what is to be mended."""
+
+    lines: Sequence[str]
+    errors: Sequence[str]
+
+
+def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
+    """Bring the files of other folders into the corpus of a test; ``owner`` is that of the crash record.
+
+    Files of the corpus that fail are of the join, so that one of them goes where another folder has a simpler one of
+    its kind. One that does not fail stays as it is, and so does every file of a kind with several reasons for
+    ``xfail``. Nothing is written under ``save="none"``.
+    """
+    harness = replays.harness
+    own = saved_in(harness.folder)
+    distinct: dict[tuple[str, str], Saved] = {}
+    for saved in [*own, *(each for folder in folders for each in saved_in(folder))]:
+        distinct.setdefault(_content(saved), saved)  # Of equal ones one run is enough; the first is this corpus' own.
+    candidates: list[Candidate] = []
+    left: list[str] = []
+    errors: list[str] = []
+    for saved in distinct.values():
+        try:
+            label, kind = _replayed(replays, saved, owner)
+        except RequestError as error:
+            errors.append(str(error))
+            continue
+        if kind is not None and saved.finding is not None:
+            finding = replace(saved.finding, test=harness.node_id)
+            candidates.append(Candidate(saved=saved, finding=finding, kind=kind))
+        elif saved not in own:
+            left.append(f"  not merged: {relative(saved.path, harness.root)}: {label} here")
+    failing = {each.saved.path for each in candidates}
+    result = join(candidates, taken=[saved.id for saved in own if saved.path not in failing])
+    errors += [_conflict(group, harness.root) for group in result.conflicts]
+    kept = {each.saved.path for group in (result.kept.values(), *result.conflicts) for each in group}
+    old = {saved.path for saved in own if saved.path in failing}
+    verb = "to merge (--pafot-save=none)"
+    if harness.request.settings.save != "none":
+        errors += _write(result, harness.folder, old)
+        verb = "merged"
+    added = sum(each.saved.path not in old for each in result.kept.values())
+    told = f"  {plural(added, 'saved scenario')} from other folders, {len(old - kept)} of before replaced"
+    return Merged([f"{verb}: {harness.node_id}", told, *sorted(left)], sorted(errors))
+
+
+def _content(saved: Saved) -> tuple[str, str]:
+    """Equal for files that tell the same, which need one run."""
+    return ("", str(saved.path)) if saved.finding is None else (saved.id, text_of(saved.finding))
+
+
+def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signature | None]:
+    """The label of a replay, and what it shows where that is what the file was saved for.
+
+    Raises:
+        RequestError: for a file that cannot be read or run.
+    """
+    try:
+        label, run, verdict = replays.labelled(saved, owner)
+    except ProcessLostError as error:
+        observed = expectation(error).signature
+        return "drifted", observed if saved.finding is not None and saved.finding.signature == observed else None
+    if label not in SHOWS_AGAIN or verdict.failure is None:
+        return label, None
+    return label, of_failure(run, verdict.failure)
+
+
+def _conflict(group: Sequence[Candidate], root: Path) -> str:
+    told = "; ".join(f"{relative(each.saved.path, root)}: {each.finding.xfail}" for each in group if each.finding.xfail)
+    return (
+        f"xfail: expected one reason for a kind of failure, received {len(reasons(group))} ({told}); "
+        "write the same reason in these files, and merge again"
+    )
+
+
+def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
+    """Write what is kept, then remove the old files that it replaces; what is wrong where that is not possible."""
+    targets = {folder / f"{id_}{SUFFIX}": each for id_, each in result.kept.items()}
+    in_conflict = {each.saved.path for group in result.conflicts for each in group}
+    try:
+        for path, each in targets.items():
+            if (each.saved.path, each.saved.xfail) != (path, each.finding.xfail):
+                overwrite(path, replace(each.finding, id=path.name.removesuffix(SUFFIX)))
+        for path in old - targets.keys() - in_conflict:
+            path.unlink(missing_ok=True)
+    except (CorpusWriteError, OSError) as error:
+        return [str(error)]
+    return []

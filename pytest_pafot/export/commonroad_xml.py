@@ -1,0 +1,86 @@
+"""CommonRoad XML: lanes as lanelets, and every vehicle, the ego among them, as an obstacle that drives as it drove."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from commonroad.common.file_writer import CommonRoadFileWriter, OverwriteExistingFile
+from commonroad.common.util import Interval
+from commonroad.geometry.shape import Rectangle
+from commonroad.planning.goal import GoalRegion
+from commonroad.planning.planning_problem import PlanningProblem, PlanningProblemSet
+from commonroad.prediction.prediction import TrajectoryPrediction
+from commonroad.scenario.lanelet import Lanelet, LaneletNetwork, LaneletType
+from commonroad.scenario.obstacle import DynamicObstacle, ObstacleType
+from commonroad.scenario.scenario import Location, Scenario, Tag
+from commonroad.scenario.state import CustomState, ExtendedPMState, InitialState
+from commonroad.scenario.trajectory import Trajectory
+
+from pytest_pafot.export.scene import edges, states_of
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Lane, Trace, X, Y
+
+DECIMALS = 9
+"""To which the library cuts numbers off; with its own 4 a vehicle is up to 0.1 mm beside its place."""
+PROBLEM, FIRST_LANELET = 1000, 1001
+"""Ids are unique in a file: the ego is 1, the NPC 0 of the scenario 2, and the lanes are from here on."""
+NO_DATE = b"2000-01-01"
+"""In the place of today, so that equal runs are equal files."""
+
+
+def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
+    """One file, a time step of which is a tick; its planning problem is to drive from the ego's start until its end."""
+    scenario = Scenario(trace.dt)
+    lanelets = [_lanelet(FIRST_LANELET + number, lane) for number, lane in enumerate(trace.lanes)]
+    scenario.add_objects(LaneletNetwork.create_from_lanelet_list(lanelets))
+    states = states_of(trace)
+    for vehicle, (length, width) in enumerate(trace.sizes.tolist()):
+        scenario.add_objects(_obstacle(vehicle + 1, Rectangle(length, width), states[:, vehicle]))
+    end = max(trace.ticks, 1)
+    goal = GoalRegion([CustomState(time_step=Interval(end, end))])
+    writer = CommonRoadFileWriter(
+        scenario,
+        PlanningProblemSet([PlanningProblem(PROBLEM, _first(states[0, 0]), goal)]),
+        author="pytest-pafot",
+        affiliation="",
+        source=finding.id,
+        tags={Tag.SIMULATED},
+        location=Location(),
+        decimal_precision=DECIMALS,
+    )
+    with tempfile.TemporaryDirectory() as folder:  # the library writes to paths alone
+        path = Path(folder) / "run.xml"
+        writer.write_to_file(str(path), OverwriteExistingFile.ALWAYS)
+        content = re.sub(rb' date="[^"]*"', b' date="' + NO_DATE + b'"', path.read_bytes(), count=1)
+    return {f"{finding.id}.xml": content}
+
+
+def _lanelet(number: int, lane: Lane) -> Lanelet:
+    left, right = edges(lane)
+    return Lanelet(left, (left + right) / 2, right, number, lanelet_type={LaneletType.HIGHWAY})
+
+
+def _obstacle(number: int, shape: Rectangle, states: FloatArray) -> DynamicObstacle:
+    rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in enumerate(states[1:], start=1)]
+    driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
+    return DynamicObstacle(number, ObstacleType.CAR, shape, _first(states[0]), driven)
+
+
+def _first(state: FloatArray) -> InitialState:
+    return InitialState(time_step=0, yaw_rate=0.0, slip_angle=0.0, **_plain(state))
+
+
+def _plain(state: FloatArray) -> dict[str, object]:
+    """Position [m], orientation [rad], velocity [m/s] and acceleration [m/s^2] of a row."""
+    orientation, velocity, acceleration = state[[HEADING, SPEED, ACCELERATION]].tolist()
+    position = np.array(state[[X, Y]])
+    return {
+        "position": position,
+        "orientation": orientation,
+        "velocity": velocity,
+        "acceleration": acceleration,
+    }

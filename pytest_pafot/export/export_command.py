@@ -1,0 +1,79 @@
+"""``python -m pytest_pafot export``: the run of a finding as files for other tools."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pytest_pafot.campaign.saved_scenario import SavedScenario, load
+from pytest_pafot.comparison.command import BAD_USE
+from pytest_pafot.comparison.plan import PlanError, ads_factory
+from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.errors import AdsFactoryError, CorpusError, WorldError
+from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
+from pytest_pafot.files import write_whole
+from pytest_pafot.findings.replay import ending
+from pytest_pafot.run import Run
+from pytest_pafot.scenario import ScenarioError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    names = ", ".join(entry.name for entry in BUILT_IN)
+    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario, or its id, below here")
+    parser.add_argument(
+        "--to", required=True, metavar="FORMAT", help=f"the format: {names}, or one that a package registers in {GROUP}"
+    )
+    parser.add_argument(
+        "--ads",
+        metavar="ADS",
+        help="the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument",
+    )
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="where the files go (default: here)")
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Drive the scenario of a finding, and write the run in a format; the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    try:
+        export, saved = exporter(arguments.to), load(_file_of(arguments.finding))
+        if arguments.ads is None:
+            expected = f"the policy that drives the ego, as in --ads module:factory: of the test {saved.finding.test}"
+            received = "none; a file holds what the others are told, not where anybody drove"
+            raise ExportError(field="--ads", expected=expected, received=received)
+        driven = saved.replay(ads_factory(arguments.ads))
+        for name, content in export(saved.finding, driven.trace).items():
+            write_whole(arguments.out / name, content)
+            sys.stdout.write(f"{arguments.out / name}\n")
+    except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError, OSError) as error:
+        sys.stderr.write(f"export: {error}\n")
+        return BAD_USE
+    sys.stderr.write(_departure(saved, driven))
+    return 0
+
+
+def _file_of(given: str) -> Path:
+    """The file that a path or an id stands for.
+
+    Raises:
+        ExportError: where there is no such file, or more than one.
+    """
+    if (path := Path(given)).is_file():
+        return path
+    files = sorted(Path().rglob(f"{given}{SUFFIX}")) if path.name == given else []
+    if len(files) == 1:
+        return files[0]
+    expected = f"a saved scenario, or the name of one below {Path.cwd()} without its {SUFFIX}"
+    told = ", ".join(str(file) for file in files)
+    received = f"{given!r}, which {len(files)} files have: {told}" if files else f"{given!r}, which no file has"
+    raise ExportError(field="FILE|FINDING", expected=expected, received=received, fix="give the path of the file")
+
+
+def _departure(saved: SavedScenario, driven: Run) -> str:
+    """A line where the run does not show what the file expects, as far as a run tells that by itself; else nothing."""
+    if saved.expect.check is not None or saved.matches(driven):
+        return ""
+    event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
+    return f"export: {saved.id} was saved with {event}, and this is {ending(driven)}: with the policy of its test?\n"

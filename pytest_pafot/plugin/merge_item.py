@@ -1,0 +1,88 @@
+"""``--pafot-merge``: in the place of its search, each test takes the finds of other machines into its corpus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.corpus.layout import counterparts, folder_of_test, folders_below, relative
+from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.collection import is_search
+from pytest_pafot.plugin.marks import arguments_of
+from pytest_pafot.plugin.node_ids import base_id, qualified_name
+from pytest_pafot.plugin.option_sources import corpus_name
+from pytest_pafot.plugin.orphans import UNRUN
+
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.request import Request
+    from pytest_pafot.execution.scenario_pool import Job
+    from pytest_pafot.scenario import Scenario
+
+MERGE = BY_NAME["merge"].key
+
+MERGES: pytest.StashKey[dict[str, list[Path]]] = pytest.StashKey()
+"""In a session that merges: by the node id of a test the folders of its files in other corpora."""
+
+
+class Merging:
+    """Hooks that leave the items of searches alone, and find out which folder of another corpus is of which test."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._roots = [config.invocation_params.dir / given for given in config.getoption(MERGE)]
+        for root in self._roots:
+            if not root.is_dir():
+                flag = BY_NAME["merge"].flag
+                raise pytest.UsageError(f"{flag}: expected the folder of a corpus, received {root}, which is none")
+        config.stash[MERGES] = {}
+
+    @pytest.hookimpl(tryfirst=True)  # before any selection, so that the files of a test that is left out are not told
+    def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
+        """Drop all items but searches; tell folders of other corpora that no test has, or several."""
+        others = [item for item in items if not is_search(item)]
+        items[:] = [item for item in items if is_search(item)]
+        config.hook.pytest_deselected(items=others)
+        names = {}
+        for item in items:
+            corpus = corpus_name(config, arguments_of(item) or {})
+            if corpus is not None:
+                names[folder_of_test(item.path, qualified_name(item), corpus, config.rootpath)] = base_id(item)
+        for root in self._roots:
+            for folder in folders_below(root):
+                tests = [names[own] for own in counterparts(folder.relative_to(root), names)]
+                if len(tests) == 1:
+                    config.stash[MERGES].setdefault(tests[0], []).append(folder)
+                    continue
+                why = f"it may be of {' or '.join(tests)}; give the folder above" if tests else "no test was collected"
+                config.stash[UNRUN].unmerged[relative(folder, config.rootpath)] = why
+
+
+def run_merge(item: pytest.Function, request: Request) -> None:
+    """Merge what other corpora have for a test; fail where something in them is to be mended."""
+    __tracebackhide__ = True
+    from pytest_pafot.campaign.merging import merge  # noqa: PLC0415  (imports the simulation)
+    from pytest_pafot.campaign.replays import Replays  # noqa: PLC0415
+    from pytest_pafot.plugin.search_item import harness_of  # noqa: PLC0415
+
+    harness = harness_of(item, request)
+    folders = item.config.stash[MERGES].get(harness.node_id, [])
+    if not folders:
+        return
+    merged = merge(Replays(harness=harness, in_own_session=_refuse), folders, item.nodeid)
+    for leftover in harness.left_behind(item.nodeid):
+        leftover.discard()
+    messages.send(item, "merge", {"text": "\n".join(merged.lines)})
+    if merged.errors:
+        pytest.fail("\n".join(merged.errors), pytrace=False)
+
+
+def _refuse(file: Path, job: Job, scenario: Scenario) -> None:
+    """No session of its own can replay a file that lies in no corpus of this project."""
+    from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+
+    raise RequestError(
+        f"{file}: expected another process for a scenario that may end it, received an ADS that can be sent to none; "
+        "give --pafot-isolate and an ADS that can be pickled, or merge where processes are forked"
+    )

@@ -1,0 +1,33 @@
+"""Runs of saved scenarios on a straight road and on bends, and the largest difference to what a reader has of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.comparison.plan import ads_factory
+
+FILES = Path(__file__).parents[1] / "corpus" / "format_1"
+POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
+"""Who drives in which file; the first and the last collide."""
+
+
+@pytest.fixture(scope="session", params=POLICIES)
+def exported(request):
+    """A finding, and the trace of a run of it."""
+    saved = pafot.load(FILES / f"{request.param}.pafot.yaml")
+    return saved.finding, saved.replay(ads_factory(POLICIES[request.param])).trace
+
+
+@pytest.fixture
+def largest(record_property):
+    """Records and prints the largest difference of some arrays, by what they are, and gives it."""
+
+    def of(name, one, other):
+        difference = float(np.abs(np.asarray(one) - np.asarray(other)).max())
+        record_property(name, difference)
+        print(f"{name}: {difference:.1e}")
+        return difference
+
+    return of

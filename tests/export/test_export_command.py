@@ -1,0 +1,121 @@
+"""The command from its arguments to its files, and formats that packages register."""
+
+import json
+import shutil
+import sys
+from importlib import metadata
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.__main__ import main
+from pytest_pafot.export.exporter import GROUP
+from tests.export.conftest import FILES
+
+FILE = FILES / "collision-xfail.pafot.yaml"
+
+
+def export(*arguments):
+    return main(["export", *map(str, arguments)])
+
+
+def summary(finding, trace):
+    """An exporter of one's own."""
+    return {f"{finding.id}.json": json.dumps({"outcome": trace.outcome, "ticks": trace.ticks}).encode()}
+
+
+@pytest.fixture
+def register(monkeypatch):
+    """Lets entry points be there, by name and value, as if packages with them were installed."""
+
+    def put(**values):
+        entries = tuple(metadata.EntryPoint(name, value, GROUP) for name, value in values.items())
+        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == GROUP else ())
+
+    return put
+
+
+def test_it_drives_the_scenario_and_tells_the_files_that_it_has_written(tmp_path, capsys):
+    assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path / "new") == 0
+    path = tmp_path / "new" / "collision-xfail.csv"
+    assert capsys.readouterr() == (f"{path}\n", "")
+    run = pafot.load(FILE).replay(lambda: lambda observation: (0.0, 0.0))
+    assert len(path.read_text().splitlines()) == 1 + len(run.trace.sizes) * (run.trace.ticks + 1)
+
+
+def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "tests" / "corpus" / "test_a"
+    folder.mkdir(parents=True)
+    shutil.copy(FILE, folder)
+    assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 0
+    assert capsys.readouterr().out == "collision-xfail.csv\n"
+    (tmp_path / "other").mkdir()
+    shutil.copy(FILE, tmp_path / "other")
+    assert export("collision-xfail", "--to", "csv", "--ads", "constant_speed") == 2
+    told = capsys.readouterr().err
+    assert "received 'collision-xfail', which 2 files have: other/collision-xfail.pafot.yaml, tests/corpus/" in told
+
+
+def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
+    assert export(FILE, "--to", "csv", "--ads", "idm_mobil", "--out", tmp_path) == 0
+    told = capsys.readouterr().err
+    assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, and this is ")
+    assert told.endswith(": with the policy of its test?\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego, as in --ads module:factory: of the "
+         "test test_golden.py::test_never_at_fault, received none; a file holds what the others are told, not where"),
+        ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
+         "received 'xslx'; a package that registers it may not be installed here"),
+        (("no-such", "--to", "csv", "--ads", "constant_speed"), "received 'no-such', which no file has; give the path"),
+        ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
+        ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "one in which a process died"),
+        ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_exported_is_refused_with_the_way_out(arguments, message, capsys):
+    assert export(*arguments) == 2
+    out, told = capsys.readouterr()
+    assert out == ""
+    assert told.startswith("export: ")
+    assert message in told
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "library", "extra"),
+    [
+        ("xosc", "openscenario", "scenariogeneration", "export"),
+        ("mcap", "foxglove_mcap", "foxglove", "export"),
+        ("commonroad", "commonroad_xml", "commonroad", "commonroad"),
+    ],
+)
+def test_a_missing_library_is_told_with_the_extra_that_installs_it(monkeypatch, capsys, name, module, library, extra):
+    for each in [known for known in sys.modules if known.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, each)
+    monkeypatch.setitem(sys.modules, library, None)
+    for part in (module, "opendrive"):
+        monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{part}", raising=False)
+    assert export(FILE, "--to", name, "--ads", "constant_speed") == 2
+    assert capsys.readouterr().err == (
+        f"export: --to {name}: expected the library {library}, received an environment without it; "
+        f"run `pip install 'pytest-pafot[{extra}]'`\n"
+    )
+
+
+def test_a_package_adds_a_format_and_takes_no_name_of_this_one(register, tmp_path, capsys):
+    register(summary=f"{__name__}:summary", csv=f"{__name__}:summary")
+    for name in ("summary", "csv"):
+        assert export(FILE, "--to", name, "--ads", "constant_speed", "--out", tmp_path) == 0
+    assert json.loads((tmp_path / "collision-xfail.json").read_text()) == {"outcome": "collision", "ticks": 94}
+    assert capsys.readouterr().out.splitlines()[1] == str(tmp_path / "collision-xfail.csv")
+
+
+def test_a_registered_exporter_that_cannot_be_imported_is_told_with_its_error(register, capsys):
+    register(broken="no_such_package:export")
+    assert export(FILE, "--to", "broken", "--ads", "constant_speed") == 2
+    told = capsys.readouterr().err
+    assert "--to broken: expected that no_such_package:export can be imported, received ModuleNotFoundError" in told

@@ -1,0 +1,170 @@
+"""``--pafot-merge``: the finds of other machines come into the corpus."""
+
+import hashlib
+import shutil
+from itertools import permutations
+
+import pytest
+
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.findings.shrink import sort_key
+
+pytestmark = pytest.mark.processes
+
+SEVERAL_KINDS = """
+@pafot.search(SHORT)
+def test_fails(run):
+    slow = run.scenario.npcs[0][0].speed < 15
+    assert not slow or run.duration < 1
+    assert run.outcome == "nothing"
+"""
+UNSHRUNK = "--pafot-shrink-rollouts=0"
+
+
+def machine(project, name, *args, **options):
+    """The corpus of another machine: what a search there has found, in a folder of its name."""
+    project.run(UNSHRUNK, *args, **options)
+    shutil.move(project.path / "pafot_corpus", project.path / name)
+    return project.path / name
+
+
+def merge(project, *folders, args=()):
+    return project.run(*(f"--pafot-merge={folder}" for folder in folders), *args, generations=None)
+
+
+def corpus(project):
+    folder = project.path / "pafot_corpus"
+    files = sorted(folder.rglob("*")) if folder.is_dir() else []
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files if path.is_file()}
+
+
+@pytest.fixture
+def machines(project):
+    project.write(SEVERAL_KINDS)
+    return [machine(project, f"machine-{seed}", seed=seed) for seed in (1, 2, 3)]
+
+
+@pytest.fixture
+def other(failing):
+    """A project without a corpus, beside the one of another machine with a single find."""
+    return machine(failing, "other")
+
+
+def the_file(folder):
+    (file,) = folder.rglob("*.pafot.yaml")
+    return file
+
+
+def test_three_folders_in_all_six_orders_at_once_or_one_after_the_other_are_the_same_bytes(project, machines):
+    digests = set()
+    for order in permutations(machines):
+        for steps in ([order], [[each] for each in order]):
+            for folders in steps:
+                merge(project, *folders).assert_outcomes(passed=1)
+            digests.add(hashlib.sha256(repr(corpus(project)).encode()).hexdigest())
+            merged = corpus(project)
+            shutil.rmtree(project.path / "pafot_corpus")
+    assert len(digests) == 1
+    there = [len(list(folder.rglob("*.pafot.yaml"))) for folder in machines]
+    assert (there, len(merged)) == ([3, 2, 3], 4)
+
+
+def test_what_was_merged_replays_as_still_failing(failing, other):
+    result = merge(failing, other)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(
+        ["merged: test_it.py::test_fails", "  1 saved scenario from other folders, 0 of before replaced"]
+    )
+    failing.run(generations=0).stdout.fnmatch_lines(["*1 saved scenario: 1 still failing"])
+
+
+def test_merging_again_changes_nothing_not_even_a_comment(failing, other):
+    merge(failing, other)
+    file = the_file(failing.path / "pafot_corpus")
+    file.write_text(file.read_text() + "# ours\n")
+    merge(failing, other).stdout.fnmatch_lines(["  0 saved scenarios from other folders, 0 of before *"])
+    assert file.read_text().endswith("# ours\n")
+
+
+def test_a_simpler_one_takes_the_place_of_the_own_and_its_reason(failing, other):
+    failing.run(seed=1)
+    simple = shutil.move(failing.path / "pafot_corpus", failing.path / "simple")
+    merge(failing, other)
+    own = the_file(failing.path / "pafot_corpus")
+    own.write_text(own.read_text().replace('# xfail: "reason"', 'xfail: "issue 12"'))
+    before = load(own)
+    merge(failing, simple).stdout.fnmatch_lines(["  1 saved scenario from other folders, 1 of before replaced"])
+    after = load(the_file(failing.path / "pafot_corpus"))
+    assert (after.scenario, after.xfail) == (load(the_file(simple)).scenario, "issue 12")
+    assert sort_key(after.scenario) < sort_key(before.scenario)
+    merge(failing, other).stdout.fnmatch_lines(["  0 saved scenarios from other folders, 0 of before *"])
+
+
+def test_two_reasons_for_one_kind_fail_and_leave_the_own_file(failing, other):
+    merge(failing, other)
+    for folder, reason in ((failing.path / "pafot_corpus", "issue 12"), (other, "issue 13")):
+        file = the_file(folder)
+        file.write_text(file.read_text().replace('# xfail: "reason"', f'xfail: "{reason}"'))
+    before = corpus(failing)
+    result = merge(failing, other)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["xfail: expected one reason for a kind of failure, received 2 (*issue 12*issue 13*"])
+    assert corpus(failing) == before
+
+
+def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(failing):
+    failing.leave_crash("test_it.py::test_fails")
+    failing.run(generations=0)
+    there = shutil.move(failing.path / "pafot_corpus", failing.path / "other")
+    merge(failing, there).assert_outcomes(passed=1)
+    assert load(the_file(failing.path / "pafot_corpus")).expect.is_crash
+    assert not list((failing.path / ".pytest_cache" / "d" / "pafot").iterdir())
+
+
+def test_one_that_is_fixed_here_is_told_and_not_merged(failing, other):
+    failing.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
+    result = merge(failing, other)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["*  not merged: other/test_it/test_fails/*.pafot.yaml: fixed here"])
+    assert corpus(failing) == {}
+
+
+def test_files_of_a_test_that_is_not_collected_are_told_and_left_alone(failing, other):
+    (other / "test_it" / "test_fails").rename(other / "test_it" / "test_gone")
+    result = merge(failing, other, args=["-n1"])
+    result.stdout.fnmatch_lines(["not merged: other/test_it/test_gone: no test was collected"])
+    assert corpus(failing) == {}
+
+
+def test_a_broken_file_fails_the_item_and_the_others_are_merged(failing, other):
+    the_file(other).with_name("broken.pafot.yaml").write_text("pafot: 99\n")
+    result = merge(failing, other)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*broken.pafot.yaml:1: pafot: expected the format version *"])
+    assert len(corpus(failing)) == 1
+
+
+def test_with_save_none_it_tells_what_it_would_do(failing, other):
+    result = merge(failing, other, args=["--pafot-save=none"])
+    result.stdout.fnmatch_lines(["to merge (--pafot-save=none): *", "  1 saved scenario from other folders, *"])
+    assert corpus(failing) == {}
+
+
+def test_the_corpora_of_several_folders_are_told_apart_by_what_lies_above(project):
+    fails = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.duration < 1\n"
+    for folder in ("a", "b"):
+        project.write(fails, name=f"{folder}/test_it")
+    project.run("a/test_it.py")
+    there = project.path / "there"
+    shutil.copytree(project.path / "a" / "pafot_corpus", there / "a" / "pafot_corpus")
+    shutil.rmtree(project.path / "a" / "pafot_corpus")
+    both = merge(project, there / "a" / "pafot_corpus", args=["--import-mode=importlib"])
+    both.stdout.fnmatch_lines(["not merged: *: it may be of a/test_it.py::* or b/test_it.py::*; give the folder above"])
+    merge(project, there, args=["--import-mode=importlib"]).assert_outcomes(passed=2)
+    assert len(list((project.path / "a").rglob("*.pafot.yaml"))) == 1
+
+
+def test_a_folder_that_is_none_is_refused(failing):
+    result = merge(failing, "nowhere")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--pafot-merge: expected the folder of a corpus, received *nowhere, which is none"])
