@@ -10,15 +10,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pytest_pafot import policies as policies
     from pytest_pafot import properties as properties
     from pytest_pafot import strategies as strategies
     from pytest_pafot.attribution.last_chance import LastChance as LastChance
     from pytest_pafot.campaign.explore import Exploration as Exploration
     from pytest_pafot.campaign.explore import explore as explore
+    from pytest_pafot.campaign.saved_scenario import SavedScenario as SavedScenario
+    from pytest_pafot.campaign.saved_scenario import load as load
     from pytest_pafot.checks import CheckFailed as CheckFailed
     from pytest_pafot.checks import check as check
     from pytest_pafot.checks import target as target
-    from pytest_pafot.corpus.reader import load as load
     from pytest_pafot.criticality.signals import Measure as Measure
     from pytest_pafot.criticality.signals import Signal as Signal
     from pytest_pafot.criticality.temporal import above as above
@@ -27,7 +29,9 @@ if TYPE_CHECKING:
     from pytest_pafot.criticality.temporal import eventually as eventually
     from pytest_pafot.criticality.temporal import until as until
     from pytest_pafot.grid import Cell as Cell
+    from pytest_pafot.plugin.marks import rate as rate
     from pytest_pafot.plugin.marks import search as search
+    from pytest_pafot.rating.rate import Rate as Rate
     from pytest_pafot.rejection import reject as reject
     from pytest_pafot.run import Run as Run
     from pytest_pafot.scenario import Chromosome as Chromosome
@@ -39,9 +43,12 @@ if TYPE_CHECKING:
     from pytest_pafot.trace import Collision as Collision
     from pytest_pafot.trace import Outcome as Outcome
     from pytest_pafot.trace import Trace as Trace
+    from pytest_pafot.training import training_env as training_env
+    from pytest_pafot.world import Drive as Drive
     from pytest_pafot.world import Highway as Highway
     from pytest_pafot.world import NpcLimits as NpcLimits
     from pytest_pafot.world import Observation as Observation
+    from pytest_pafot.world import Perception as Perception
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
     from pytest_pafot.world import WorldLike as WorldLike
@@ -53,6 +60,7 @@ _HOMES = {
     "CheckFailed": "checks",
     "Chromosome": "scenario",
     "Collision": "trace",
+    "Drive": "world",
     "Exploration": "campaign.explore",
     "Highway": "world",
     "LaneInstruction": "scenario",
@@ -61,8 +69,11 @@ _HOMES = {
     "NpcLimits": "world",
     "Observation": "world",
     "Outcome": "trace",
+    "Perception": "world",
     "PositionInstruction": "scenario",
+    "Rate": "rating.rate",
     "Run": "run",
+    "SavedScenario": "campaign.saved_scenario",
     "Scenario": "scenario",
     "ScenarioError": "scenario",
     "Signal": "criticality.signals",
@@ -77,18 +88,22 @@ _HOMES = {
     "eventually": "criticality.temporal",
     "check": "checks",
     "explore": "campaign.explore",
-    "load": "corpus.reader",
+    "load": "campaign.saved_scenario",
     "reject": "rejection",
+    "rate": "plugin.marks",
     "search": "plugin.marks",
     "target": "checks",
+    "training_env": "training",
     "until": "criticality.temporal",
 }
 
-__all__ = sorted([*_HOMES, "properties", "strategies"])  # noqa: PLE0605
+_MODULES = ("policies", "properties", "strategies")
+
+__all__ = sorted([*_HOMES, *_MODULES])  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("properties", "strategies"):
+    if name in _MODULES:
         return import_module(f"pytest_pafot.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

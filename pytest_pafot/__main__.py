@@ -1,4 +1,4 @@
-"""Commands beside pytest: ``python -m pytest_pafot compare``."""
+"""Commands beside pytest: ``python -m pytest_pafot compare``, ``rate``, ``export`` and ``corpus``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import sys
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command, from the arguments of the command line without the program's name; its exit code."""
-    from pytest_pafot.comparison import command  # noqa: PLC0415
+    from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
+    from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
+    from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
+    from pytest_pafot.rating import rate_command as rating  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     about = "Commands of pytest-pafot beside pytest."
@@ -20,8 +23,34 @@ def main(arguments: list[str] | None = None) -> int:
         description="Run several search algorithms on a policy, several times each, and write results, statistics, "
         "figures and a report. It can be interrupted at any time; the same command goes on where it was.",
     )
-    command.add_arguments(compare)
-    return command.run(parser.parse_args(given), ["python", "-m", "pytest_pafot", *given])
+    comparison.add_arguments(compare)
+    compare.set_defaults(run=comparison.run)
+    rate = commands.add_parser(
+        "rate",
+        help="count how often a policy crashes by itself",
+        description="Drive seeded episodes in the environment's own traffic, which no search has chosen, and count the "
+        "crashes of one policy, or of two on the same seeds. With --out it can be interrupted at any time; the same "
+        "command goes on where it was.",
+    )
+    rating.add_arguments(rate)
+    rate.set_defaults(run=rating.run)
+    export = commands.add_parser(
+        "export",
+        help="write the run of a finding as files for other tools",
+        description="Drive the scenario of a saved finding once more, and write where everybody drove, with the road.",
+    )
+    exporting.add_arguments(export)
+    export.set_defaults(run=exporting.run)
+    of_corpus = commands.add_parser(
+        "corpus",
+        help="list and count saved scenarios",
+        description="Tell which saved scenarios lie in folders, without running them.",
+    )
+    corpus.add_arguments(of_corpus)
+    of_corpus.set_defaults(run=corpus.run)
+    arguments_given = parser.parse_args(given)
+    code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+    return code
 
 
 if __name__ == "__main__":

@@ -86,7 +86,10 @@ def _rollout(world: Any, scenario: Scenario, ads: Callable[[], Any]) -> Trace:
 
 
 def _check_same(first: Trace, second: Trace, promise: str) -> None:
-    names = {field.name for field in fields(Trace)} - {"scenario", "max_decision_seconds"}  # those may be others
+    names = {field.name for field in fields(Trace) if field.init} - {
+        "scenario",
+        "max_decision_seconds",
+    }  # those may be others
     differ = [name for name in sorted(names) if not _is_same(getattr(first, name), getattr(second, name))]
     _promise(not differ, promise, f"another {', '.join(differ)} of {first.scenario!r}")
 

@@ -74,6 +74,7 @@ def test_the_quick_part_names_files_that_exist():
     assert names
     assert [name for name in names if not (ROOT / name).is_file()] == []
     assert "@tests/quick.txt" in CI
+    assert "-m pytest -n 2 -m processes" in CI
     assert "@tests/quick.txt" in NOX
 
 

@@ -38,6 +38,8 @@ import pytest
 import yaml
 
 import pytest_pafot.campaign.replays
+import pytest_pafot.plugin.execution
+import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.object_engine  # noqa: F401

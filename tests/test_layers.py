@@ -10,9 +10,10 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "errors", "text", "locks", "files", "versions", "grid", "scenario", "trace", "checks", "rejection", "criticality",
-    "attribution", "run", "properties", "findings", "searching", "corpus", "world", "execution", "strategies",
-    "testing", "campaign", "comparison", "report", "plugin", "__main__",
+    "errors", "text", "locks", "files", "shown", "versions", "proportions", "grid", "scenario", "trace", "checks",
+    "rejection", "criticality", "attribution", "run", "properties", "sight", "findings", "searching", "corpus",
+    "world", "policies", "execution", "strategies", "testing", "campaign", "training", "comparison", "report",
+    "rating", "export", "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""
 
@@ -21,7 +22,7 @@ HOMES = {
     "cloudpickle": {"execution"},
     "distributed": {"execution"},
     "highway_env": {"world"},
-    "gymnasium": {"world"},
+    "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
     "pytest": {"plugin"},
     "_pytest": set(),
@@ -33,7 +34,14 @@ HOMES = {
     "pymoo": {"searching"},
     "ribs": {"searching"},
     "cmaes": {"searching"},
+    "stable_baselines3": {"policies"},
+    "sb3_contrib": {"policies"},
+    "torch": {"policies"},
+    "onnxruntime": {"policies"},
     "pytest_html": {"plugin"},
+    "scenariogeneration": {"export"},
+    "foxglove": {"export"},
+    "commonroad": {"export"},
 }
 """Libraries that only some rooms may know."""
 

@@ -14,7 +14,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, properties, strategies
+from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
@@ -25,16 +25,21 @@ from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
+from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.plugin import fixtures
+from pytest_pafot.plugin.marks import rate
+from pytest_pafot.rating.rate import EpisodeRow, Rate
+from pytest_pafot.rating.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.run import Moment, Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
-from pytest_pafot.world import Highway, NpcLimits, Observation, VehicleState, World, WorldLike
+from pytest_pafot.training import training_env
+from pytest_pafot.world import Drive, Highway, NpcLimits, Observation, Perception, VehicleState, World, WorldLike
 
 REFERENCE = Path(__file__).parents[1] / "reference.md"
 
@@ -92,6 +97,10 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",
+    "perception": "How the ADS saw the others, where that was not perfect: what was given to "
+    "[`pafot.Perception`](#what-an-ads-sees-and-returns), without what is perfect; and, once that is known, the list "
+    "`needed` of those imperfections without which the test does not fail, empty where it fails also with perfect "
+    "sight. A replay runs what the test gives now, and says where that sees otherwise.",
     "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
     "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "Whether each simpler scenario on the lists of what is tried was tried, rather than the "
@@ -104,7 +113,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand.",
 }
 
-AT_THE_END = ("original", "shrunk", "flaky", "xfail")
+AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")
 """Keys of a file that come after those of dataclasses; all are optional."""
 
 
@@ -135,15 +144,26 @@ def sections() -> dict[str, str]:
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
         "world-like": _properties_table(WorldLike),
+        "drive": _fields_table(Drive),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),
+        "perception": _fields_table(Perception),
+        "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
+        "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
+        "training": _table(["Argument", "Meaning"], _arguments(training_env)),
+        "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
         "weights": _fields_table(Weights),
         "measures": _measures_table(),
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
-        "compare": _command_table(),
+        "compare": _command_table(add_arguments),
         "results": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(Row))),
+        "export": _command_table(add_export_arguments),
+        "rate": _command_table(add_rate_arguments),
+        "rate-marker": _table(["Argument", "Meaning"], _arguments(rate)),
+        "rate-value": _properties_table(Rate),
+        "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }
 
 
@@ -351,16 +371,17 @@ def _parameters(function: Callable[..., Any]) -> Iterable[str]:
     return inspect.signature(function).parameters
 
 
-def _command_table() -> str:
+def _command_table(add: Callable[[argparse.ArgumentParser], None]) -> str:
     parser = argparse.ArgumentParser(add_help=False)
-    add_arguments(parser)
+    add(parser)
     rows = []
     for action in parser._actions:
         value = (
             f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
         )
         text = (action.help or "") % vars(action)
-        rows.append([f"`{action.option_strings[0]}{value}`", _capital(text) + "."])
+        name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
+        rows.append([f"`{name}`", _capital(text) + "."])
     return _table(["Option", "Meaning"], rows)
 
 

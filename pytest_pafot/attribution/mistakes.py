@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal
 
-from pytest_pafot.attribution.responsibility import Attribution, Fault
+from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.trace import Trace
 
@@ -44,6 +44,11 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     if trace.collision is None or attribution.fault is None:
         return None
     return BY_FAULT.get(attribution.fault) or mistake_with(trace.collision.npc, attribution, RoadFrame(trace))
+
+
+def mistake_of(trace: Trace) -> Mistake | None:
+    """What the ego did wrong in a run, by the rule of attribution."""
+    return trace.reading("mistake", lambda trace: mistake(trace, rss_rule(trace)))
 
 
 def mistake_with(npc: int, attribution: Attribution, frame: RoadFrame) -> Mistake | None:

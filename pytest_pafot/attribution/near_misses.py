@@ -25,8 +25,13 @@ NEAR_SECONDS = 1.5
 NEAR_METRES = 1.0
 """The gap at which half of its risk is reached [m]."""
 
-ALL: Mapping[Mistake, float] = MappingProxyType(dict.fromkeys(get_args(Mistake), 0.0))
+Floors = Mapping[Mistake, float]
+"""Mistakes that matter, and of each the severity up to which a near-miss does not."""
+
+ALL: Floors = MappingProxyType(dict.fromkeys(get_args(Mistake), 0.0))
 """Floors above which there is every near-miss."""
+NONE: Floors = MappingProxyType({})
+"""No mistake matters."""
 BY_MISTAKE: Mapping[Mistake, Fault] = MappingProxyType(
     {
         "moved-into-side": "entered-lane",
@@ -64,7 +69,7 @@ class Danger(NamedTuple):
     severity: float
 
 
-def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[NearMiss, ...]:
+def near_misses(trace: Trace, floors: Floors = ALL) -> tuple[NearMiss, ...]:
     """The worst near-miss of each mistake of the ego, in the order of their names.
 
     A danger lasts as long as both distances to an NPC are shorter than RSS asks for. It is judged by
@@ -75,6 +80,10 @@ def near_misses(trace: Trace, floors: Mapping[Mistake, float] = ALL) -> tuple[Ne
         floors: the mistakes that matter, and the severity from which on they do not. To judge is dear, and only what
             may be above its floor is judged.
     """
+    return trace.reading(("near-misses", *floors.items()), lambda trace: _worst(trace, floors)) if floors else ()
+
+
+def _worst(trace: Trace, floors: Floors) -> tuple[NearMiss, ...]:
     found: dict[Mistake, NearMiss] = {}
     possible = [each for each in floors if _is_possible(each, trace)]
     for danger in sorted(_dangers(trace) if possible else (), key=lambda each: -each.severity):  # of equals the first

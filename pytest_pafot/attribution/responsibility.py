@@ -128,7 +128,7 @@ def rss_rule(trace: Trace) -> Attribution:
     """
     if trace.collision is None:
         return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
-    return dangers_of(trace).impact
+    return trace.reading("attribution", lambda trace: dangers_of(trace).impact)
 
 
 def is_ego_responsible(trace: Trace) -> bool:

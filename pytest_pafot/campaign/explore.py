@@ -6,12 +6,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from pytest_pafot.campaign.against import reference_of
-from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
+from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness, source_file
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
@@ -22,6 +22,7 @@ from pytest_pafot.corpus.layout import folder_of_test
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.run import Run
 from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.shown import Shown
 from pytest_pafot.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -32,11 +33,11 @@ OF_TESTS = ("arg", "profile", "report", "save", "strict_drift", "strict_health")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exploration:
+class Exploration(Shown):
     """What a search found, and how it went.
 
     Attributes:
-        findings: every distinct failure that is new, shrunk.
+        findings: every distinct failure that is new, shrunk, each with the trace of a run that shows it.
         summary: how the search went: runs, coverage, warnings, notes.
         events: what happened, in order, but for the single runs; of the algorithm and of the search.
     """
@@ -44,6 +45,12 @@ class Exploration:
     findings: tuple[Finding, ...]
     summary: SearchSummary
     events: tuple[SearchEvent, ...] = field(repr=False)
+
+    @property
+    def told(self) -> tuple[FindTold, ...]:
+        """The last word on each finding, in their order: its run, the exception that it ended in, and its headline."""
+        last = {event.kept.finding.id: event for event in self.events if isinstance(event, FindTold)}
+        return tuple(last[finding.id] for finding in self.findings)
 
     @property
     def runs(self) -> list[dict[str, Any]]:
@@ -104,7 +111,10 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
     if result.fault is not None:
         raise result.fault
     findings = tuple(kept.finding for kept in result.kept)
-    return Exploration(findings=findings, summary=result.summary, events=tuple(events))
+    exploration = Exploration(findings=findings, summary=result.summary, events=tuple(events))
+    traces = (None if told.run is None else told.run.trace for told in exploration.told)
+    seen = (replace(finding, trace=trace) for finding, trace in zip(findings, traces, strict=True))
+    return replace(exploration, findings=tuple(seen))
 
 
 def _request(given: dict[str, Any]) -> Request:

@@ -23,7 +23,7 @@ from pytest_pafot.run import ReferenceOutcome, Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
-from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.driving.ads import hint_at_object, preload
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +48,12 @@ class Harness:
         """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.
 
         Raises:
-            RequestError: for a world that cannot be used.
+            RequestError: for a world that cannot be used, or an ADS that cannot be loaded.
         """
         world = self.world if world is None else world
         with refusals():  # whether a pafot.World can be used shows when its environment is made
             data = codec.described(world)
+            preload(self.ads)
         owner = owner or self.node_id
         return Job(world=world, ads=self.ads, records=self.records, owner=owner, world_data=data, root=self.root)
 
@@ -77,12 +78,12 @@ class Harness:
         """What the function makes of a trace from a world."""
         return self.judge(self.seen(trace, world))
 
-    def reference_runner(self, job: Job, record: CrashRecord) -> Runner | None:
+    def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Runner | None:
         """Who makes the runs of the reference, one by one, and apart where the ADS runs so; None without one."""
         if self.against is None:
             return None
         with refusals():
-            return runner_for(replace(job, ads=self.against.ads), record, isolate=self.request.settings.isolate)
+            return runner_for(replace(job, ads=self.against.ads, reference=self.against.shown), record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: Any = None) -> Verdict:
         """What the function makes of the reference in a scenario; to raise, to hang or to end its process is to fail.
@@ -92,13 +93,27 @@ class Harness:
         """
         __tracebackhide__ = True
         try:
-            with refusals():
+            with refusals("the reference"):
                 trace = runner.run(scenario, afresh=True)
         except ProcessLostError as error:
             return Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
-            raise RequestError(f"against: {error}") from None
+            named = "" if self.against is None else f" ({self.against.shown})"
+            raise RequestError(f"against{named}: {str(error).removeprefix('ads: ')}") from None
         return self.judge_trace(self.world if world is None else world, trace)
+
+    def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
+        """Whether the test fails in a scenario with another ADS in the place of its own."""
+        __tracebackhide__ = True
+        job = replace(self.job(), ads=ads)
+        with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
+            try:
+                run = self.seen(runner.run(scenario, afresh=True))
+            except ProcessLostError:
+                return True
+        verdict = self.judge(run)
+        record.clear()
+        return verdict.failed
 
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
@@ -117,7 +132,7 @@ class Harness:
 
 
 @contextmanager
-def refusals() -> Iterator[None]:
+def refusals(whose: str = "the ADS") -> Iterator[None]:
     """Errors that are the user's to mend, of a world, a factory, a scenario or a process, as errors of the request."""
     __tracebackhide__ = True
     try:
@@ -125,7 +140,7 @@ def refusals() -> Iterator[None]:
     except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
         raise RequestError(str(error)) from None
     except skips() as error:  # of the factory: what the ADS raises is in the trace
-        raise RequestError(no_skip("the factory of the ADS", error)) from None
+        raise RequestError(no_skip(f"the factory of {whose}", error)) from None
 
 
 @dataclass(frozen=True, slots=True)

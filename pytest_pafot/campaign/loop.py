@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from pytest_pafot.attribution.mistakes import Mistake
-from pytest_pafot.attribution.near_misses import near_misses
+from pytest_pafot.attribution.near_misses import Floors, near_misses
 from pytest_pafot.campaign.events import Judged, Listener
 from pytest_pafot.campaign.harness import Simulation
+from pytest_pafot.campaign.read_ahead import FITNESS
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.setup_fault import FirstGeneration, unit_doubt
 from pytest_pafot.campaign.verdict import worst_margins
@@ -35,7 +35,7 @@ class SearchLoop:
     fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
     listener: Listener = lambda event: None
     # Of the near-misses that matter to the algorithm now; empty where it does not read them
-    floors: Mapping[Mistake, float] = field(default_factory=dict)
+    floors: Floors = field(default_factory=dict)
     is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
     fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
     replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
@@ -99,7 +99,7 @@ class SearchLoop:
             self.first.is_alike = False
             self.recorder.release()
             if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
-                self.lose(lost)
+                self.verdicts["failed" if self.lose(lost) else "common"] += 1
             evaluations.append(_not_run(scenario))
         return evaluations
 
@@ -125,13 +125,16 @@ class SearchLoop:
                     self.finished = event
             tick()
 
-    def lose(self, lost: LostRun) -> None:
-        """Know of a scenario whose process did not come back; it is not run again, in later sessions either."""
+    def lose(self, lost: LostRun) -> bool:
+        """Know of a scenario whose process did not come back; it is not run again, in later sessions either.
+
+        Whether that counts as a failure: not where the reference does not pass, either.
+        """
         self.fatal.add(lost.task)
         if self.simulation.is_common(lost.task):
-            self.verdicts["common"] += 1
-            return
+            return False
         self._count(expectation(lost).signature, lambda: self.recorder.keep_lost(lost, self.generation, self.runs + 1))
+        return True
 
     def _judged(self, run: Run) -> Evaluation:
         is_alone = self.simulation.runner.is_alone
@@ -162,7 +165,7 @@ class SearchLoop:
         says_nothing = verdict.failed or verdict.discarded or verdict.kind == "invalid" or not self.floors
         return Evaluation.of(
             run.trace,
-            fitness=self.fitness(run.trace),
+            fitness=run.trace.reading(FITNESS, self.fitness),
             failing=verdict.failed,
             discarded=verdict.discarded,
             kind=signature,

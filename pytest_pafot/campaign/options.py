@@ -20,7 +20,7 @@ from pytest_pafot.corpus.layout import CORPUS
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders"]
 
 SEED_LIMIT = 2**63
 
@@ -73,8 +73,8 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        shown = {"integer": "N", "workers": "N", "page": "PATH", "switch": "", "text": self.name.upper()}
-        return shown.get(self.kind, self.kind.upper())
+        shown = {"integer": "N", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
+        return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
         """The typed value of a text or of a Python value.
@@ -206,6 +206,14 @@ OPTIONS: tuple[Option, ...] = (
         "Remove saved scenarios whose test was collected and no longer exists; lists them first.",
         default=False,
         everywhere=False,
+    ),
+    Option(
+        "merge",
+        "folders",
+        "Bring the saved scenarios of another machine's corpus DIR into this one, in place of searches and replays: "
+        "each is run, and of each kind of failure the simplest is kept. May be given several times.",
+        everywhere=False,
+        is_argument=False,
     ),
     Option(
         "profile",
@@ -344,4 +352,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "switch": _read_switch,
     "workers": _read_workers,
     "address": _read_text,
+    "folders": _read_text,
 }

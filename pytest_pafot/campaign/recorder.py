@@ -17,13 +17,15 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, wri
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found
+from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived
 from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import codec
+from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
 
 UNSEEN_CRASH = Expect(
     failure=PROCESS_CRASH,
@@ -69,6 +71,7 @@ class Recorder:
             test=harness.node_id,
             world=codec.described(harness.world),
             found=self._found(generation),
+            perception=self._perception,
             against="" if harness.against is None else harness.against.name,
             root=str(harness.root),
         )
@@ -174,9 +177,20 @@ class Recorder:
         self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
         return kept.find.id
 
+    @property
+    def _perception(self) -> Perceived | None:
+        sight = sight_of(self.harness.ads)
+        return None if sight is None else Perceived(sight=sight)
+
     def _found(self, generation: int, algorithm: str = "") -> Found:
         algorithm = algorithm or self.harness.request.algorithm.name
-        return Found(seed=self.seed, generation=generation, algorithm=algorithm, versions=self.harness.versions)
+        return Found(
+            seed=self.seed,
+            generation=generation,
+            algorithm=algorithm,
+            versions=self.harness.versions,
+            weights=weights_digest(self.harness.ads),
+        )
 
     def _origin(self, generation: int, number: int) -> str:
         algorithm = self.harness.request.algorithm.name
@@ -190,6 +204,7 @@ class Recorder:
             world=world or codec.described(self.harness.world),
             expect=expect,
             found=found,
+            perception=self._perception,
         )
 
     def _saved(self, finding: Finding, line: str, origin: str, is_timed: bool) -> Kept:

@@ -22,8 +22,10 @@ from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_lab
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world.driving.perception import sight_of
 
 FLAKY = "flaky"
 
@@ -48,20 +50,27 @@ class Replays:
         """
         owner = self.harness.saved_node_id(saved.id)
         try:
-            finding, world = _finding(saved), self.world_of(saved)
-            run, verdict = self.tried(saved, world, owner)
-            if verdict.failed and self.passes_reference(saved, world, owner) is False:
-                return None
+            world = self.world_of(saved)
+            shown = self._observed(saved, world, owner)
+            is_common = shown.observed is not None and self.passes_reference(saved, world, owner) is False
         except RequestError:
             return None
-        except ProcessLostError as error:
-            return Replayed(id=saved.id, observed=expectation(error).signature)
-        return Replayed.of(finding, run, verdict.failure if verdict.failed else None)
+        return None if is_common else shown
 
     def still_fails(self, saved: Saved) -> bool:
-        """Whether the process still dies in a saved scenario that it died in."""
-        shown = self.shown_by(saved)
-        return shown is not None and shown.observed == _finding(saved).signature
+        """Whether the process still dies in a saved scenario that it died in, whatever the reference does."""
+        try:
+            shown = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
+        except RequestError:
+            return False
+        return shown.observed == _finding(saved).signature
+
+    def _observed(self, saved: Saved, world: Any, owner: str) -> Replayed:
+        try:
+            run, verdict = self.tried(saved, world, owner)
+        except ProcessLostError as error:
+            return Replayed(id=saved.id, observed=expectation(error).signature)
+        return Replayed.of(_finding(saved), run, verdict.failure if verdict.failed else None)
 
     def world_of(self, saved: Saved) -> Any:
         """The world that a file describes, made, with its scenario checked against it; the test's, where it is code.
@@ -94,7 +103,7 @@ class Replays:
         harness, scenario = self.harness, _finding(saved).scenario
         isolate, trace = harness.request.settings.isolate, None
         job = harness.job(world, owner)
-        if isolate or saved.needs_own_process or harness.left_behind(owner):
+        if self._is_apart(saved, owner):
             with refusals():
                 trace = run_apart(
                     job,
@@ -111,12 +120,19 @@ class Replays:
             run = harness.seen(trace, world)
             return run, harness.judge(run)
 
+    def _is_apart(self, saved: Saved, owner: str) -> bool:
+        harness = self.harness
+        return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
+
     def passes_reference(self, saved: Saved, world: Any, owner: str) -> bool | None:
-        """Whether the reference passes a saved scenario; None without one."""
+        """Whether the reference passes a saved scenario, in another process where the ADS runs so; None without one."""
         __tracebackhide__ = True
         harness, scenario = self.harness, _finding(saved).scenario
-        job = harness.job(world, owner)
-        with harness.recording(job) as record, harness.reference_runner(job, record) or nullcontext() as runner:
+        job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
+        with (
+            harness.recording(job) as record,
+            harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
+        ):
             return None if runner is None else harness.judge_reference(runner, scenario, world).passes
 
     def labelled(self, saved: Saved, owner: str) -> tuple[str, Run, Verdict]:
@@ -136,8 +152,8 @@ class Replays:
         label: str = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
             label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
-        if label == "fixed" and codec.changes(finding.world, self.harness.world):
-            label = "drifted"  # It passes elsewhere than where it failed.
+        if label == "fixed" and (codec.changes(finding.world, self.harness.world) or self.sight_change(finding)):
+            label = "drifted"  # It passes elsewhere than where it failed, or sees otherwise.
         if verdict.discarded:
             return label, run, verdict
         if verdict.failed:
@@ -152,6 +168,12 @@ class Replays:
             label = "fixed before" if passes else "fixed"
         return label, run, verdict
 
+    def sight_change(self, finding: Finding) -> list[str]:
+        """How the ADS of the test sees, where that is not as the file tells: it is the test's that runs."""
+        then = Sight() if finding.perception is None else finding.perception.sight
+        now = sight_of(self.harness.ads) or Sight()
+        return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
+
     def changes(self, finding: Finding, now: str) -> str:
         """What differs from a file; ``now`` is what happens."""
         versions = self.harness.versions
@@ -160,7 +182,7 @@ class Replays:
             for name, version in sorted(finding.found.versions.items())
             if versions.get(name) != version
         ]
-        changed += codec.changes(finding.world, self.harness.world)
+        changed += [*codec.changes(finding.world, self.harness.world), *self.sight_change(finding)]
         expect = finding.expect
         then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
         if expect.check is not None:

@@ -20,6 +20,8 @@ from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
+from pytest_pafot.campaign.random_beginning import RandomBeginning
+from pytest_pafot.campaign.read_ahead import read_ahead
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError, build_space
@@ -34,10 +36,12 @@ from pytest_pafot.execution.retrying import Retried, retry
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
-from pytest_pafot.searching.fitness import FitnessError, resolve
+from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.sight import Sight
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.failure import is_interruption
+from pytest_pafot.world.driving.perception import sight_of
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"
@@ -94,6 +98,7 @@ class Search:
     progress_seconds: float = 10.0  # between two tellings of progress
     notes: list[str] = field(default_factory=list)  # to be told once in the summary
     _loop: SearchLoop = field(init=False)
+    _beginning: RandomBeginning = field(init=False)
     _space: SearchSpace | None = field(init=False, default=None)  # None for replays alone
     _shrink_runs: int = field(init=False, default=0)
     _started: float = field(init=False)
@@ -146,6 +151,8 @@ class Search:
         except FitnessError as error:
             raise request.error("fitness=...", error) from None
         job, settings = harness.job(), request.settings
+        # What users write stays in this process, where its errors are told.
+        job = replace(job, read=partial(read_ahead, fitness if is_built_in(request.fitness) else None))
         record = stack.enter_context(harness.recording(job))
         with refusals():
             runner = runner_for(
@@ -157,16 +164,17 @@ class Search:
                 times_decisions=request.decision_limit is not None,
             )
         stack.push(runner.__exit__)  # What runs after the search begins processes anew.
-        reference = harness.reference_runner(job, record)
+        reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
         simulation = Simulation(harness, runner, record, reference)
         confirm = partial(difference, simulation=simulation)
+        self._beginning = RandomBeginning(listener=self.listener)
         self._loop = SearchLoop(
             simulation=simulation,
             recorder=Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener),
             fitness=fitness,
-            listener=self.listener,
+            listener=self._beginning,
             is_steered_by_checks=request.fitness == "default",
         )
 
@@ -239,6 +247,7 @@ class Search:
             request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
         except ValueError as error:
             raise RequestError(str(error)) from None
+        self._beginning.most = getattr(algorithm, "random_at_first", 0.0)
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
@@ -255,7 +264,10 @@ class Search:
             max_seconds=max(0.0, self.limit.until - self.clock()),
             clock=self.clock,
             stop=lambda: limit is not None and loop.recorder.count >= limit,
-            foresee=lambda scenarios: runner.announce([each for each in scenarios if each not in loop.fatal]),
+            seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
+            foresee=lambda scenarios: runner.announce(
+                [each for each in scenarios if each not in loop.fatal], loop.floors
+            ),
             adapted=adapted,
         )
         try:
@@ -299,6 +311,8 @@ class Search:
         settings, loop, health = self.harness.request.settings, self._loop, self._loop.health
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason == self.limit.flag)
         finds = [kept.find for kept in loop.recorder.kept.values()]
+        # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
+        is_cut_short = reason == "error" or (reason == "enough findings" and not self._beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -326,6 +340,7 @@ class Search:
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
+            random=(0, 0) if is_cut_short else (self._beginning.failing, self._beginning.runs),
             drawn="" if self._space is None else self._space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )

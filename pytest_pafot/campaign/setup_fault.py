@@ -16,7 +16,8 @@ from pytest_pafot.findings.finding import Cause, first_decision_cause
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Trace
 from pytest_pafot.world.driving.ads import is_vehicle_class
-from pytest_pafot.world.kernel.action import possible_acceleration, possible_steering
+from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
+from pytest_pafot.world.limits import TOP_SPEED
 from pytest_pafot.world.protocol import first_decision
 
 NO_STEERING = math.pi / 2
@@ -102,6 +103,10 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
 
 def unit_doubt(trace: Trace) -> str:
     """What to check in a planner whose actions cannot be meant as they are; empty for others, and for policies."""
+    return trace.reading("unit doubt", _unit_doubt)
+
+
+def _unit_doubt(trace: Trace) -> str:
     pairs = [action for action in trace.actions if type(action) is tuple and len(action) == 2]
     steering = max((abs(pair[1]) for pair in pairs), default=0.0)
     if steering > NO_STEERING:
@@ -110,7 +115,14 @@ def unit_doubt(trace: Trace) -> str:
             "have an effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this "
             "order"
         )
-    acceleration = max((pair[0] for pair in pairs), default=0.0)
+    drives = [action for action in trace.actions if isinstance(action, Drive)]
+    speed = max((drive.speed or 0.0 for drive in drives), default=0.0)
+    if speed > TOP_SPEED:
+        return (
+            f"the ADS asked for a speed of {speed:.3g}, in m/s, and no vehicle drives more than {TOP_SPEED:g}: divide "
+            "km/h by 3.6"
+        )
+    acceleration = max([*[pair[0] for pair in pairs], *[drive.acceleration or 0.0 for drive in drives]], default=0.0)
     if acceleration > NO_ACCELERATION:
         return (
             f"the ADS asked for an acceleration of {acceleration:.3g}, in m/s^2, of which "

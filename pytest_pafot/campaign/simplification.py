@@ -11,16 +11,19 @@ from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold, Kept
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.imperfections import needed_imperfections
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import Expect, of_failure
+from pytest_pafot.findings.finding import Expect, Perceived, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.sight import Sight
 from pytest_pafot.trace import LANE, SPEED
 from pytest_pafot.world import protocol
+from pytest_pafot.world.driving.perception import Perception
 
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
 """Runs that shrinking one find may take by default; more where the kernel runs a vehicle class without any Python."""
@@ -120,6 +123,7 @@ class Simplification:
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
         self.tell(f"trying reference drivers in saved-{kept.find.id}")
         outcomes = harness.reference_outcomes(run, verdict)
+        perception = self._perceived(kept, scenario)
         last_chance = None if run.take_over is None else run.last_chance
         finding = replace(
             before,
@@ -132,14 +136,30 @@ class Simplification:
                 against=before.expect.against,
                 root=str(harness.root),
             ),
+            perception=perception,
             original=before.scenario if scenario != before.scenario else None,
             shrunk=shrunk if shrunk.rollouts else None,
         )
         if finding == before:
             return
         kept = recorder.rewritten(kept, finding)
-        kept = replace(kept, find=replace(kept.find, headline=headline(run, verdict)))
+        line = headline(run, verdict)
+        line = line if perception is None else f"{line}, {perception.sentence}"
+        kept = replace(kept, find=replace(kept.find, headline=line))
         recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run))
+
+    def _perceived(self, kept: Kept, scenario: Scenario) -> Perceived | None:
+        """Which imperfections of its sight a find needs; None where the ADS has none."""
+        before, simulation = kept.finding.perception, self.loop.simulation
+        harness, ads = simulation.harness, simulation.harness.ads
+        if before is None or not isinstance(ads, Perception):
+            return None
+        self.tell(f"trying perfect sight in saved-{kept.find.id}")
+
+        def fails(sight: Sight) -> bool:
+            return harness.fails_with(ads.seeing(sight), scenario, simulation.record)
+
+        return replace(before, needed=needed_imperfections(before.sight, fails))
 
 
 def rollouts_for(harness: Harness) -> int:

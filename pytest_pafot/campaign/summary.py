@@ -90,6 +90,8 @@ class SearchSummary:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # anything else to be told once
     against: str = ""  # the reference that failures were held against, or empty
+    # random scenarios at its beginning: runs that failed by the ego's fault, and all that say something of the ego
+    random: tuple[int, int] = (0, 0)
     drawn: str = ""  # from what the scenarios were drawn, in one line
     coverage: str = ""  # one line on the Position-Instructions that the runs came to
 
@@ -98,4 +100,5 @@ class SearchSummary:
         """The inverse of ``dataclasses.asdict``, also where JSON has made lists of tuples."""
         finds = tuple(Find(**find) for find in plain["finds"])
         texts = {name: tuple(plain[name]) for name in ("warnings", "notes")}
-        return cls(**{**plain, **texts, "finds": finds})
+        random: tuple[int, int] = tuple(plain["random"])
+        return cls(**{**plain, **texts, "finds": finds, "random": random})

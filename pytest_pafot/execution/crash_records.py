@@ -55,11 +55,16 @@ class CrashRecord:
         self._owner = json.dumps(owner)
         self._world = json.dumps(dict(world) if world is not None else None)
 
-    def write(self, *scenarios: Scenario) -> None:
-        """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them."""
+    def write(self, *scenarios: Scenario, reference: str = "") -> None:
+        """Put a scenario on disk; from now on a crash is its doing. Of several, it is that of one of them.
+
+        ``reference`` is what to call a policy that drives in the place of the ADS.
+        """
         alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
         together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
         process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
+        if reference:
+            process += f', "reference": {json.dumps(reference)}'
         self._put(f'{{{process}, "scenario": {alone}{together}}}\n'.encode())
 
     def clear(self) -> None:
@@ -114,6 +119,7 @@ class Leftover:
         owner: node id of the test; empty where the record cannot be read.
         scenarios: in flight: one, or several in lock step, one of which it was; none where the record cannot be read.
         world: that they ran in, as plain data, or None.
+        reference: what to call the policy that drove in the place of the ADS; empty where that drove itself.
     """
 
     path: Path
@@ -121,6 +127,7 @@ class Leftover:
     owner: str = ""
     scenarios: tuple[Scenario, ...] = ()
     world: Mapping[str, Any] | None = None
+    reference: str = ""
 
     @property
     def scenario(self) -> Scenario | None:
@@ -193,6 +200,7 @@ def _leftover(path: Path) -> Leftover | None:
         record = json.loads(line)
         scenarios = tuple(map(Scenario.from_canonical, record.get("together") or [record["scenario"]]))
         world = dict(record["world"]) if record["world"] is not None else None
-        return replace(leftover, owner=str(record["owner"]), scenarios=scenarios, world=world)
+        owner, reference = str(record["owner"]), str(record.get("reference", ""))
+        return replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover

@@ -14,10 +14,9 @@ import pickle
 import platform
 import socket
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import count
@@ -26,11 +25,11 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any
 
-from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
+from pytest_pafot.attribution.near_misses import NONE, Floors
+from pytest_pafot.execution.captured_output import capture_output
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, recovery_note
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Trace
 from pytest_pafot.versions import installed_versions
 from pytest_pafot.world import protocol
 
@@ -49,13 +48,11 @@ class Parcel:
     """What any scenario runs with: two of the same digest are equal, also where one has left its content at home."""
 
     digest: str
-    content: bytes | None = field(compare=False)  # world and ADS factory
+    content: bytes | None = field(compare=False)  # world, ADS factory and what reads from runs
     patience: float = field(compare=False)  # of the processes of workers, see WorkerPool [s]
     versions: dict[str, str] = field(compare=False)  # of the session
 
 
-Timed = tuple[Trace, CapturedOutput, float]
-"""A run, what was said in it, and how long it took [s]."""
 Done = tuple[list[Timed | Exception], list[LostRun]]
 """What became of each scenario of a task, and processes that died in runs that came to their end at a second try."""
 
@@ -64,7 +61,8 @@ class ExecutorPool:
     """Runs scenarios by an executor, as :class:`pytest_pafot.execution.pool.WorkerPool` does by processes.
 
     A task that is lost with its worker says nothing of any of its scenarios: each is run once more by itself, and one
-    that is lost again is answered by ``ProcessLostError``.
+    that is lost again is answered by ``ProcessLostError``. Where it is the way to the workers that fails twice, the
+    executor takes no tasks any more.
 
     Raises:
         ExecutionError: where world and ADS cannot travel; by :meth:`fetch`, where they cannot arrive.
@@ -75,12 +73,14 @@ class ExecutorPool:
         """Processes and workers that died in runs that were done when they were tried again."""
         self.failure = ""
         """Why the executor takes no tasks any more, from which moment on none has a result; or empty."""
-        self._unable: list[Exception] = []  # by workers, for runs that were then made by the session
+        self.unable: list[Exception] = []
+        """What workers answered to scenarios that only the session can run, such as what a factory raised there."""
         self._executor = executor
         self._parcel = packed(job)
         self._is_known = False  # whether some worker has the content of the parcel
         self._under_way: dict[Scenario, tuple[Sequence[Scenario], Future[Any]]] = {}
         self._answers: dict[Scenario, Answer] = {}
+        self._floors: Floors = {}
         self._numbers = count()
         self._runs, self._seconds = 0, 0.0
 
@@ -88,16 +88,20 @@ class ExecutorPool:
     def notes(self) -> list[str]:
         """What made the runs, and which of them it could not make."""
         notes = [f"pafot_executor: {type(self._executor).__name__} made the runs of the generations"]
-        if self._unable:
-            first = f"{type(self._unable[0]).__name__}: {self._unable[0]}"
-            notes = [f"pafot_executor: {len(self._unable)} runs were made in this process, since there: {first}"]
+        if self.unable:
+            first = f"{type(self.unable[0]).__name__}: {self.unable[0]}"
+            notes = [f"pafot_executor: {len(self.unable)} runs were made in this process, since there: {first}"]
         if self.failure:
             notes = [f"pafot_executor: this process ran the scenarios, since no other could: {self.failure}"]
         return notes + list(map(recovery_note, self.recovered))
 
-    def expect(self, scenarios: Sequence[Scenario]) -> None:
-        """Begin with these; what was expected before and not fetched is of no interest any more."""
+    def expect(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+        """Begin with these; what was expected before and not fetched is of no interest any more.
+
+        Near-misses are read above the floors.
+        """
         self.close()
+        self._floors = dict(floors)
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
         for first in range(0, len(scenarios), size):
             self._submit(scenarios[first : first + size])
@@ -110,13 +114,16 @@ class ExecutorPool:
         """
         if scenario not in self._under_way and scenario not in self._answers:
             self._submit([scenario])
-        lost = self._gather(scenario)
-        if lost is not None and not self.failure:
+        error = self._gather(scenario)
+        if error is not None and not self.failure:
             self._submit([scenario])
             again = self._gather(scenario)
-            if again is not None and not self.failure:
-                return again
-            self.recovered.append(lost)
+            if isinstance(again, OSError):
+                self.failure = f"{type(again).__name__}: {again}"
+            elif again is not None and not self.failure:
+                return _lost(scenario, again)
+            else:
+                self.recovered.append(_lost(scenario, error))
         return RuntimeError(self.failure) if self.failure else self._answers.pop(scenario)
 
     def close(self, *, at_once: bool = False) -> None:
@@ -126,20 +133,24 @@ class ExecutorPool:
         self._under_way, self._answers = {}, {}
 
     def _submit(self, scenarios: Sequence[Scenario]) -> None:
+        if self.failure:
+            return
         parcel = replace(self._parcel, content=None) if self._is_known else self._parcel
         named: dict[str, Any] = {}
         if type(self._executor).__module__.partition(".")[0] == "distributed":
             ids = "+".join(scenario.id for scenario in scenarios)
             named = {"key": f"pafot-{ids}-{self._parcel.digest}-{next(self._numbers)}", "pure": False}
         try:
-            future = self._executor.submit(pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios)), **named)
-        except RuntimeError as error:  # it is broken, or was shut down
+            future = self._executor.submit(
+                pickle.loads, pickle.dumps(_Call(_run_task, parcel, scenarios, self._floors)), **named
+            )
+        except (RuntimeError, OSError) as error:  # it is broken, or was shut down
             self.failure = f"{type(error).__name__}: {error}"
         else:
             self._under_way |= dict.fromkeys(scenarios, (scenarios, future))
 
-    def _gather(self, scenario: Scenario) -> LostRun | None:
-        """Wait for the answers to a scenario and to all others of its task; what to say of one that is lost."""
+    def _gather(self, scenario: Scenario) -> Exception | None:
+        """Wait for the answers to a scenario and all others of its task; by what error they are lost, or None."""
         while scenario in self._under_way:
             scenarios, future = self._under_way[scenario]
             try:
@@ -150,7 +161,7 @@ class ExecutorPool:
                     received = f"received {type(error).__name__}: {error}"
                     raise ExecutionError(f"pafot_executor: expected {expected}, {received}") from None
                 del self._under_way[scenario]  # The others are tried alone as well, once they are asked for.
-                return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
+                return error
             if isinstance(done, str):
                 raise ExecutionError(done)
             self._is_known = done is not None
@@ -167,8 +178,8 @@ class ExecutorPool:
             if isinstance(answer, tuple):
                 self._runs, self._seconds = self._runs + 1, self._seconds + answer[2]
             elif not isinstance(answer, ProcessLostError):
-                self._unable.append(answer)
-            self._answers[scenario] = answer[:2] if isinstance(answer, tuple) else answer
+                self.unable.append(answer)
+            self._answers[scenario] = answer
 
 
 @contextmanager
@@ -212,7 +223,7 @@ def packed(job: Job) -> Parcel:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
-            content = cloudpickle.dumps((job.world, job.ads))
+            content = cloudpickle.dumps((job.world, job.ads, job.read))
         except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
             raise ExecutionError(
                 "pafot_executor: expected a world and an ADS factory that can travel to other machines, received one "
@@ -239,14 +250,14 @@ class _Bench:
         self.parcel = parcel
         self._idle: SimpleQueue[WorkerPool[Scenario, Timed]] = SimpleQueue()
 
-    def run(self, scenarios: Sequence[Scenario]) -> Done | str:
+    def run(self, scenarios: Sequence[Scenario], floors: Floors) -> Done | str:
         try:
             pool = self._idle.get_nowait()
         except Empty:
             multiprocessing.current_process().daemon = False  # Workers of Dask are daemons, which may have no child.
             work, patience = partial(_run, self.parcel), self.parcel.patience
             pool = WorkerPool(work, 1, method="spawn", patience=patience, idle=IDLE)
-        pool.expect(scenarios)
+        pool.expect(scenarios, floors)
         answers = [pool.fetch(scenario) for scenario in scenarios]
         recovered, pool.recovered = pool.recovered, []
         unable = next((each for each in answers if isinstance(each, ExecutionError)), None)
@@ -256,7 +267,7 @@ class _Bench:
         return answers, recovered
 
 
-def _run_task(parcel: Parcel, scenarios: Sequence[Scenario]) -> Done | str | None:
+def _run_task(parcel: Parcel, scenarios: Sequence[Scenario], floors: Floors) -> Done | str | None:
     """In a worker: run scenarios; or why it cannot run any, or None where it lacks the content of the parcel."""
     difference = _difference(parcel.versions)
     if difference:
@@ -265,7 +276,7 @@ def _run_task(parcel: Parcel, scenarios: Sequence[Scenario]) -> Done | str | Non
         bench = _bench(parcel)
     except LookupError:
         return None
-    return bench.run(scenarios)
+    return bench.run(scenarios, floors)
 
 
 @lru_cache(maxsize=4)
@@ -275,13 +286,13 @@ def _bench(parcel: Parcel) -> _Bench:
     return _Bench(parcel)
 
 
-def _run(parcel: Parcel, scenario: Scenario, tell: object) -> Timed:
+def _run(parcel: Parcel, scenario: Scenario, tell: object, floors: Floors) -> Timed:
     """The work of the process of a worker."""
     with capture_output() as output:
-        world, ads = _unpacked(parcel)
-        started = time.perf_counter()
-        trace = world.rollout(scenario, ads)
-        seconds = time.perf_counter() - started
+        world, ads, read = _unpacked(parcel)
+        trace, seconds = timed(world, scenario, ads)
+    with suppress(Exception):  # which is raised where somebody asks for it
+        read(trace, floors)
     return trace, output, seconds
 
 
@@ -321,4 +332,8 @@ def _is_below(root: Path, module: ModuleType) -> bool:
 
 def _is_loss(error: Exception) -> bool:
     """Whether a task did not come back, which says nothing of what it would have said; one error is of Dask."""
-    return isinstance(error, (BrokenExecutor, CancelledError)) or type(error).__name__ == "KilledWorker"
+    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or type(error).__name__ == "KilledWorker"
+
+
+def _lost(scenario: Scenario, error: Exception) -> LostRun:
+    return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")

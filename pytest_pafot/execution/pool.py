@@ -8,6 +8,8 @@ has a pipe of its own, and the thread that asks serves them all.
 
 from __future__ import annotations
 
+import gc
+import math
 import multiprocessing
 import os
 import pickle
@@ -21,6 +23,7 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
 from pytest_pafot.world.driving.hang_guard import LastResort, last_resort
@@ -37,8 +40,9 @@ FAREWELL = 2.0
 POLL = 0.5
 """How long to wait for answers at most before looking whether those who owe one still live [s]."""
 
-Work: TypeAlias = Callable[[TaskT, Callable[[float], None]], ResultT]
-"""Runs a task in a process of the pool; its second argument can be told the share of the task that is done."""
+Work: TypeAlias = Callable[..., ResultT]
+"""Runs a task in a process of the pool: it is called with the task, with a function that can be told the share of it
+that is done, and with what goes along with the tasks, where anything does."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -78,7 +82,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         clock: monotonic [s].
     """
 
-    work: Work[TaskT, ResultT]
+    work: Work[ResultT]
     size: int
     _: KW_ONLY
     method: str
@@ -95,6 +99,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         """Why no process could be started, from which moment on no task has a result; or empty."""
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
+        self._looked_at = -math.inf  # when all processes were looked at, those that say nothing included
+        self._along: tuple[Any, ...] = ()
         self._pending: deque[TaskT] = deque()
         self._wanted: set[TaskT] = set()
         self._answers: dict[TaskT, ResultT | Exception] = {}
@@ -106,9 +112,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.close(at_once=kind is not None)
 
-    def expect(self, tasks: Iterable[TaskT]) -> None:
-        """Begin with these, in this order; what was expected before and not fetched is of no interest any more."""
-        self._pending = deque(tasks)
+    def expect(self, tasks: Iterable[TaskT], *along: Any) -> None:
+        """Begin with these, in this order; what was expected before and not fetched is of no interest any more.
+
+        What goes ``along`` is given to the work with each task from now on.
+        """
+        self._pending, self._along = deque(tasks), along
         self._wanted = set(self._pending)
         self._answers, self._suspects = {}, {}
         self._send()
@@ -156,6 +165,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         for worker in list(self._workers):
             self._remove(worker)
         self._pending, self._wanted = deque(), set()
+        gc.unfreeze()
 
     @property
     def _busy(self) -> list[_Worker[TaskT]]:
@@ -183,10 +193,12 @@ class WorkerPool(Generic[TaskT, ResultT]):
             return
         idle = next((worker for worker in self._workers if worker.task is None), None)
         try:
-            while idle is None or not idle.take(task, self.clock()):
+            while idle is None or not idle.take(task, self._along, self.clock()):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
+                if self.method == "fork":  # A process with a copy of what is here should not look through it.
+                    gc.freeze()
                 idle = _Worker(self._context, self.work, others, self.grace, self.idle)
                 self._workers.append(idle)
         except OSError as error:
@@ -198,17 +210,22 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._answers[task] = RuntimeError(reason)
 
     def _receive(self) -> None:
-        """Take what is there, after a while at most."""
-        busy = self._busy
-        wait([worker.connection for worker in busy], timeout=min(POLL, self.patience / 4))
+        """Take what is there, after a while at most; those that say nothing are looked at every now and then."""
+        busy, now_and_then = self._busy, min(POLL, self.patience / 4)
+        ready = wait([worker.connection for worker in busy], timeout=now_and_then)
+        is_time = not ready or self.clock() - self._looked_at >= now_and_then
+        if is_time:
+            self._looked_at = self.clock()
         for worker in busy:
-            self._look_at(worker)
+            is_heard = worker.connection in ready
+            if is_heard or is_time:
+                self._look_at(worker, is_heard=is_heard)
 
-    def _look_at(self, worker: _Worker[TaskT]) -> None:
+    def _look_at(self, worker: _Worker[TaskT], *, is_heard: bool) -> None:
         task, is_gone = worker.task, not worker.process.is_alive()  # In this order: what it sent last is there now.
         if task is None:
             return
-        if worker.connection.poll():
+        if is_heard or worker.connection.poll():
             heard = worker.hear()
             if heard is not None:
                 is_done, said = heard
@@ -233,7 +250,11 @@ class WorkerPool(Generic[TaskT, ResultT]):
             (self._answers if is_hang else self._suspects)[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        """End a process and let nothing of it remain."""
+        """End a process and let nothing of it remain, nor, on Linux, of programs in groups of their own under it."""
+        with suppress(OSError):  # As children of a process that lives, their ids are nobody else's.
+            for child in map(int, Path(f"/proc/{worker.pid}/task/{worker.pid}/children").read_text("utf-8").split()):
+                if os.getpgid(child) == child:
+                    os.killpg(child, signal.SIGKILL)
         worker.process.kill()
         worker.process.join()
         worker.connection.close()
@@ -245,7 +266,7 @@ class _Worker(Generic[TaskT]):
     """One process, as the pool sees it: ``share`` is what it says is done of its task, where it has one."""
 
     def __init__(
-        self, context: Any, work: Work[TaskT, Any], others: list[Connection], grace: float, idle: float | None
+        self, context: Any, work: Work[Any], others: list[Connection], grace: float, idle: float | None
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
@@ -270,16 +291,16 @@ class _Worker(Generic[TaskT]):
         """Whether it came so far as to wait for tasks."""
         return bool(self._beats.value)
 
-    def take(self, task: TaskT, now: float) -> bool:
+    def take(self, task: TaskT, along: tuple[Any, ...], now: float) -> bool:
         """Run a task; False where the process has ended."""
         self.share, self._asked_at = 0.0, None if self.has_begun else now
-        self.task = task if self.send(task) else None
+        self.task = task if self.send((task, along)) else None
         return self.task is not None
 
-    def send(self, task: TaskT | None) -> bool:
-        """Give it a task, or None for its end; False where the process has ended."""
+    def send(self, what: tuple[TaskT, tuple[Any, ...]] | None) -> bool:
+        """Give it a task and what goes along, or None for its end; False where the process has ended."""
         try:
-            self.connection.send(task)
+            self.connection.send_bytes(pickle.dumps(what))
         except OSError:
             return False
         return True
@@ -320,7 +341,7 @@ def ending(code: int | None) -> str:
 
 
 def _serve(
-    work: Work[Any, Any],
+    work: Work[Any],
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
@@ -352,9 +373,10 @@ def _serve(
         signal.signal(signal.SIGUSR2, beat)
     beat()
     with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
-        while connection.poll(idle) and (task := connection.recv()) is not None:
+        while connection.poll(idle) and (given := connection.recv()) is not None:
+            task, along = given
             try:
-                said = pickle.dumps((True, work(task, tell)))  # a result that cannot be sent is an error as well
+                said = pickle.dumps((True, work(task, tell, *along)))  # what cannot be sent is an error as well
             except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)

@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
+from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.executors import ExecutorPool
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_from
 from pytest_pafot.scenario import Scenario
+from pytest_pafot.text import plural
 from pytest_pafot.trace import Trace
 
 DEAR = 0.010
@@ -19,7 +21,8 @@ DEAR = 0.010
 a millisecond more, and starting a process as much as some runs."""
 
 WARM_RUNS = 2
-"""Runs that must have been measured before. The first run of a search is not: it loads what the others use."""
+"""Runs that tell for good. The first run of a search does not, since it loads what the others use: processes begin
+after it where it was dear, and end again where those are not."""
 
 
 class LockStep:
@@ -41,7 +44,7 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
+    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
         """Know what will be asked for; of what was made before, nothing is kept."""
         self._announced, self._made = list(scenarios), {}
 
@@ -61,7 +64,7 @@ class LockStep:
 
 
 class Processes:
-    """Makes announced runs in other processes, from the moment on that runs of this one turn out to be dear.
+    """Makes announced runs in other processes, from the moment on that runs turn out to be dear.
 
     With one worker, none is ever started. With an executor all announced runs are made by that, from the first on.
     """
@@ -69,13 +72,14 @@ class Processes:
     def __init__(self, job: Job, *, workers: int, executor: Executor | None = None) -> None:
         self.announced: list[Scenario] = []
         """What will be asked for, as far as it was not yet."""
+        self._floors: Floors = {}
         self._job = job
         self._workers = workers
         self._executor = executor
         self._pool: ScenarioPool | ExecutorPool | None = None
         self._failure = ""
         self._is_measured = False
-        self._runs = 0
+        self._runs = self._runs_before = 0  # altogether, and before there were processes
         self._warm_seconds = 0.0
 
     @property
@@ -87,7 +91,7 @@ class Processes:
             return self._pool.notes
         option = f"--pafot-workers={self._workers}"
         if self._pool is not None:
-            used = f"{option}: in use after {self._runs} runs of this process"
+            used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process"
             if self._pool.failure:
                 used = f"--pafot-workers: one process ran the scenarios, since no other could: {self._pool.failure}"
             return [used, *map(recovery_note, self._pool.recovered)]
@@ -96,11 +100,11 @@ class Processes:
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"]
 
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
+    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
         """Know what will be asked for, and begin with it where processes are in use."""
-        self.announced = list(scenarios)
+        self.announced, self._floors = list(scenarios), dict(floors)
         if self._pool is not None:
-            self._pool.expect(scenarios)
+            self._pool.expect(scenarios, self._floors)
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
         """The trace of an announced run, once; None where the run is to be made in this process."""
@@ -111,17 +115,28 @@ class Processes:
             self._begin()
         self.announced.remove(scenario)
         self._is_measured = self._pool is None
-        return None if self._pool is None else trace_from(self._pool.fetch(scenario))
+        if self._pool is None:
+            return None
+        answer = self._pool.fetch(scenario)
+        if isinstance(answer, tuple) and self._executor is None:
+            self._learn(answer[2])
+        return trace_from(answer)
 
     def ran_here(self, seconds: float) -> None:
         """Learn how long the last run took; what was not announced is not measured."""
-        if not self._is_measured:
-            return
-        self._is_measured = False
+        if self._is_measured:
+            self._is_measured = False
+            self._learn(seconds)
+
+    def _learn(self, seconds: float) -> None:
         self._runs += 1
         self._warm_seconds += seconds if self._runs > 1 else 0.0
-        is_dear = self._runs > WARM_RUNS and self._warm_seconds >= DEAR * (self._runs - 1)
-        if is_dear and self._workers > 1 and not self._failure:
+        is_dear = self._warm_seconds >= DEAR * (self._runs - 1) if self._runs > WARM_RUNS else seconds >= DEAR
+        if self._pool is not None and self._runs == WARM_RUNS + 1 and not is_dear:
+            self._pool.close(at_once=True)
+            self._pool = None
+        elif self._pool is None and is_dear and self._workers > 1 and not self._failure:
+            self._runs_before = self._runs
             try:
                 self._begin()
             except ExecutionError as error:
@@ -135,7 +150,7 @@ class Processes:
     def _begin(self) -> ScenarioPool | ExecutorPool:
         job, executor = self._job, self._executor
         self._pool = pool = pool_for(job, self._workers) if executor is None else ExecutorPool(job, executor)
-        pool.expect(self.announced)
+        pool.expect(self.announced, self._floors)
         return pool
 
 
@@ -144,13 +159,16 @@ class Isolated(Processes):
 
     @property
     def notes(self) -> list[str]:
-        """Which processes died in runs that were made after all; of an executor, also what it made."""
+        """Which processes died in runs that were made after all; of an executor that made all, also that it did."""
         if isinstance(self._pool, ExecutorPool):
-            return self._pool.notes
+            return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of a run; None where only this process can show what was raised beside the ADS."""
+        """The trace of a run; None where only this process can show what was raised beside the ADS.
+
+        Of an executor's workers that may be what they lack, so that such a run is refused.
+        """
         __tracebackhide__ = True
         try:
             pool = self._pool or self._begin()
@@ -159,4 +177,11 @@ class Isolated(Processes):
         answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"--pafot-isolate: expected processes to run the ADS in, received: {pool.failure}")
+        if isinstance(pool, ExecutorPool) and pool.unable:
+            first = pool.unable[0]
+            raise ExecutionError(
+                "--pafot-isolate: expected workers that can make every run, received from one "
+                f"{type(first).__name__}: {first}; let the workers have what the run needs, or search without "
+                "--pafot-isolate, where this process makes such runs"
+            )
         return trace_from(answer)

@@ -39,7 +39,8 @@ def retry(
 ) -> Retried:
     """Keep what is to blame for the death of a process.
 
-    Where no process can be made to try it in, one death is enough for a scenario that was alone in flight; and where
+    A reference that drove when the process died is to blame itself, and what it drove in is not run again. Where no
+    process can be made to try it in, one death is enough for a scenario that was alone in flight; and where
     the session that tried it died as well, that is enough too.
 
     Args:
@@ -49,6 +50,12 @@ def retry(
         keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
         run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
     """
+    if leftover.reference:
+        note = (
+            f"a process (pid {leftover.pid}) died while {leftover.reference} ran {leftover.scenario!r}, which is held "
+            "against it and not against the ADS: mend it, or search with --pafot-isolate, where it may die"
+        )
+        return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None
     if job is not None and not leftover.is_tried:
         answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)

@@ -12,6 +12,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.prefetching import Isolated, LockStep, Processes
 from pytest_pafot.execution.scenario_pool import Job
@@ -110,9 +111,12 @@ class Runner:
         self._prefetching.announce(())
         self.processes.close(at_once=kind is not None)
 
-    def announce(self, scenarios: Sequence[Scenario]) -> None:
-        """Say what will be asked for next, in this order; what was announced before is forgotten."""
-        self._prefetching.announce(scenarios)
+    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+        """Say what will be asked for next, in this order; what was announced before is forgotten.
+
+        Other processes read near-misses above the floors from their runs.
+        """
+        self._prefetching.announce(scenarios, floors)
 
     def run(self, scenario: Scenario, *, afresh: bool = False) -> Trace:
         """One run. It leaves the crash record written, for a verdict that may end the process too.
@@ -129,13 +133,14 @@ class Runner:
         __tracebackhide__ = True
         trace = self._prefetching.take(scenario, afresh=afresh)
         self.is_alone = trace is None or self._prefetching is not self.lock_step
-        self.record.write(scenario)
+        self.record.write(scenario, reference=self.job.reference)
         if trace is None:
             decisions = () if afresh or self._decisions is None else self._decisions.recall(scenario)
             started = self.clock()
             given = {"decisions": decisions} if decisions else {}  # a world of the user's own need not know of them
             trace = self.job.world.rollout(scenario, self._factory, **given)
-            self.processes.ran_here(self.clock() - started)
+            if not self.decides_for_many:
+                self.processes.ran_here(self.clock() - started)
         if self._decisions is not None and self.is_alone:  # what is decided for many at once is not relied on
             self._decisions.remember(trace)
         return trace

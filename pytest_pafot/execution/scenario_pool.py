@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pickle
 import sys
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
@@ -24,9 +27,15 @@ METHOD = "fork" if sys.platform == "linux" else "spawn"
 it, and the factory must be one that can be pickled."""
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
-Answer: TypeAlias = tuple[Trace, CapturedOutput] | Exception
-"""A run and what was said in it. For any exception but a lost process, this process can show what happens."""
-ScenarioPool: TypeAlias = WorkerPool[Scenario, tuple[Trace, CapturedOutput]]
+Timed: TypeAlias = tuple[Trace, CapturedOutput, float]
+"""A run, what was said in it, and how long it took [s]."""
+Answer: TypeAlias = Timed | Exception
+"""For any exception but a lost process, this process can show what happens."""
+ScenarioPool: TypeAlias = WorkerPool[Scenario, Timed]
+
+
+def _read_nothing(trace: Trace, floors: Floors) -> None:
+    """Of runs in which nobody searches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +54,10 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """Folder of the project, whose modules travel with the ADS where it runs on other machines."""
+    read: Callable[[Trace, Floors], None] = _read_nothing
+    """What another process reads from a run that it has made; the trace keeps it. Near-misses have floors."""
+    reference: str = ""
+    """What to call the ADS where it is the reference of a search; empty for the one that is tested."""
 
     def crash_record(self) -> CrashRecord:
         """The record of what the calling process runs; nothing is on disk before its first scenario."""
@@ -70,12 +83,21 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
     return WorkerPool(work, size, method=METHOD, patience=patience, grace=GRACE, ended=partial(_forget, job))
 
 
-def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object) -> tuple[Trace, CapturedOutput]:
+def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object, floors: Floors = NONE) -> Timed:
     """The work of each process: a run, with the scenario on disk meanwhile."""
     with record, capture_output() as output:  # closed each time: nobody could if the session died meanwhile
-        record.write(scenario)
-        trace = job.world.rollout(scenario, job.ads)
-    return trace, output
+        record.write(scenario, reference=job.reference)
+        trace, seconds = timed(job.world, scenario, job.ads)
+    with suppress(Exception):  # which is raised where somebody asks for it
+        job.read(trace, floors)
+    return trace, output, seconds
+
+
+def timed(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> tuple[Trace, float]:
+    """A run, and how long it took [s]."""
+    started = time.perf_counter()
+    trace = world.rollout(scenario, ads)
+    return trace, time.perf_counter() - started
 
 
 def _forget(job: Job, pid: int) -> None:
@@ -96,7 +118,7 @@ def trace_from(answer: Answer) -> Trace | None:
         raise answer
     if isinstance(answer, Exception):
         return None
-    trace, output = answer
+    trace, output, _ = answer
     output.repeat()
     return trace
 

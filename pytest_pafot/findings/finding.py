@@ -13,7 +13,7 @@ from typing import Any
 
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
-from pytest_pafot.attribution.mistakes import mistake
+from pytest_pafot.attribution.mistakes import mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.findings.portable import portable
@@ -22,7 +22,9 @@ from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, SLOW_DE
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import AdsError, Outcome, Side
+from pytest_pafot.shown import Shown
+from pytest_pafot.sight import Sight
+from pytest_pafot.trace import AdsError, Outcome, Side, Trace
 
 MAX_MESSAGE = 300
 MAX_TRACEBACK = 8000
@@ -154,16 +156,39 @@ class Found:
         generation: in which it was found, counted from 0.
         algorithm: name of the search.
         versions: of the packages that the run depends on.
+        weights: ``sha256:`` and a hash of the policy, where its factory tells one (``pafot.policies``).
     """
 
     seed: int
     generation: int
     algorithm: str
     versions: Mapping[str, str] = field(default_factory=dict)
+    weights: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class Perceived:
+    """How the ADS saw the others, where that was not perfect, and what of it the failure needs.
+
+    Attributes:
+        sight: of the run that showed it.
+        needed: names of those imperfections without which the test does not fail in this scenario; empty where it fails
+            also with perfect sight, None where that was not tried.
+    """
+
+    sight: Sight
+    needed: tuple[str, ...] | None = None
+
+    @property
+    def sentence(self) -> str:
+        """What it comes to, such as ``only with 0.3 s of latency``."""
+        if self.needed is None:
+            return f"found with {self.sight.described()}"
+        return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding(Shown):
     """One file of the corpus.
 
     Attributes:
@@ -174,10 +199,13 @@ class Finding:
         world: the world that it fails in, as plain data.
         expect: what running it shows.
         found: how it came about.
+        perception: of an ADS that sees imperfectly; None of any other.
         original: the scenario as first found, where shrinking has put a simpler one in its place.
         shrunk: how it was shrunk; None where it was not.
         flaky: what differed when the scenario was run again, or None; it is then never called fixed.
         xfail: the user's reason to accept the failure, or None.
+        trace: of the run that shows it, where a search of this process made it; no part of what a finding is, nor of
+            its file.
 
     Raises:
         ValueError: if the id is no such name, the world no plain data or the reason empty.
@@ -189,10 +217,12 @@ class Finding:
     world: Mapping[str, Any]
     expect: Expect
     found: Found
+    perception: Perceived | None = None
     original: Scenario | None = None
     shrunk: Shrunk | None = None
     flaky: str | None = None
     xfail: str | None = None
+    trace: Trace | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not is_id(self.id):
@@ -216,13 +246,16 @@ class Finding:
         test: str,
         world: Mapping[str, Any],
         found: Found,
+        perception: Perceived | None = None,
         against: str = "",
         root: str = "",
     ) -> Finding:
         """A new finding, from the run that showed it; its id derives from the signature and the executed scenario."""
         expect = Expect.of(run, failure, against=against, root=root)
         id_ = f"{of_failure(run, failure).slug}-{run.scenario.id}"
-        return cls(id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found)
+        return cls(
+            id=id_, test=test, scenario=run.scenario, world=world, expect=expect, found=found, perception=perception
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,7 +290,7 @@ def _told(value: float | None, digits: int) -> float | None:
 
 def of_failure(run: Run, failure: Failure) -> Signature:
     """The signature of a run that failed."""
-    return replace(Expect.of(run, failure).signature, mistake=mistake(run.trace, run.attribution))
+    return replace(Expect.of(run, failure).signature, mistake=mistake_of(run.trace))
 
 
 def is_id(text: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.findings.finding import Finding, event_of, of_failure
+from pytest_pafot.findings.finding import Expect, Finding, event_of, of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.run import Run
 from pytest_pafot.trace import Outcome, Y
@@ -56,14 +56,7 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     one, its time, whatever else happened; it is fixed where the run went on past that time. The run is the one of now,
     with its failure, if any, and the versions of today's packages; these are compared where the file names them.
     """
-    expect, side = finding.expect, None if run.collision is None else run.collision.side
-    now, then = event_of(run, failure), (expect.outcome, expect.npc, expect.cell, expect.side)
-    is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
-    if expect.check is None:
-        is_same = is_then and (run.outcome, now.npc, now.cell, side) == then
-    else:
-        check = None if failure is None else failure.check
-        is_same = check is not None and check.name == expect.assertion and (is_then or check.time is None)
+    expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
     if failure is not None:
         return "still failing" if is_same and failure.kind == expect.failure else "drifted"
     if any(versions.get(name) != version for name, version in finding.found.versions.items()):
@@ -72,6 +65,17 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
     is_whole = run.collision is None and run.ads_error is None and run.outcome != "invalid"
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     return "fixed" if is_same or is_whole else "drifted"
+
+
+def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
+    """Whether a run shows the event that a file expects: to 0.2 s, and the same contact; or that check failing."""
+    now, side = event_of(run, failure), None if run.collision is None else run.collision.side
+    is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
+    if expect.check is None:
+        then = (expect.outcome, expect.npc, expect.cell, expect.side)
+        return is_then and (run.outcome, now.npc, now.cell, side) == then
+    check = None if failure is None else failure.check
+    return check is not None and check.name == expect.assertion and (is_then or check.time is None)
 
 
 def ending(run: Run) -> str:

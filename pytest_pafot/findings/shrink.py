@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations, pairwise, permutations, product
 from typing import Any
 
@@ -46,6 +46,9 @@ Candidates = Iterator[Scenario | None]
 """What a pass tries; None stands for a change that gives no valid scenario."""
 
 Pass = Callable[[Scenario], Candidates]
+
+Sized = tuple[tuple[int, int], tuple[Chromosome, ...]]
+"""Chains with the numbers of NPCs and of instructions in them."""
 
 FIVE, ONE, TENTH = 5 * SPEED_STEPS_PER_MPS, SPEED_STEPS_PER_MPS, 1
 """Steps of speed, from rough to fine, in tenths of m/s like all speeds inside of this module."""
@@ -338,21 +341,29 @@ PASSES: tuple[Pass, ...] = (*STRUCTURE, _rounder, _slower, _plain_seed)
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start) -> Candidates:
-    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one.
+    """One NPC with one or two instructions, or two with one each; at the ego's plain start, and the present one."""
+    size = len(scenario.npcs), instructions(scenario)
+    length = scenario.genes if size <= (1, 2) else found.genes  # A run ends with the failure; the longer, the more.
+    targets = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
+    starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
+    begins = [replace(scenario, seed=0, ego_lane=lane, ego_speed=speed) for lane, speed in starts]
+    for (its_size, npcs), begin in product(_small_ones(targets, length), begins):
+        if its_size <= size:
+            yield _valid(begin, npcs)
+
+
+@lru_cache(maxsize=16)
+def _small_ones(targets: Sequence[Any], length: int) -> Sequence[Sized]:
+    """Every small scenario's numbers of NPCs and instructions, and chains.
 
     In an order in which any beginning of the list has some of each kind: the most promising first finds fewer.
     """
-    targets: Sequence[Any] = SHIFTS if isinstance(found.npcs[0][0], LaneInstruction) else tuple(Cell)
     genes = [gene_of(target, speed) for target in targets for speed in SMALL_SPEEDS]
-    is_small = len(scenario.npcs) == 1 and instructions(scenario) <= 2
-    length = scenario.genes if is_small else found.genes  # A run ends with the failure; the longer, the more it shows.
     ones = [(gene,) * times for gene in genes for times in dict.fromkeys((1, length))]
     twos = [(first, *(second,) * (length - 1)) for first, second in permutations(genes, 2) if length > 1]
-    small: list[tuple[Chromosome, ...]] = [*((chain,) for chain in (*ones, *twos)), *combinations(ones, 2)]
-    small.sort(key={each: number * GOLDEN % 2**64 for number, each in enumerate(small)}.__getitem__)
-    begins = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
-    for npcs, (lane, speed) in product(small, begins):
-        yield _valid(replace(scenario, seed=0, ego_lane=lane, ego_speed=speed), npcs)
+    small: list[Sized] = [*(((1, 1), (chain,)) for chain in ones), *(((1, 2), (chain,)) for chain in twos)]
+    small += (((2, 2), pair) for pair in combinations(ones, 2))
+    return [each for _, each in sorted(enumerate(small), key=lambda numbered: numbered[0] * GOLDEN % 2**64)]
 
 
 def _two_steps(scenario: Scenario) -> Candidates:

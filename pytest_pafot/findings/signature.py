@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from textwrap import dedent
 
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
@@ -164,6 +165,7 @@ class _Numberless(ast.NodeTransformer):
         return inner if signs_a_number and inner.id == NUMBER else ast.UnaryOp(op=node.op, operand=inner)
 
 
+@lru_cache(maxsize=64)
 def _named(assertion: str) -> tuple[set[str], set[str]]:
     """All attributes that an expression names, and those of a name, of a run as a rule, that are no helper's call.
 
@@ -181,6 +183,7 @@ def _named(assertion: str) -> tuple[set[str], set[str]]:
     return {each.attr for each in attributes}, measures
 
 
+@lru_cache(maxsize=64)  # most failures of a search are of a few statements
 def _from_source(assertion: str) -> str:
     try:
         body = ast.parse(dedent(assertion).strip()).body

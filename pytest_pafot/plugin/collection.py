@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
@@ -43,7 +44,7 @@ class Collection:
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
         self._saved: dict[Path, Saved] = {}
-        config.stash[UNRUN] = Unrun({}, {})
+        config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """What lies in a corpus is data, whatever its name."""
@@ -185,7 +186,7 @@ class Collection:
         """How many items are searches and replays."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
-        if not searches and not saved:
+        if (not searches and not saved) or self._config.getoption(BY_NAME["merge"].key):
             return None
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
         return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config))))

@@ -6,6 +6,7 @@ import pytest
 
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.item_checks import REQUEST
+from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.session import SHARED
 
 
@@ -20,7 +21,7 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Search or replay in place of the one call that pytest would make."""
+        """Search, merge or replay in place of the one call that pytest would make."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
@@ -32,7 +33,9 @@ class Execution:
         saved = saved_of(pyfuncitem)
         try:
             with session_ends_if_stuck(pyfuncitem):
-                if saved is None:
+                if MERGES in pyfuncitem.config.stash:
+                    run_merge(pyfuncitem, request)
+                elif saved is None:
                     run_search(pyfuncitem, request)
                 else:
                     run_replay(pyfuncitem, request, saved)

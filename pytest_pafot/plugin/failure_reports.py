@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.checks import CheckFailed
-from pytest_pafot.plugin.marks import SEARCH_MARK
+from pytest_pafot.plugin.marks import RATE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import MARKER, fitted_lines
 from pytest_pafot.run import Run
@@ -37,8 +37,8 @@ class Failures:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-        """Shorten the report of a search or a replay that fails."""
-        if call.excinfo is None or item.get_closest_marker(SEARCH_MARK) is None:
+        """Shorten the report of a search, a replay or a rate that fails."""
+        if call.excinfo is None or not any(map(item.get_closest_marker, (SEARCH_MARK, RATE_MARK))):
             return (yield)
         option, is_brief = item.config.option, is_compact(item.config)
         style = getattr(option, "tbstyle", None)  # an option of the terminal's plugin, which may be off

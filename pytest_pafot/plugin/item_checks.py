@@ -13,6 +13,7 @@ from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.marks import ANY_MARK, DEFAULT_ADS, DEFAULT_ARG, SEARCH_MARK, WORLD_FIXTURE, arguments_of
+from pytest_pafot.plugin.merge_item import MERGES
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED, records_folder
@@ -39,7 +40,7 @@ class Checks:
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # shown once
         item.stash[REQUEST] = request
-        is_idle = is_search(item) and not request.settings.is_search
+        is_idle = is_search(item) and not request.settings.is_search and MERGES not in item.config.stash
         if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
             pytest.skip("replay only: --pafot-generations=0")
 

@@ -1,4 +1,4 @@
-"""The decorator by which a test function asks for a search, and the marks that it sets.
+"""The decorators by which a test function asks for a search or a rate, and the marks that they set.
 
 This module is imported by every test file that uses the plugin: it imports nothing but pytest.
 """
@@ -8,20 +8,23 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast, overload
 
 import pytest
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import SearchArguments
+    from pytest_pafot.rating.rate_request import RateArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
+RATE_MARK = "pafot_rate"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
+RATE_ARG = "rate"
 POSITIONAL = "<positional>"  # key of positional arguments, which a search does not take, so that the item can say so
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
@@ -64,6 +67,33 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
     return getattr(pytest.mark, ANY_MARK)(target)
+
+
+def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]:
+    """Fail the decorated test function where an ADS crashes too often in an environment's own traffic.
+
+    The function may have a parameter ``rate``, a :class:`pytest_pafot.Rate`. Arguments are checked when it runs.
+
+    Args:
+        at_most: crashes per episode; 0.02 fails where more than two in a hundred of the episodes that were driven
+            ended in a crash.
+        world: such as ``"highway-fast-v0"`` or ``pafot.World("highway-v0", config={...})``.
+        ads: the factory, or the name of the fixture that gives it; by default ``"ads"``.
+        episodes: how many, by default 300.
+        seed: of the first episode, by default 0; the next ones follow.
+        confidence: such as 0.95, for a stricter test: it fails unless the episodes show with so much confidence that
+            the true rate is at most ``at_most``.
+        planner: whether the ADS sees a :class:`pytest_pafot.Observation` and answers in SI units.
+    """
+
+    def decorated(target: Target) -> Target:
+        given: dict[str, Any] = {"ads": DEFAULT_ADS, **arguments}
+        if isinstance(given["ads"], str):
+            target = pytest.mark.usefixtures(given["ads"])(target)
+        target = getattr(pytest.mark, RATE_MARK).with_args(**given)(target)
+        return cast("Target", getattr(pytest.mark, ANY_MARK)(target))
+
+    return decorated
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:

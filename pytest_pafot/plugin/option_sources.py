@@ -6,6 +6,7 @@ Precedence: command line, marker, environment, a profile that was named, ini, th
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
 """Types of ini keys; those of other kinds are strings."""
+_LAST = re.compile(r"(?<=')[^']*(?='$)|[^\s']+$")
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -40,6 +42,8 @@ def add_options(parser: pytest.Parser) -> None:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
             value = {"action": "store_true"}
+        elif option.kind == "folders":
+            value["action"] = "append"
         group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
         if option.everywhere:
             text = f"{option.help} Same as {option.flag}."
@@ -153,8 +157,8 @@ class Sources(NamedTuple):
         place = f"ini key {option.key}"
         try:
             value = self.config.getini(option.key)
-        except (TypeError, ValueError, pytest.UsageError) as error:
-            raise OptionError(f"{place}: {error}") from None
+        except (TypeError, ValueError, pytest.UsageError) as error:  # its words end with the text of the value
+            value = "".join(_LAST.findall(str(error)))
         return _read(option, place, value)
 
 

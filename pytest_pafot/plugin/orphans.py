@@ -26,6 +26,7 @@ class Unrun(NamedTuple):
     # folders of saved scenarios whose test is gone, each with the files that may be removed
     orphans: dict[Path, list[Path]]
     strays: dict[str, str]  # saved scenarios that lie in no folder of a test, each with where it should be, in words
+    unmerged: dict[str, str]  # folders of other corpora whose files no test takes, each with why
 
 
 UNRUN = pytest.StashKey[Unrun]()

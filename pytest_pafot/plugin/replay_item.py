@@ -8,7 +8,7 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.recorder import cause
-from pytest_pafot.campaign.replays import FLAKY, Replays, happened
+from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.checks import CheckFailed
@@ -42,11 +42,14 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         label, run, verdict = replays.labelled(saved, item.nodeid)
     except ProcessLostError as error:
         lost = error
+    beside = ""
+    if lost is not None:  # Outside of the handler, so that the same is not shown twice.
+        beside = BESIDE[replays.passes_reference(saved, replays.world_of(saved), item.nodeid)]
     for leftover in harness.left_behind(item.nodeid):
         leftover.discard()  # What came of it is told now.
-    if lost is not None:  # Outside of the handler, so that the same is not shown twice.
-        _conclude_lost(item, replays, finding, lost, path)
-    detail = "" if harness.against is None else f"against {harness.against.shown}"
+    if lost is not None:
+        _conclude_lost(item, replays, finding, lost, path, beside)
+    detail = "; ".join(filter(None, [_against(replays), *replays.sight_change(finding)]))
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
     _tell(item, replays, label, detail)
@@ -60,12 +63,16 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
 
 
-def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lost: LostRun, path: str) -> NoReturn:
-    """Fail for a scenario whose process did not come back."""
+def _conclude_lost(
+    item: pytest.Function, replays: Replays, finding: Finding, lost: LostRun, path: str, beside: str
+) -> NoReturn:
+    """Fail for a scenario whose process did not come back; ``beside`` is what to call it beside a reference."""
     __tracebackhide__ = True
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
-    label = "still failing" if was_lost else "drifted"
-    detail = "" if was_lost else replays.changes(finding, f"the process {lost.how}")
+    label = beside or ("still failing" if was_lost else "drifted")
+    detail = _against(replays)
+    if label == "drifted":
+        detail = replays.changes(finding, f"the process {lost.how}")
     _tell(item, replays, label, detail)
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
     page = page_messages_of(item, replays.harness.request.settings)
@@ -73,6 +80,11 @@ def _conclude_lost(item: pytest.Function, replays: Replays, finding: Finding, lo
         page.replayed(finding, None, headline=line, label=label, path=path)
     item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
+
+
+def _against(replays: Replays) -> str:
+    against = replays.harness.against
+    return "" if against is None else f"against {against.shown}"
 
 
 def _tell(item: pytest.Function, replays: Replays, label: str, detail: str) -> None:

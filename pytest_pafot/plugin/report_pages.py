@@ -62,8 +62,9 @@ class Pages:
             from pytest_html import extras  # noqa: PLC0415
 
             from pytest_pafot.report.page import render_frame  # noqa: PLC0415
+            from pytest_pafot.report.page_data import Report  # noqa: PLC0415
 
-            row = extras.html(render_frame(self._completed(self._rows.pop(report.nodeid))))
+            row = extras.html(render_frame(Report.of(self._completed(self._rows.pop(report.nodeid)))))
             report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def pytest_sessionfinish(self, exitstatus: int) -> None:

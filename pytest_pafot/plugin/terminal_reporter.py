@@ -164,6 +164,7 @@ class Reporter:
             orphans=[(name, count) for name, count in left if count],
             removed=list(Counter(self._relative(file.parent) for file in self._removed).items()),
             strays=sorted(unrun.strays.items()),
+            unmerged=sorted(unrun.unmerged.items()),
             pruned=bool(self._config.getoption(BY_NAME["prune"].key)),
             problems=self._lines.problems,
             written=self._lines.reports,
@@ -191,6 +192,8 @@ class Reporter:
                 self._searches.append(SearchSummary.from_plain(data))
             case "replay":
                 self._replays.append(terminal.ReplaySummary(node_id=report.nodeid, **data))
+            case "rate" | "merge":
+                self._lines.reports.append(data["text"])
             case "note":
                 self._notes[data["text"]] = None
 

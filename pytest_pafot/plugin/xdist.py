@@ -52,10 +52,11 @@ class Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Take what a worker collected and no item runs."""
-        orphans, strays = getattr(node, "workeroutput", {}).get(KEY, ({}, {}))
+        orphans, strays, unmerged = getattr(node, "workeroutput", {}).get(KEY, ({}, {}, {}))
         unrun = node.config.stash[UNRUN]
         unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
         unrun.strays.update(strays)
+        unrun.unmerged.update(unmerged)
 
 
 class Worker:
@@ -65,4 +66,4 @@ class Worker:
         """Hand over what this worker collected and no item runs, as plain data."""
         unrun = session.config.stash[UNRUN]
         orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
-        session.config.workeroutput[KEY] = (orphans, unrun.strays)  # type: ignore[attr-defined]
+        session.config.workeroutput[KEY] = (orphans, unrun.strays, unrun.unmerged)  # type: ignore[attr-defined]

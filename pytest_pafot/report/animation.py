@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from importlib import import_module
+from types import ModuleType
+
 from pytest_pafot.report.page_data import FindingView
 from pytest_pafot.report.picture import picture_at
 
@@ -35,23 +39,38 @@ def animate(finding: FindingView) -> bytes:
         raise AnimationError(
             f"finding: expected frames to draw, received none for {finding.id}; nobody saw a run of it"
         )
-    try:
-        from pytest_pafot.report.drawing import draw_animation  # noqa: PLC0415
-    except ImportError as error:
-        raise AnimationError(
-            "expected Pillow to draw animations, received an environment without it; "
-            'install it with pip install "pytest-pafot[report]", or ask for a page: --pafot-report=report.html'
-        ) from error
-    content = b""
+    drawing = _drawing()
+    content: bytes = b""
     for rate in RATES:
         pictures = [picture_at(finding, time) for time in moments(finding, rate)]
-        content = draw_animation(finding, pictures, [*[round(1000 / rate)] * (len(pictures) - 1), HOLD_MILLISECONDS])
+        durations = [*[round(1000 / rate)] * (len(pictures) - 1), HOLD_MILLISECONDS]
+        content = drawing.draw_animation(finding, pictures, durations)
         if len(content) <= MAX_BYTES:
             return content
     raise AnimationError(
         f"finding: expected a picture of at most {MAX_BYTES} bytes, received {len(content)} at one frame a second for "
         f"{finding.id} with {len(finding.vehicles)} vehicles; look at it in a page"
     )
+
+
+def strip(finding: FindingView, times: Sequence[float]) -> bytes:
+    """The moments of a finding's run at these times [s], one below the other, as a PNG file's content.
+
+    Raises:
+        AnimationError: without Pillow.
+    """
+    content: bytes = _drawing().draw_strip(finding, [picture_at(finding, time) for time in times])
+    return content
+
+
+def _drawing() -> ModuleType:
+    try:
+        return import_module("pytest_pafot.report.drawing")
+    except ImportError as error:
+        raise AnimationError(
+            "expected Pillow to draw pictures, received an environment without it; "
+            'install it with pip install "pytest-pafot[report]", or ask for a page: --pafot-report=report.html'
+        ) from error
 
 
 def moments(finding: FindingView, rate: int) -> tuple[float, ...]:

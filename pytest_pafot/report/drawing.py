@@ -51,6 +51,20 @@ def draw_animation(finding: FindingView, pictures: Sequence[Picture], durations:
     return content.getvalue()
 
 
+def draw_strip(finding: FindingView, pictures: Sequence[Picture]) -> bytes:
+    """Pictures of a finding one below the other, under one headline, as the content of a PNG file."""
+    first, *others = (Sheet(finding, picture).draw() for picture in pictures)
+    frames = [first, *(frame.crop((0, HEAD, WIDTH, frame.height)) for frame in others)]
+    whole = Images.new("RGB", (WIDTH, sum(frame.height for frame in frames)))
+    top = 0
+    for frame in frames:
+        whole.paste(frame, (0, top))
+        top += frame.height
+    content = io.BytesIO()
+    whole.save(content, "PNG", optimize=True)
+    return content.getvalue()
+
+
 def _palette(npcs: int) -> list[int]:
     """Red, green and blue of every colour in a picture, one after the other: those drawn, and their smooth edges."""
     grounds, inks, tints = (
@@ -122,7 +136,7 @@ class Sheet:
 
     def _cells(self) -> None:
         for cell in self.picture.cells:
-            if cell.exists:
+            if cell.exists and self.finding.instructions:  # ordinary traffic knows no cells
                 self._cell(cell, EDGE, 1, shrink=3)
                 x, y = self._at(cell.along, cell.across)
                 corner = self._x(cell.along - self.finding.vehicles[0].length / 2) + 7, y - 6

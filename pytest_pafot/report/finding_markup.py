@@ -90,18 +90,35 @@ def finding_article(finding: FindingView, index: int) -> str:
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
         _assertion(finding) if finding.check is None else _check_figures(finding.check),
-        f'{_tag_list(finding)}<p class="test">{text(finding.node_id)}</p></header>',
-        '<div class="player"></div>' if finding.times else '<p class="empty">Nobody saw a run to draw.</p>',
-        "<section><h3>What happened</h3>",
-        f'<pre class="explanation">{text(dedent(finding.explanation).strip())}</pre></section>',
+        f"{_tag_list(finding)}{_test(finding)}</header>",
+        '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
+        _explanation(finding),
         "" if finding.shrink is None else _shrink_section(finding.shrink),
         details("Instructions as a table", instruction_table(finding.instructions)),
-        f'<section class="keep"><h3>Run it again</h3>{copyable("Command", finding.command)}',
-        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>',
-        '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>',
-        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section></article>',
+        _keep_section(finding) if finding.yaml else "",
+        "</article>",
     ]
     return "".join(parts)
+
+
+def _explanation(finding: FindingView) -> str:
+    words = text(dedent(finding.explanation).strip())
+    return f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else ""
+
+
+def _test(finding: FindingView) -> str:
+    return f'<p class="test">{text(finding.node_id)}</p>' if finding.node_id else ""
+
+
+def _keep_section(finding: FindingView) -> str:
+    """The command that runs it again, where there is one, and its file."""
+    command = f"<h3>Run it again</h3>{copyable('Command', finding.command)}" if finding.command else ""
+    return (
+        f'<section class="keep">{command}'
+        f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
+        '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
+        f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
+    )
 
 
 def _assertion(finding: FindingView) -> str:
@@ -137,14 +154,14 @@ def _tags(finding: FindingView) -> list[str]:
     tags = [WHO.get(_who(finding), finding.responsibility)]
     if finding.check is not None and finding.responsibility != "none":
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
-    tags.append(plural(finding.runs, "run"))
+    tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
 
 def _tag_list(finding: FindingView) -> str:
     who, *tags = _tags(finding)
-    tags += [finding.prevention] if finding.prevention else []
+    tags += [each for each in (finding.prevention, finding.perception) if each]
     mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     items = "".join(f"<li>{text(tag)}</li>" for tag in tags)
     return f'<ul class="tags"><li>{mark} {text(who)}</li>{items}</ul>'

@@ -68,18 +68,42 @@ def finding_view(
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
         vehicles=(),
         times=(),
-        instructions=_instructions(trace, finding),
+        instructions=_instructions(trace, finding.scenario),
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(node_id)}",
         last_chance=None if chance is None else ChanceView(time=chance.time, sentence=chance.sentence),
         prevention=prevention_text(expect),
+        perception="" if finding.perception is None else finding.perception.sentence,
     )
     if finding.shrunk is not None:
         original, rollouts = finding.original or finding.scenario, finding.shrunk.rollouts
         shrink = shrink_view(original, finding.scenario, rollouts=rollouts, notes=speed_sentences(finding))
         view = replace(view, shrink=shrink)
     return view if trace is None else _with_run(view, trace, clearance, check)
+
+
+def run_view(trace: Trace, clearance: float = CLEARANCE) -> FindingView:
+    """The view of a run that no test has judged, with the gap to the cells ahead and behind [m]; it is in no file."""
+    run = Run(trace)
+    headline, _, explanation = run.explain().partition("\n")
+    view = FindingView(
+        id=f"scenario {run.scenario.id}",
+        node_id="",
+        test="",
+        headline=headline,
+        explanation=explanation,
+        responsibility=run.responsibility or "none",
+        road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
+        vehicles=(),
+        times=(),
+        instructions=_instructions(trace, run.scenario),
+        event=EventView(kind=str(run.outcome), time=run.event_time),
+        yaml="",
+        command="",
+        runs=0,
+    )
+    return _with_run(view, trace, clearance, None)
 
 
 def _assertion(expect: Expect) -> str:
@@ -169,9 +193,9 @@ def _peaks(values: FloatArray, ticks: Sequence[int]) -> FloatArray:
     return np.array([span[np.argmax(np.abs(span))] for span in spans])
 
 
-def _instructions(trace: Trace | None, finding: Finding) -> tuple[InstructionView, ...]:
-    """Without a run, as asked for; none of them begun."""
-    asked = finding.scenario if trace is None else trace.scenario
+def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
+    """Without a run, as asked for in the scenario; none of them begun."""
+    asked = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (asked.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     views = []
     for npc, chain in enumerate(asked.npcs):

@@ -14,7 +14,7 @@ from pytest_pafot.report.campaign_markup import campaign_article
 from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.markup import copyable, facts, text
 from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import FindingView, Report
+from pytest_pafot.report.page_data import Report
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
@@ -22,7 +22,9 @@ SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "campaign.js", "main.
 """In this order; each adds to what the ones before it define."""
 
 FRAME_HEIGHT = 1010
-"""Of a finding inside another page [px]."""
+"""Of a page inside another one [px]."""
+WORDS_HEIGHT = 480
+"""Of one that shows no run [px]."""
 CURVE_HEIGHT = 180
 """What the curve of a check needs besides [px]."""
 
@@ -33,7 +35,8 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # This very style and script, and no connection to anywhere.
     policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
-    is_open = len(report.campaigns) == 1
+    kind = "embedded" if embedded else "whole"
+    is_open = len(report.campaigns) == 1 and not embedded
     campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
     searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(
@@ -41,7 +44,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         policy=f"{policy}; base-uri 'none'; form-action 'none'",
         style=style,
         script=script,
-        kind="embedded" if embedded else "whole",
+        kind=kind if len(report.findings) == 1 else f"{kind} listed",
         facts=facts(report.facts) + (copyable("Command", report.command) if report.command else ""),
         count=len(report.findings),
         errors=_errors(report),
@@ -52,15 +55,17 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     )
 
 
-def render_frame(finding: FindingView) -> str:
-    """An ``<iframe>`` that holds the page of a single finding, for a row of another report such as pytest-html's.
+def render_frame(report: Report) -> str:
+    """An ``<iframe>`` that holds the page, for a place in another one: a row of pytest-html's, or a notebook's output.
 
     The frame may run its own scripts and nothing else.
     """
-    page = render_page(Report(title=finding.headline, findings=(finding,)), embedded=True)
-    height = FRAME_HEIGHT + (CURVE_HEIGHT if finding.check is not None and finding.check.values else 0)
+    page = render_page(report, embedded=True)
+    has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
+    is_drawn = any(finding.times for finding in report.findings)
+    height = (FRAME_HEIGHT if is_drawn else WORDS_HEIGHT) + (CURVE_HEIGHT if has_curve else 0)
     return (
-        f'<iframe class="pafot-finding" title="{text(finding.headline)}" sandbox="allow-scripts" '
+        f'<iframe class="pafot-finding" title="{text(report.title)}" sandbox="allow-scripts" '
         f'loading="lazy" width="100%" height="{height}" style="border:0" srcdoc="{escape(page)}"></iframe>'
     )
 

@@ -9,6 +9,7 @@ of vehicles that never touch; so it is with a text that is empty.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
@@ -175,15 +176,16 @@ class FindingView:
         node_id: of the item that replays it.
         assertion: the line of the test that failed, or what was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
-        runs: of the search that failed in this way.
+        runs: of the search that failed in this way; 0 for a run that no test has judged.
         generation: in which it was first found, from 0; None where no search found it.
         label: ``new``, ``still failing``, ``flaky`` and so on.
         vehicles: the ego, then the NPCs.
         times: of the frames; none where nobody saw a run.
         instructions: of all NPCs, ordered by NPC and gene.
-        yaml, path: the text of its file and where that is.
+        yaml, path: the text of its file and where that is; empty for a run that is in none.
         check: that failed; None where something else did.
         prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
+        perception: which imperfections of its sight it needs; empty where that is perfect.
         last_chance: None where there is no such moment.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
@@ -208,6 +210,7 @@ class FindingView:
     assertion: str = ""
     check: CheckView | None = None
     prevention: str = ""
+    perception: str = ""
     last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
@@ -308,3 +311,8 @@ class Report:
     campaigns: tuple[CampaignView, ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
+
+    @classmethod
+    def of(cls, finding: FindingView) -> Self:
+        """With a single finding, and nothing of a session."""
+        return cls(title=finding.headline, findings=(finding,))

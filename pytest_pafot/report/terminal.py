@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.proportions import interval_text
 from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
 from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import PositionInstruction
@@ -67,6 +68,7 @@ class SessionSummary:
         removed: folders from which such files were removed, with how many.
         pruned: whether they were to be removed.
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
+        unmerged: folders of other corpora that were not merged, each with why.
         interrupted: node ids of searches that began and did not end.
     """
 
@@ -76,6 +78,7 @@ class SessionSummary:
     removed: Sequence[tuple[str, int]] = ()
     pruned: bool = False
     strays: Sequence[tuple[str, str]] = ()
+    unmerged: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
@@ -119,7 +122,7 @@ def find_section(
 
 
 def simplified_lines(finding: Finding) -> list[str]:
-    """The size of a find before and after, which of the reference drivers would have prevented it, and when."""
+    """The size of a find before and after, which reference drivers would have prevented it, when, with what sight."""
     lines: list[str] = []
     if finding.shrunk is not None:
         after = "as simple as it gets" if finding.original is None else f"to {size_of(finding.scenario)}"
@@ -127,6 +130,7 @@ def simplified_lines(finding: Finding) -> list[str]:
         lines.append(f"shrunk     from {size_of(finding.original or finding.scenario)} {after}{more}")
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
+    lines += [] if finding.perception is None else [finding.perception.sentence]
     return lines if finding.expect.last_chance is None else [*lines, finding.expect.last_chance.sentence]
 
 
@@ -192,6 +196,10 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
         f"{', '.join(done)}, ended: {search.reason}"
     )
     texts = [_figures(search), *_find_lines(search), origin, *([search.drawn] if search.drawn else [])]
+    failing, random = search.random
+    if random:
+        share = interval_text(failing, random)
+        texts.append(f"random scenarios: {failing} of {random} failed by the ego's fault, {share}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
@@ -278,6 +286,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
         lines += _wrapped(LEFT_ALONE if session.pruned else ORPHANED, width)
     for file, place in session.strays:
         lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
+    lines += [ascii_text(f"not merged: {folder}: {why}") for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
         lines.append("a saved scenario runs alone with: pytest FILE")
     lines += [ascii_text(line) for line in session.written]

@@ -47,8 +47,11 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
     library: ClassVar[str] = "cmaes"
 
     def __post_init__(self) -> None:
-        if self.population < 2:
-            raise ValueError(f"population: expected at least 2, to rank them, received {self.population!r}")
+        if self.population < 4:
+            raise ValueError(
+                f"population: expected at least 4 for cma-es, which learns from the better half of them, received "
+                f"{self.population!r}"
+            )
 
     def start(self, rng: Generator) -> CmaEsState:
         """The state before the first generation; the optimiser's own draws follow from one of the generator."""

@@ -22,7 +22,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
-from pytest_pafot.searching.operators import crossover, improves, mutate, tournament
+from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
@@ -101,7 +101,7 @@ class DistinctSearch(NicheSearch[DistinctState]):
         """One to three mutations of a parent, or of two that have swapped NPCs."""
         child = _parent(parents, rng).executed
         if rng.random() < self.crossover_rate:
-            child, _ = crossover(child, _parent(parents, rng).executed, rng)
+            child = first_crossed(child, _parent(parents, rng).executed, rng)
         for _ in range(int(rng.integers(1, self.most_mutations + 1))):
             child = mutate(child, self.space, rng)
         return child

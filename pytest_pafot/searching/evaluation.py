@@ -103,7 +103,7 @@ class Evaluation:
         margins: tuple[tuple[str, float], ...] = (),
     ) -> Self:
         """The evaluation of a run: the judgements given, the rest read from its trace."""
-        interaction, left_behind = interaction_of(trace)
+        interaction, left_behind = trace.reading("interaction", interaction_of)
         arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
             scenario=trace.scenario,

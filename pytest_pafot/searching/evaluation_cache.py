@@ -23,9 +23,15 @@ class EvaluationCache:
     A run that ended in gene ``d`` depended on the first ``d`` genes of each NPC and on the start alone. Another
     scenario that agrees in these gives the same run, in two cases: it agrees with the chains as driven, which are
     a fixed point of the repair whatever the seed; or with the chains as asked for and with the seed.
+
+    Args:
+        evaluations: known from the beginning.
+        seeds_matter: whether the seed decides on more than the repair, such as what the ADS sees, so that another
+            scenario must agree in it in both cases.
     """
 
-    def __init__(self, evaluations: Iterable[Evaluation] = ()) -> None:
+    def __init__(self, evaluations: Iterable[Evaluation] = (), *, seeds_matter: bool = False) -> None:
+        self._seeds_matter = seeds_matter
         self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
         self._depths: list[int] = []
         self._places: deque[list[tuple[_Key, int | None]]] = deque()  # of each run, the oldest first
@@ -41,7 +47,7 @@ class EvaluationCache:
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
         # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
-        seed = None if evaluation.scenario.positions else evaluation.scenario.seed
+        seed = None if evaluation.scenario.positions and not self._seeds_matter else evaluation.scenario.seed
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
         places = [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
         places = [(key, needed) for key, needed in places if needed not in self._evaluations.get(key, {})]

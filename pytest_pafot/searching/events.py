@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pytest_pafot.searching.coverage import Coverage
 from pytest_pafot.searching.evaluation import Evaluation
 
 EndReason = Literal["generations", "runs", "time", "stopped"]
@@ -91,7 +90,6 @@ class CampaignFinished:
     evaluated: int  # scenarios that were evaluated
     simulated: int  # those of them that were run
     best: Evaluation | None  # None when no run was eligible
-    coverage: Coverage = field(default_factory=Coverage)  # of the instructions of the simulated scenarios
     seconds: float = field(compare=False)  # by the campaign's clock; not reproducible
 
 

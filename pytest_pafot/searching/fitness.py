@@ -189,6 +189,11 @@ def resolve(fitness: str | Weights | Fitness = "default", *, responsible: Respon
     return checked if responsible is None else Steered(checked, responsible)
 
 
+def is_built_in(fitness: str | Weights | Fitness) -> bool:
+    """Whether it is the default, with any weights, or one with a name, rather than a function of the user's."""
+    return isinstance(fitness, Weights) or (isinstance(fitness, str) and fitness in FITNESSES)
+
+
 @dataclass(frozen=True, slots=True)
 class Steered:
     """The fitness of a search for collisions that the ego is responsible for (``blame`` other than ``any``).

@@ -43,7 +43,7 @@ class Health:
     evaluated: int = 0  # scenarios that the algorithm asked for
     simulated: int = 0  # those of them that were run; the others were known from earlier runs
     invalid: int = 0  # runs in which two NPCs touched
-    discarded: int = 0  # runs that the user's function declined to judge
+    discarded: int = 0  # runs that the user's function declined to judge, or whose process did not come back
     genes_started: int = 0  # over all NPCs, but for runs that a fault of the ADS cut short, and so are the next
     genes_reached: int = 0
     valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
@@ -112,7 +112,8 @@ class Health:
         if self.vacuous:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
-                f"between NPCs, {self.discarded} were discarded), so nothing was tested; use fewer NPCs, or reject less"
+                f"between NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
+                "tested; use fewer NPCs, reject less, or mend what ends the process"
             )
         if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
             found.append(

@@ -19,7 +19,7 @@ from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
-from pytest_pafot.searching.operators import crossover, mutate
+from pytest_pafot.searching.operators import first_crossed, mutate
 
 if TYPE_CHECKING:
     from ribs.archives import GridArchive
@@ -61,7 +61,7 @@ class MapElitesSearch(NicheSearch[MapElitesState]):
     def child(self, parents: Sequence[Evaluation], rng: Generator) -> Scenario:
         """A mutation of an elite, or of two that have swapped NPCs."""
         a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
-        child = crossover(a, b, rng)[0] if rng.random() < self.crossover_rate else a
+        child = first_crossed(a, b, rng) if rng.random() < self.crossover_rate else a
         return mutate(child, self.space, rng)
 
     def learn(self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: Generator) -> MapElitesState:

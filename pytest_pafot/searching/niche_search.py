@@ -29,6 +29,11 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
     def __post_init__(self) -> None:
         check_parameters(self, rates=("crossover_rate",), population=1, random_runs=1)
 
+    @property
+    def random_at_first(self) -> float:
+        """Scenarios at the beginning of a search that are random."""
+        return max(self.population, self.random_runs)
+
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
         """Random scenarios at first and while there is no parent; then children."""
         parents = self.parents(state)

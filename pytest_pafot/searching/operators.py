@@ -33,19 +33,28 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     )
 
 
+def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
+    """The first child of a :func:`crossover` alone, after as many draws: to repair the other takes as long."""
+    in_a, in_b = int(rng.integers(len(a.npcs))), int(rng.integers(len(b.npcs)))
+    child = _child(a, with_chain(a.npcs, in_a, b.npcs[in_b]), rng)
+    fresh_seed(rng)
+    return child
+
+
 def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """Replace one random Position-Instruction by a new one that is repaired to fit in (section 3.4.2).
 
     The repair acts on the new instruction and leaves its neighbours in the chain alone. Repairing what follows
     it instead would rewrite the rest of the chain and lose what the parent was selected for.
 
-    Where the space draws starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one into
-    a chain, and that tenth as well where the space draws no starts.
+    Where the space has several starts, a tenth of the mutations draws one anew; where it has patterns, a third puts one
+    into a chain.
     """
-    draw = rng.random() if space.draws_start or space.patterns else 1.0
-    if space.draws_start and draw < STARTS:
+    starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
+    draw = rng.random() if starts or space.patterns else 1.0
+    if draw < starts:
         return _started_anew(scenario, space, rng)
-    if space.patterns and draw < STARTS + PATTERNS:
+    if space.patterns and draw < starts + PATTERNS:
         return _with_pattern(scenario, space, rng)
     chains = scenario.positions
     places = [(npc, gene) for npc, chain in enumerate(chains) for gene in range(len(chain))]
@@ -60,9 +69,9 @@ def mutate(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
 def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     """The scenario with another first speed or, less often, another first lane of the ego."""
     others = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
-    if space.ego_speeds is not None and (not others or rng.random() < SPEEDS):
+    if space.has_speeds and (not others or rng.random() < SPEEDS):
         return replace(scenario, ego_speed=space.drawn_speed(rng))
-    return replace(scenario, ego_lane=others[int(rng.integers(len(others)))]) if others else scenario
+    return replace(scenario, ego_lane=others[int(rng.integers(len(others)))])
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

@@ -6,6 +6,7 @@ as random Position-Instructions or as random manoeuvres. Both are here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -22,6 +23,7 @@ class RandomSearch(GenerationalSearch[GenerationState]):
     """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2)."""
 
     name: ClassVar[str] = "random"
+    random_at_first: ClassVar[float] = math.inf  # scenarios at the beginning of a search that are random
 
     def start(self, rng: Generator) -> GenerationState:
         """The state before the first generation; it needs no draw."""

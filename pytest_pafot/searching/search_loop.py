@@ -39,6 +39,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     clock: Callable[[], float] | None = None,
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
+    seeds_matter: bool = False,
     foresee: Callable[[Sequence[Scenario]], None] | None = None,
     adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
 ) -> Generator[Event, None, None]:
@@ -65,6 +66,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         stop: asked between two calls of ``evaluate`` whether to end the campaign.
         batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
             larger ones let ``evaluate`` simulate in parallel.
+        seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
             them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
         adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
@@ -97,7 +99,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
     begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
-    evaluator = _Evaluator(evaluate, foresee)
+    evaluator = _Evaluator(evaluate, foresee, EvaluationCache(seeds_matter=seeds_matter))
     return _campaign(algorithm, adapted, evaluator, exceeded, now, begun, runs or sys.maxsize, batch)
 
 
@@ -170,17 +172,18 @@ def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
         evaluated=end.evaluated + 1,
         simulated=end.simulated + (not event.reused),
         best=event.evaluation if improves(event.evaluation, end.best) else end.best,
-        coverage=end.coverage if event.reused else end.coverage.counted(event.evaluation),
     )
 
 
 class _Evaluator:
     """The one gate before each simulation."""
 
-    def __init__(self, evaluate: Evaluate, foresee: Callable[[Sequence[Scenario]], None] | None) -> None:
+    def __init__(
+        self, evaluate: Evaluate, foresee: Callable[[Sequence[Scenario]], None] | None, cache: EvaluationCache
+    ) -> None:
         self._evaluate = evaluate
         self._foresee = foresee
-        self._cache = EvaluationCache()
+        self._cache = cache
 
     def foresee(self, scenarios: Sequence[Scenario], most: int) -> None:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does.

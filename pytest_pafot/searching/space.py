@@ -98,6 +98,11 @@ class SearchSpace:
         """Whether scenarios start differently."""
         return bool(self.ego_lanes) or self.ego_speeds is not None
 
+    @property
+    def has_speeds(self) -> bool:
+        """Whether there are several first speeds to draw from."""
+        return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
+
     def drawn_lane(self, rng: Generator) -> int:
         """A first lane of the ego."""
         return self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane

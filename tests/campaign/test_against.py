@@ -34,6 +34,10 @@ class Breaks:
         raise KeyError("lanes")
 
 
+def returns_nothing():
+    """A factory without a `return`."""
+
+
 def collides(ads, scenario):
     return pafot.Run(ROAD.rollout(scenario, ads)).collision is not None
 
@@ -121,7 +125,9 @@ def test_an_error_of_the_test_function_is_raised_though_it_is_common():
         ("example_ads.constant_speed:__doc__", r"against: expected a factory such as"),
         ("old_ads", r"pafot\.explore\(against\): expected a factory or its module:factory, received 'old_ads'"),
         (3, r"against: expected a factory such as .*, received 3"),
-        (lambda model: model, r"against: ads: expected a factory that can be called without arguments"),
+        (lambda model: model, r"^against \(the reference\): expected a factory that can be called without arguments"),
+        (lambda: pytest.skip("old"), r"^against \(.*\): expected the factory of the reference to raise no skip"),
+        (returns_nothing, r"^against \(tests\.campaign\.test_against:returns_nothing\): expected the factory to"),
     ],
 )
 def test_what_is_no_factory_is_one_clear_error(against, message):

@@ -115,7 +115,7 @@ def test_what_a_corpus_holds_is_known_to_the_next_search(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
     files = sorted(tmp_path.rglob("*.pafot.yaml"))
-    assert [pafot.load(file) for file in files] == sorted(first.findings, key=lambda finding: finding.id)
+    assert [pafot.load(file).finding for file in files] == sorted(first.findings, key=lambda finding: finding.id)
     again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
     assert again.findings == ()
     assert sum(again.summary.known.values()) == again.summary.failing
@@ -221,7 +221,7 @@ def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_ne
     found = pafot.explore(
         constant_speed.make, holds=never_collides, seed=5, corpus=corpus, stop_after=1, **SHORT
     ).findings
-    saved = {path.name.removesuffix(".pafot.yaml"): pafot.load(path) for path in corpus.rglob("*.pafot.yaml")}
+    saved = {path.name.removesuffix(".pafot.yaml"): load(path) for path in corpus.rglob("*.pafot.yaml")}
     assert [finding.id for finding in found] == [name for name in saved if name.endswith("-2")]
     assert [saved[finding.id].scenario for finding in found] == [finding.scenario for finding in found]
 

@@ -157,11 +157,11 @@ def test_a_scenario_in_which_a_process_died_is_not_run():
     assert found.runs == everything.runs - 1
 
 
-def test_processes_that_die_are_one_find_with_a_count_and_no_runs():
+def test_processes_that_die_are_one_find_with_a_count_of_failing_runs():
     found, finds = searched(lambda number: failed(), run=lost)
     assert finds == [("crash", 0, 1)]
     assert found.repeats == {"id-1": 5}
-    assert found.runs == 0
+    assert found.verdicts == {"failed": 6}
     assert len(found.fatal) == 6
 
 
@@ -175,7 +175,8 @@ def test_where_a_process_dies_and_the_reference_fails_as_well_there_is_no_find()
     found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
     assert finds == [("crash", 0, 1)]
     assert found.repeats == {"id-1": 2}
-    assert found.verdicts == {"common": 3}
+    assert found.verdicts == {"failed": 3, "common": 3}
+    assert found.runs == found.health.simulated == found.health.discarded == 6
 
 
 def test_processes_that_die_are_known_while_a_saved_scenario_says_so():

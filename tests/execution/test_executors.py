@@ -56,11 +56,12 @@ class InThisProcess:
     def __init__(self, work, size, **options):
         self.work, self.recovered = work, []
 
-    def expect(self, scenarios):
+    def expect(self, scenarios, floors):
+        self.floors = floors
         ran.append(len(scenarios))
 
     def fetch(self, scenario):
-        return self.work(scenario, None)
+        return self.work(scenario, None, self.floors)
 
 
 @pytest.fixture
@@ -86,12 +87,12 @@ def fetched(pool, scenarios=SCENARIOS):
 
 
 def numbers(answers):
-    return [trace.scenario.seed for trace, _ in answers]
+    return [trace.scenario.seed for trace, *_ in answers]
 
 
 def test_runs_are_those_of_this_process_in_the_order_in_which_they_are_asked_for(pool_of):
     answers = fetched(pool_of(Inline()))
-    assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, _ in answers)
+    assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers)
     assert numbers(answers) == list(range(48))
 
 
@@ -152,6 +153,21 @@ def test_an_executor_that_is_broken_is_used_no_more(pool_of):
     ]
 
 
+def test_a_connection_that_fails_is_tried_once_more(pool_of):
+    pool = pool_of(Inline(lost=(1,), error=ConnectionResetError))
+    assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
+    assert [lost.how for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
+
+
+def test_an_executor_whose_connections_go_on_failing_is_used_no_more_and_no_scenario_is_to_blame(pool_of):
+    executor = Inline(lost=range(1, 99), error=OSError)
+    pool = pool_of(executor)
+    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
+    fetched(pool, SCENARIOS[3:6])
+    assert len(executor.sizes) == 4
+    assert pool.notes == ["pafot_executor: this process ran the scenarios, since no other could: OSError: pafot-1"]
+
+
 def test_a_worker_with_other_versions_is_refused_and_both_are_named(pool_of, monkeypatch):
     pool = pool_of(Inline())
     here = versions_here()
@@ -175,15 +191,16 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "my_planner", module)
     parcel = packed(job_of(tmp_path, module.Planner))
     monkeypatch.delitem(sys.modules, "my_planner")
-    _, ads = pickle.loads(parcel.content)
+    _, ads, _ = pickle.loads(parcel.content)
     assert ads()(1) == 7
 
 
-def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(pool_of):
-    class Unable(InThisProcess):
-        def fetch(self, scenario):
-            return LookupError("my-env-v0 is not registered") if scenario.seed else super().fetch(scenario)
+class Unable(InThisProcess):
+    def fetch(self, scenario):
+        return LookupError("my-env-v0 is not registered") if scenario.seed else super().fetch(scenario)
 
+
+def test_what_workers_cannot_run_is_left_to_the_session_and_the_notes_say_why(pool_of):
     pool = pool_of(Inline(), worker=Unable)
     assert [type(each) for each in fetched(pool, SCENARIOS[:3])] == [tuple, LookupError, LookupError]
     (note,) = pool.notes
@@ -196,6 +213,16 @@ def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
     isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
     assert isolated.take(SCENARIOS[0], afresh=True) is not None
     assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
+
+
+def test_an_isolated_run_that_workers_cannot_make_is_refused_and_not_made_by_the_session(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "WorkerPool", Unable)
+    executors._bench.cache_clear()
+    isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
+    assert isolated.take(SCENARIOS[0], afresh=True) is not None
+    with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; let the"):
+        isolated.take(SCENARIOS[1], afresh=True)
+    assert isolated.notes == []
 
 
 def test_what_cannot_travel_is_refused(tmp_path):

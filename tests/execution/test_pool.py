@@ -4,6 +4,7 @@ import faulthandler
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import time
 import warnings
@@ -246,6 +247,33 @@ def test_an_exception_kills_those_at_work_at_once(pool_of):
         raise KeyboardInterrupt
     assert time.monotonic() - started < 5
     assert multiprocessing.active_children() == []
+
+
+def test_a_program_that_a_process_at_work_waits_for_ends_with_it(pool_of, tmp_path):
+    def start_one(number):
+        busy = subprocess.Popen([sys.executable, "-c", "while True: pass"], process_group=0)
+        (tmp_path / "unfinished").write_text(str(busy.pid))
+        (tmp_path / "unfinished").rename(tmp_path / "pid")
+        busy.wait()
+
+    pool = pool_of(start_one)
+    pool.expect([1])
+    deadline = time.monotonic() + 10
+    while not (tmp_path / "pid").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    pool.close()
+    program = int((tmp_path / "pid").read_text())
+    deadline = time.monotonic() + 10
+    while _is_running(program) and time.monotonic() < deadline:  # a signal takes a moment
+        time.sleep(0.01)
+    assert not _is_running(program)
+
+
+def _is_running(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"  # nobody may have asked for its exit code yet
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def test_the_end_does_not_wait_for_answers_that_nobody_asks_for_any_more(pool_of):

@@ -18,18 +18,18 @@ SCENARIOS = [scenario(number) for number in range(8)]
 class Pool:
     """Answers at once, and remembers what was asked for."""
 
-    def __init__(self, answers=None):
-        self.answers = answers or {}
+    def __init__(self, answers=None, seconds=0.02):
+        self.answers, self.seconds = answers or {}, seconds
         self.expected, self.fetched, self.closed = [], [], None
         self.failure, self.recovered = "", []
 
-    def expect(self, scenarios):
+    def expect(self, scenarios, floors):
         self.expected = list(scenarios)
 
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
-        return self.answers.get(scenario.seed) or (trace_of(scenario), CapturedOutput())
+        return self.answers.get(scenario.seed) or (trace_of(scenario), CapturedOutput(), self.seconds)
 
     def close(self, *, at_once):
         self.expected, self.closed = [], at_once
@@ -78,18 +78,18 @@ def asked(runner, scenarios=SCENARIOS):
 
 
 class TestProcesses:
-    def test_after_some_dear_runs_the_rest_of_the_generation_is_made_by_them(self, runner_of):
+    def test_after_a_dear_run_the_rest_of_the_generation_is_made_by_them(self, runner_of):
         world, pool = World(0.02), Pool()
         assert asked(runner_of(world, pool)) == list(range(8))
-        assert world.ran == [0, 1, 2]
-        assert pool.fetched == [3, 4, 5, 6, 7]
+        assert world.ran == [0]
+        assert pool.fetched == [1, 2, 3, 4, 5, 6, 7]
 
     def test_the_next_generation_is_made_by_them_from_its_beginning(self, runner_of):
         world, pool = World(0.02), Pool()
         runner = runner_of(world, pool)
         asked(runner, SCENARIOS[:4])
         asked(runner, SCENARIOS[4:])
-        assert pool.fetched == [3, 4, 5, 6, 7]
+        assert pool.fetched == [1, 2, 3, 4, 5, 6, 7]
 
     def test_cheap_runs_stay_in_this_one_and_the_note_says_what_a_run_took(self, runner_of):
         world = World(0.005)
@@ -98,15 +98,25 @@ class TestProcesses:
         assert world.ran == list(range(8))
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays from 10 ms on"]
 
-    def test_the_first_run_does_not_count_since_it_loads_what_the_others_use(self, runner_of):
-        world = World(1.5)
-        runner = runner_of(world)
+    def test_they_end_where_only_the_first_run_was_dear_since_it_loads_what_the_others_use(self, runner_of):
+        world, pool = World(1.5), Pool(seconds=0.005)
+        with runner_of(world, pool) as runner:
+            runner.announce(SCENARIOS)
+            runner.run(SCENARIOS[0])
+            world.seconds = 0.005
+            assert [runner.run(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+        assert (pool.fetched, pool.closed) == ([1, 2], True)
+        assert world.ran == [0, 3, 4, 5, 6, 7]
+        assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays from 10 ms on"]
+
+    def test_they_begin_later_where_the_first_run_was_not_dear_and_the_others_are(self, runner_of):
+        world, pool = World(0.005), Pool()
+        runner = runner_of(world, pool)
         runner.announce(SCENARIOS)
         runner.run(SCENARIOS[0])
-        world.seconds = 0.005
-        for each in SCENARIOS[1:]:
-            runner.run(each)
-        assert world.ran == list(range(8))
+        world.seconds = 0.02
+        assert [runner.run(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+        assert world.ran == [0, 1]
 
     @pytest.mark.parametrize("seconds", [0.0, 0.02])
     @pytest.mark.parametrize("workers", [1, 2, 3])
@@ -136,17 +146,17 @@ class TestProcesses:
         asked(runner)
         runner.announce(SCENARIOS)
         runner.run(SCENARIOS[5], afresh=True)
-        assert world.ran == [0, 1, 2, 5]
+        assert world.ran == [0, 5]
 
     def test_a_run_that_none_of_them_can_make_is_made_in_this_one(self, runner_of):
         world, pool = World(0.02), Pool({4: ValueError()})
         assert asked(runner_of(world, pool)) == list(range(8))
-        assert world.ran == [0, 1, 2, 4]
+        assert world.ran == [0, 4]
 
     def test_what_was_said_in_them_is_said_here_in_the_order_of_the_scenarios(self, runner_of, capsys):
-        answers = {n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n")) for n in range(3, 8)}
+        answers = {n: (trace_of(scenario(n)), CapturedOutput(out=f"run {n}\n"), 0.02) for n in range(1, 8)}
         asked(runner_of(World(0.02), Pool(answers)))
-        assert capsys.readouterr().out == "run 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
+        assert capsys.readouterr().out == "run 1\nrun 2\nrun 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
     def test_a_scenario_whose_process_did_not_come_back_raises(self, runner_of):
         lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
@@ -186,7 +196,7 @@ class TestProcesses:
             asked(runner)
             runner.announce(SCENARIOS)
         runner.run(SCENARIOS[7])
-        assert world.ran == [0, 1, 2, 7]
+        assert world.ran == [0, 7]
 
     def test_the_notes_say_what_was_used_and_what_came_back_at_the_second_try(self, runner_of):
         pool = Pool()
@@ -194,7 +204,7 @@ class TestProcesses:
         with runner_of(World(0.02), pool) as runner:
             asked(runner)
         used, recovered = runner.notes
-        assert used == "--pafot-workers=2: in use after 3 runs of this process"
+        assert used == "--pafot-workers=2: in use after 1 run of this process"
         assert recovered.startswith("a process (pid 7) was ended by SIGKILL while it ran <Scenario ")
         assert "too little memory for so many workers" in recovered
 

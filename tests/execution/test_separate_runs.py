@@ -50,7 +50,7 @@ def test_each_scenario_is_run_and_judged_in_another_process(job_of, tmp_path, ca
         (tmp_path / f"{trace.scenario.seed}").write_text(f"{os.getpid()}")
 
     answers = answers_apart(job_of(idle), [ONE, TWO], judge, isolate=False)
-    assert [trace.scenario for trace, _ in answers.values()] == [ONE, TWO]
+    assert [trace.scenario for trace, *_ in answers.values()] == [ONE, TWO]
     assert {(tmp_path / "1").read_text(), (tmp_path / "2").read_text()}.isdisjoint({f"{os.getpid()}"})
     assert capfd.readouterr().out == ""
 

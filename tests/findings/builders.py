@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.corpus.schema import LIMITS, WORLDS
-from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
+from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
 from pytest_pafot.run import ReferenceOutcome
 from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
+from pytest_pafot.sight import NOISES, Sight
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway
 
@@ -154,6 +155,20 @@ def simplifications(draw, scenario):
 
 
 @st.composite
+def perceptions(draw):
+    numbers = st.floats(0, 1e6)
+    sight = Sight(
+        range=draw(st.none() | numbers),
+        latency=draw(numbers),
+        noise=draw(st.dictionaries(st.sampled_from(sorted(NOISES)), numbers)),
+        dropout=draw(st.floats(0, 1)),
+        occlusion=draw(st.booleans()),
+    )
+    names = st.lists(st.sampled_from(sight.imperfections), unique=True) if sight.imperfections else st.just([])
+    return Perceived(sight=sight, needed=draw(st.none() | names.map(tuple)))
+
+
+@st.composite
 def findings(draw):
     scenario = draw(scenarios())
     return Finding(
@@ -167,7 +182,9 @@ def findings(draw):
             generation=draw(st.integers(0, 10**6)),
             algorithm=draw(texts()),
             versions=draw(st.dictionaries(keys(), texts(), max_size=4)),
+            weights=draw(texts()),
         ),
+        perception=draw(st.none() | perceptions()),
         original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),

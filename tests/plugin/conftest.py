@@ -7,6 +7,8 @@ import highway_env.road.road  # noqa: F401  pytester forgets modules that a run 
 import pytest
 
 import pytest_pafot.campaign.replays
+import pytest_pafot.plugin.execution
+import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.object_engine
@@ -14,7 +16,7 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.support.sessions import in_process
+from tests.support.sessions import in_a_copy, in_process
 
 CONFTEST = """
 import pytest
@@ -48,8 +50,9 @@ SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
 class Project:
     """A folder with tests, and what a session in it shows."""
 
-    def __init__(self, pytester):
+    def __init__(self, pytester, found):
         self.pytester = pytester
+        self.found = found
         self.path = pytester.path
         pytester.makeconftest(CONFTEST)
 
@@ -58,8 +61,13 @@ class Project:
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
-    def run(self, *args, generations=1, seed=1, subprocess=False, plugins=(), **inline):
-        """A session with this plugin and no other people's but those asked for."""
+    def run(self, *args, generations=1, seed=1, plugins=(), apart=False, fresh=False, **inline):
+        """A session with this plugin and no other people's but those asked for.
+
+        Args:
+            apart: in a process that it may end.
+            fresh: in an interpreter that has imported nothing yet.
+        """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
         # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
         names = ["pafot", *parallel, *plugins, "no:unraisableexception"]
@@ -69,9 +77,22 @@ class Project:
         if seed is not None:
             options.append(f"--pafot-seed={seed}")
         options += map(str, args)
-        if subprocess:
-            return self.pytester.runpytest_subprocess(*options, **inline)
+        if fresh:
+            return self.pytester.runpytest_subprocess(*options)
+        if apart:
+            return in_a_copy(self.pytester, *options)
         return in_process(self.pytester, *options, **inline)
+
+    def search_once(self, *args, **options):
+        """Corpus files of a session with these options that no project with the same sources has searched before."""
+        sources = (path.read_text(encoding="utf-8") for path in sorted(self.path.rglob("*.py")))
+        key = (*sources, args, *options.items())
+        if key not in self.found:
+            self.run(*args, **options)
+            self.found[key] = self.contents
+        for name, text in self.found[key].items():
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+            (self.path / name).write_text(text, encoding="utf-8")
 
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
         """What a process leaves behind that died while a test ran a scenario, or several at once."""
@@ -118,8 +139,14 @@ class Project:
         return self.only_file.name.removesuffix(".pafot.yaml")
 
 
+@pytest.fixture(scope="session")
+def found():
+    """The corpus files of every search that one session does for all tests."""
+    return {}
+
+
 @pytest.fixture
-def project(pytester, monkeypatch):
+def project(pytester, monkeypatch, found):
     for name in (
         "CI",
         "BUILD_NUMBER",
@@ -134,7 +161,7 @@ def project(pytester, monkeypatch):
     monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    return Project(pytester)
+    return Project(pytester, found)
 
 
 FAILING = """
@@ -151,19 +178,8 @@ def failing(project):
     return project
 
 
-@pytest.fixture(scope="session")
-def found():
-    """Every corpus file of the failing project, once a session has searched it."""
-    return {}
-
-
 @pytest.fixture
-def saved(failing, found):
-    """The failing project after a session that has saved its failure; one search is enough for all tests."""
-    if not found:
-        failing.run()
-        found.update(failing.contents)
-    for name, text in found.items():
-        (failing.path / name).parent.mkdir(parents=True, exist_ok=True)
-        (failing.path / name).write_text(text, encoding="utf-8")
+def saved(failing):
+    """The failing project after a session that has saved its failure."""
+    failing.search_once()
     return failing

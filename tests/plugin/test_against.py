@@ -1,5 +1,7 @@
 """A session against a reference: options, files, labels of saved scenarios, and the summary."""
 
+import sys
+
 import pytest
 
 from pytest_pafot.corpus.reader import load
@@ -83,6 +85,22 @@ def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(f
     failing.run("--pafot-against=old_ads").stdout.fnmatch_lines(
         ["*against: expected module:factory, such as planner_before:make, received 'old_ads'*"]
     )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_a_reference_that_ends_the_session_is_named_by_the_next_one_and_the_ads_is_not_blamed(project):
+    project.write(TEST.replace("MORE", ""))
+    policies(project, SPEEDS, "import os\n\ndef make():\n    return lambda observation: os._exit(9)\n")
+    assert project.run(AGAINST, "-p", "cacheprovider", apart=True).ret == 9
+    result = project.run(AGAINST, "-p", "cacheprovider", apart=True)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "* 4 runs in *, 0 failing, 4 failing with both*",
+            "*note: a process (pid *) died while planner_before:make ran <Scenario *>, which is held against it *",
+        ]
+    )
+    assert (project.files, list(project.path.rglob("*.inflight"))) == ([], [])
 
 
 def test_a_search_whose_reference_breaks_wherever_it_is_run_fails(project):

@@ -106,10 +106,10 @@ def test_fails(run):
 
 def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(project):
     texts = []
-    for folder in ("first", "second"):
+    for folder, process in (("first", {"apart": True}), ("second", {"fresh": True})):
         project.write(RAISES, name=f"{folder}/test_it")
         place = project.path / folder
-        project.run("--rootdir", place, place, subprocess=True).assert_outcomes(failed=2)
+        project.run("--rootdir", place, place, **process).assert_outcomes(failed=2)
         (file,) = place.rglob("*.pafot.yaml")
         texts.append(file.read_bytes())
     assert texts[0] == texts[1]

@@ -15,7 +15,7 @@ def test_dies(run):
 """
     )
     project.pytester._monkeypatch.setenv("DIE", "1")
-    assert project.run(subprocess=True).ret == 9
+    assert project.run(apart=True).ret == 9
     assert project.files == []
     project.pytester._monkeypatch.delenv("DIE")
     result = project.run()

@@ -7,7 +7,10 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by signals")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by signals"),
+]
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -58,7 +61,7 @@ def crash(project):
 
 def replayed(project, *args, **options):
     """A session that replays, in a process of its own, so that the test lives whatever comes."""
-    return project.run("--junitxml=junit.xml", *args, subprocess=True, **{"generations": 0} | options)
+    return project.run("--junitxml=junit.xml", *args, apart=True, **{"generations": 0} | options)
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
@@ -77,7 +80,7 @@ def test_a_crash_that_comes_again_fails_its_own_item_and_the_session_goes_on(cra
 
 @forks
 def test_a_search_in_which_a_process_died_before_runs_in_other_processes(crash):
-    result = crash.run(subprocess=True)
+    result = crash.run(apart=True)
     result.assert_outcomes(failed=2, passed=1)
     result.stdout.fnmatch_lines(
         [
@@ -101,8 +104,8 @@ def test_once_the_crash_is_mended_it_runs_in_the_session_again(crash):
 def test_so_it_does_in_the_session_after_one_that_died(project):
     project.write(TESTS)
     project.pytester.makeconftest(DIES)
-    assert project.run("-p", "cacheprovider", subprocess=True).ret == -signal.SIGSEGV
-    result = project.run("-p", "cacheprovider", subprocess=True)
+    assert project.run("-p", "cacheprovider", apart=True).ret == -signal.SIGSEGV
+    result = project.run("-p", "cacheprovider", apart=True)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines(["*found *saved-crash-*", "*note: ran as with --pafot-isolate*"])
 
@@ -148,6 +151,22 @@ def test_a_process_dies_of_the_test_function_as_well(crash):
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*that ran this scenario ended with exit code 9*"])
+
+
+@forks
+def test_beside_a_reference_it_is_introduced_or_common_and_covers_nothing_where_it_is_common(crash):
+    drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
+    # In the saved scenario there is one other vehicle, in those of the search there are two.
+    once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
+    for before, generations, label, found in (
+        (keeps, 0, "introduced", 0),
+        (drives, 0, "common", 0),
+        (once, 1, "common", 1),
+    ):
+        crash.pytester.makepyfile(planner_before=f"from conftest import drive\n\n{before}")
+        result = replayed(crash, "--pafot-against=planner_before:make", generations=generations)
+        result.stdout.fnmatch_lines([f"*1 saved scenario: 1 {label}*"])
+        assert len(crash.files) == 1 + found
 
 
 @forks

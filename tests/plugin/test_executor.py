@@ -13,6 +13,8 @@ from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from tests.plugin.test_workers import summary
 from tests.support.toy_world import Toy, scenario
 
+pytestmark = pytest.mark.processes
+
 NOTE = "*note: pafot_executor: {} made the runs of the generations"
 
 CONFTEST = """
@@ -122,7 +124,7 @@ def test_a_worker_may_be_killed_and_another_one_join(cluster, tmp_path):
         os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
         cluster.scale(3)
         answers += [pool.fetch(each) for each in scenarios[10:]]
-    assert [trace.scenario for trace, _ in answers] == scenarios
+    assert [trace.scenario for trace, *_ in answers] == scenarios
     assert len(list(tmp_path.iterdir())) > 1
 
 

@@ -48,7 +48,7 @@ def test_any(pafot_simulate, scenario):
     assert pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=world).duration <= 2.0
 """
     )
-    project.run(subprocess=True, plugins=("hypothesispytest",)).assert_outcomes(passed=1)
+    project.run(fresh=True, plugins=("hypothesispytest",)).assert_outcomes(passed=1)
 
 
 def test_an_overridden_world_is_used_by_searches_and_by_simulate(project):

@@ -52,5 +52,5 @@ def pytest_unconfigure():
 """
     )
     project.write("@pafot.search\ndef test_a(run):\n    pass\n")
-    result = project.run("--collect-only", subprocess=True)
+    result = project.run("--collect-only", fresh=True)
     result.stdout.fnmatch_lines(["pafot: 1 search, 0 saved scenarios*", "*test_a[[]search[]]*", "heavy:"])

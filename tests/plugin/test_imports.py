@@ -46,7 +46,7 @@ def test_a(run):
     assert "hypothesis" not in sys.modules
 """
     )
-    project.run(subprocess=True).assert_outcomes(passed=1)
+    project.run(fresh=True).assert_outcomes(passed=1)
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.name)

@@ -9,7 +9,10 @@ import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from tests.plugin.test_workers import summary
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone"),
+]
 
 CONFTEST = """
 import os
@@ -57,8 +60,9 @@ QUICK = ("--pafot-shrink-rollouts=0",)
 
 
 @pytest.fixture
-def isolated(project):
+def isolated(project, monkeypatch):
     """A project whose ADS is some source text."""
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # of the 300 that none of these tests needs
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
@@ -124,20 +128,20 @@ def test_the_ads_never_runs_in_the_process_of_the_session(isolated):
 
 def test_an_ads_that_ends_its_process_is_a_finding_and_the_session_goes_on(isolated):
     project = isolated("drive", DIES)
-    result = project.run("--pafot-isolate", *QUICK, generations=3, subprocess=True)
+    result = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
     assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
-    again = project.run("--pafot-isolate", *QUICK, generations=3, subprocess=True)
+    again = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
     again.stdout.re_match_lines([rf"  known: \d+ runs? covered by saved-{crash.rpartition('/')[2][:-11]}"])
     assert not list(project.path.rglob("*.inflight"))
 
 
 def test_so_it_is_in_the_first_run_of_all(isolated):
     project = isolated("os._exit(9)")
-    result = project.run("--pafot-isolate", generations=1, subprocess=True)
+    result = project.run("--pafot-isolate", generations=1, apart=True)
     assert result.parseoutcomes()["passed"] == 1
     assert project.only_id.startswith("crash-")
 
@@ -145,10 +149,10 @@ def test_so_it_is_in_the_first_run_of_all(isolated):
 def test_under_xdist_as_well(isolated):
     pytest.importorskip("xdist")
     project = isolated("drive", DIES)
-    project.run("--pafot-isolate", *QUICK, generations=2, subprocess=True)
+    project.run("--pafot-isolate", *QUICK, generations=2, apart=True)
     contents = project.contents
     project.forget()
-    result = project.run("--pafot-isolate", "-n1", *QUICK, generations=2, subprocess=True)
+    result = project.run("--pafot-isolate", "-n1", *QUICK, generations=2, apart=True)
     assert project.contents == contents
     result.assert_outcomes(failed=1 + len(contents), passed=1)
 
@@ -163,7 +167,8 @@ def drive(observation):
 
 def test_a_process_that_dies_of_a_simplification_is_a_finding_too(isolated):
     project = isolated("drive", LONE)
-    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
+    few = "--pafot-shrink-rollouts=20"  # each that leaves one NPC ends a process
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", few, generations=1, apart=True)
     crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
@@ -185,7 +190,7 @@ def drive(observation):
 
 def test_a_find_whose_process_dies_when_it_runs_again_is_flaky(isolated):
     project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
-    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, subprocess=True)
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, apart=True)
     assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
     result.assert_outcomes(failed=2, passed=1)
 

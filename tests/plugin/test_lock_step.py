@@ -160,7 +160,7 @@ def test_after_a_death_in_lock_step_its_scenarios_are_tried_here_where_no_proces
         "import pytest_pafot.execution.scenario_pool\npytest_pafot.execution.scenario_pool.METHOD = 'spawn'\n"
     )
     project.write((PLANNERS + DYING).replace("HOW", "calls[-1] != 'call'"))
-    assert project.run(subprocess=True, generations=3).ret == 9
+    assert project.run(apart=True, generations=3).ret == 9
     project.write((PLANNERS + DYING).replace("HOW", alone))
-    seen = [project.run(subprocess=True, generations=0).ret for _ in range(2)]
+    seen = [project.run(apart=True, generations=0).ret for _ in range(2)]
     assert (seen, [name.rpartition("/")[2][:6] for name in project.files]) == expected

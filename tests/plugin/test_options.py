@@ -111,7 +111,13 @@ def test_native_toml_takes_native_types(project):
         ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
         ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),
         ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
-        ({"ini": "pafot_generations = many"}, "ini key pafot_generations: .*many"),
+        (
+            {"ini": "pafot_generations = as many"},
+            "^ini key pafot_generations: expected a whole number, at least 0, received 'as many'$",
+        ),
+        ({"ini": "pafot_generations ="}, "^ini key pafot_generations: expected a whole number.* received ''$"),
+        ({"ini": "pafot_max_time = soon"}, "^ini key pafot_max_time: expected seconds, at least 0, received 'soon'$"),
+        ({"ini": "pafot_isolate = perhaps"}, "^ini key pafot_isolate: expected true or false, received 'perhaps'$"),
     ],
 )
 def test_a_wrong_value_names_its_place_what_was_expected_and_received(project, source, place):

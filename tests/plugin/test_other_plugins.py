@@ -73,7 +73,7 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         "--junitxml=junit.xml",
         "-rA",
         plugins=(plugin, "metadata") if plugin == "html" else (plugin,),
-        subprocess=plugin in ("pytest_cov", "sugar"),  # Both change the process that they run in.
+        apart=plugin in ("pytest_cov", "sugar"),  # Both change the process that they run in.
         generations=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED

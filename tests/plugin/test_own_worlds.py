@@ -61,7 +61,7 @@ def wrapped(project, wrappers="wrappers=[FlattenObservation]", shape="(25,)", ve
 def saved(project):
     """A project with one scenario that was saved in a world of its own."""
     own(project)
-    project.run(generations=5)
+    project.search_once(generations=5)
     return project
 
 
@@ -69,7 +69,7 @@ def saved(project):
 def saved_wrapped(project):
     """The same in a wrapped environment."""
     wrapped(project)
-    project.run(generations=5)
+    project.search_once(generations=5)
     return project
 
 
@@ -285,7 +285,7 @@ def registered(project, monkeypatch):
     )
     project.pytester.makepyfile(rings=RINGS)
     project.write(FINDS)
-    project.run(generations=5)
+    project.search_once(generations=5)
     return project
 
 

@@ -309,7 +309,7 @@ def dump():
 atexit.register(dump)
 """
     )
-    project.run(subprocess=True).assert_outcomes(failed=2)
+    project.run(fresh=True).assert_outcomes(failed=2)
     names = set(json.loads((project.path / "modules.json").read_text()))
     own = {name for name in names if name.startswith("pytest_pafot.report")}
     texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("terminal", "wrapping"))}
@@ -332,7 +332,7 @@ def test_rows_of_pytest_html_show_finds_and_failing_replays(failing, page):
 
 
 def test_rows_of_pytest_html_come_from_workers_too(failing):
-    assert len(rows_of(failing, "-n", "1", subprocess=True)) == 1
+    assert len(rows_of(failing, "-n", "1", apart=True)) == 1
 
 
 def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page):

@@ -85,7 +85,7 @@ def test_it(run):
         os.kill(os.getpid(), signal.SIGKILL)
 """
     write(project, "None", killed_once)
-    assert project.run(subprocess=True).ret == -signal.SIGKILL
+    assert project.run(apart=True).ret == -signal.SIGKILL
     assert len(records(project)) == 1
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     assert (project.files, records(project)) == ([], [])
@@ -104,7 +104,7 @@ def test_it(run):
 """
     write(project, "None", builds_up)
     for _ in range(2):
-        assert project.run(subprocess=True, generations=5).ret == 9
+        assert project.run(apart=True, generations=5).ret == 9
     assert project.files == []
     assert left_in_the_end(project, 2), "of both sessions, the first one tried"
     replayed(project).stdout.fnmatch_lines(

@@ -110,7 +110,7 @@ def leak():
 """
     )
     project.write(FAILS)
-    result = project.run("--pafot-report=x.html", subprocess=True)
+    result = project.run("--pafot-report=x.html", apart=True)
     assert is_whole(result)
     text = text_of(result)
     assert "problem: --pafot-report=x.html: not written: " in text

@@ -46,6 +46,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         )
         result.stdout.no_fnmatch_line("*pafot: found*")
         result.stdout.no_fnmatch_line("*During handling*")
+        result.stdout.no_fnmatch_line("*by the ego's fault*")
         assert project.files == []
         assert not (project.path / "pafot_corpus").exists()
 
@@ -144,7 +145,7 @@ class TestNothingThatWasFoundIsLost:
 
     def test_where_the_process_dies_meanwhile(self, project):
         self.write(project, "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
-        project.run(subprocess=True)
+        project.run(apart=True)
         assert project.files
 
     def test_where_time_is_up_before_the_first_generation_is(self, project):
@@ -210,7 +211,7 @@ def test_drive(run):
 CONFIG = (
     "A policy needs the config= and the wrappers= that it was trained with; a planner in SI units needs pafot.Highway"
 )
-NO_FACTORY = "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `ads=lambda: MyPlanner()`"
+NO_FACTORY = "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: `lambda: MyPlanner()`"
 
 PREDICT = (
     "It has a method 'predict': let the factory return a function of the observation that calls it, "

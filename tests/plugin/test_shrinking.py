@@ -160,7 +160,7 @@ def test_an_interrupt_while_shrinking_loses_nothing(project):
 
 def test_a_process_that_dies_while_shrinking_leaves_the_find(project):
     project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
-    run(project, subprocess=True)
+    run(project, apart=True)
     assert load(project.only_file).original is None
     project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
     result = run(project, "--pafot-stop-after=1")

@@ -11,7 +11,7 @@ from pytest_pafot.plugin import stuck_ads as stuck
 from pytest_pafot.trace import Outcome
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")
+pytestmark = [pytest.mark.processes, pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")]
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -84,14 +84,14 @@ def one_line(result):
 
 def named_by_the_next(project):
     """The find that the next session makes of the record, and lives."""
-    assert project.run(generations=0, subprocess=True).ret == pytest.ExitCode.TESTS_FAILED
+    assert project.run(generations=0, apart=True).ret == pytest.ExitCode.TESTS_FAILED
     (path,) = [project.path / name for name in project.files if "hang-" in name]
     return load(path)
 
 
 def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(hanging):
     project = hanging("swallow")
-    result = project.run("--junitxml=junit.xml", generations=9, seed=6, subprocess=True)
+    result = project.run("--junitxml=junit.xml", generations=9, seed=6, apart=True)
     assert result.ret == stuck.STATUS
     found = project.files
     assert found
@@ -113,7 +113,7 @@ def test_an_ads_that_swallows_its_interruption_ends_the_session_with_a_summary(h
 
 def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_traceback(hanging):
     project = hanging("hold")
-    result = project.run(generations=9, seed=6, subprocess=True)
+    result = project.run(generations=9, seed=6, apart=True)
     assert result.ret == 1
     result.stderr.fnmatch_lines(["Timeout (*", "*in hold"])
     assert project.files
@@ -125,7 +125,7 @@ def test_native_code_that_holds_the_interpreter_ends_the_session_with_a_tracebac
 def test_under_xdist_only_the_worker_ends(hanging):
     pytest.importorskip("xdist")
     project = hanging("swallow")
-    result = project.run("-n1", generations=9, seed=6, subprocess=True)
+    result = project.run("-n1", generations=9, seed=6, apart=True)
     assert result.parseoutcomes()["passed"] == 1
     result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
     assert "a process (pid" in one_line(result)

@@ -12,6 +12,8 @@ from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.search_item import searches_left
 from pytest_pafot.plugin.session import SHARED
 
+pytestmark = pytest.mark.processes
+
 TWO = """
 import time
 
@@ -98,7 +100,7 @@ def test_two_searches_share_the_time_of_the_session_and_say_that_it_cut_them(two
     if args:
         pytest.importorskip("xdist")
     begun = time.monotonic()
-    result = two.run("--pafot-total-time=2", *args, generations=9999, subprocess=True)
+    result = two.run("--pafot-total-time=2", *args, generations=9999, apart=True)
     assert time.monotonic() - begun < 60  # each would take many minutes
     result.assert_outcomes(passed=2)
     text = result.stdout.str()

@@ -13,9 +13,12 @@ import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.trace import Outcome
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone"),
+]
 
-IN_USE = "*note: --pafot-workers=2: in use after 3 runs of this process"
+IN_USE = "*note: --pafot-workers=2: in use after 1 run of this process"
 
 DEAR = """
 import os

@@ -9,6 +9,8 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from tests.plugin.test_report_page import data_of
 
+pytestmark = pytest.mark.processes
+
 pytest.importorskip("xdist")
 
 TWO = """
@@ -46,7 +48,7 @@ def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(projec
 
 def test_workers_replay_and_label(project):
     project.write(TWO)
-    project.run("-x")
+    project.search_once("-x")
     result = project.run("-n1", generations=0)
     result.assert_outcomes(failed=1, skipped=2)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -61,7 +63,7 @@ def test_workers_use_one_fresh_base_seed(project):
 
 def test_workers_report_orphans_once_and_prune_them(project):
     project.write(TWO)
-    project.run("-x")
+    project.search_once("-x")
     project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run("-n2", "--pafot-prune", generations=0)
     assert result.stdout.str().count("of no test in pafot_corpus/test_it/test_first") == 1
@@ -108,7 +110,7 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
     contents = []
     for hash_seed in ("0", "1"):
         monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
-        project.run(subprocess=True)
+        project.run(fresh=True)
         contents.append(project.contents)
         project.forget()
     assert contents[0] == contents[1]
@@ -127,7 +129,7 @@ def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
 
 def test_workers_run_a_corpus_file_alone(project):
     project.write(TWO)
-    project.run("-x")
+    project.search_once("-x")
     project.run("-n1", project.files[0]).assert_outcomes(failed=1)
 
 

@@ -13,6 +13,7 @@ from pytest_pafot.report.animation import moments
 from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, render_frame
+from pytest_pafot.report.page_data import Report
 from pytest_pafot.run import Run
 from tests.report.builders import finding_of
 from tests.support.traces import trace_of, vehicle
@@ -131,8 +132,8 @@ def test_a_collision_of_the_run_is_told_besides():
 
 def test_a_frame_in_another_page_has_room_for_the_curve():
     view = shown(peaks(t61=35.1), at_most=20)
-    assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(view)
-    assert f'height="{FRAME_HEIGHT}"' in render_frame(replace(view, check=replace(view.check, values=())))
+    assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(Report.of(view))
+    assert f'height="{FRAME_HEIGHT}"' in render_frame(Report.of(replace(view, check=replace(view.check, values=()))))
 
 
 def test_an_animation_shows_the_moment():

@@ -140,7 +140,7 @@ def test_an_empty_report_says_that_nothing_was_found():
 
 def test_a_finding_without_frames_says_so():
     finding = replace(real_report().findings[0], times=(), vehicles=())
-    assert "Nobody saw a run" in render_page(Report(title="t", findings=(finding,)))
+    assert "There is no run to draw" in render_page(Report(title="t", findings=(finding,)))
 
 
 def test_reference_drivers_are_told():
@@ -164,7 +164,7 @@ def test_a_minute_with_two_npcs_takes_below_65_kilobytes():
 
 def test_a_frame_holds_the_page_of_one_finding_and_may_only_run_scripts():
     finding = view_of(cut_in_trace())
-    ((tag, attrs),) = Reader(render_frame(finding)).tags
+    ((tag, attrs),) = Reader(render_frame(Report.of(finding))).tags
     assert tag == "iframe"
     assert attrs["sandbox"] == "allow-scripts"
     inner = Reader(attrs["srcdoc"])
@@ -175,7 +175,7 @@ def test_a_frame_holds_the_page_of_one_finding_and_may_only_run_scripts():
 
 def test_a_frame_of_hostile_text_is_one_element():
     finding = replace(view_of(cut_in_trace()), headline='"></iframe><script>hacked</script>')
-    assert [tag for tag, _ in Reader(render_frame(finding)).tags] == ["iframe"]
+    assert [tag for tag, _ in Reader(render_frame(Report.of(finding))).tags] == ["iframe"]
 
 
 def test_positions_are_rounded_so_that_pages_stay_small():
@@ -187,7 +187,7 @@ def test_positions_are_rounded_so_that_pages_stay_small():
 
 def test_the_frame_survives_being_read_as_an_attribute():
     finding = view_of(cut_in_trace())
-    frame = render_frame(finding)
+    frame = render_frame(Report.of(finding))
     srcdoc = frame.split('srcdoc="')[1].rsplit('">', 1)[0]
     assert '"' not in srcdoc
     assert html.unescape(srcdoc).startswith("<!doctype html>")

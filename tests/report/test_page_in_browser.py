@@ -14,7 +14,10 @@ from tests.support.browser import Browser, find_chromium
 
 CHROMIUM = find_chromium()
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: expected chromium or google-chrome on PATH"),
+]
 
 ALL = "[...document.querySelectorAll({selector!r})].map(each => {what})"
 TIME = "Number(document.querySelector('article.current .player').dataset.time)"
@@ -548,7 +551,9 @@ def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
 def test_a_frame_inside_another_page_draws_its_finding_and_listens(browser, tmp_path):
     finding = real_report().findings[0]
     path = tmp_path / "outer.html"
-    path.write_text(f"<!doctype html><meta charset=utf-8><title>t</title>{render_frame(finding)}", encoding="utf-8")
+    path.write_text(
+        f"<!doctype html><meta charset=utf-8><title>t</title>{render_frame(Report.of(finding))}", encoding="utf-8"
+    )
     page = browser.open(path.as_uri())
     page.until("document.querySelector('iframe') !== null")
     inner = page.contexts()[-1]

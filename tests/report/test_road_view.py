@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.grid import Cell
+from pytest_pafot.report import animation
 from pytest_pafot.report.animation import animate
 from pytest_pafot.report.picture import picture_at
 from pytest_pafot.trace import HEADING, LANE, X, Y
@@ -58,5 +59,6 @@ def test_an_ego_off_all_lanes_has_no_cells(view):
     assert {place for row in view_of(replace(trace, states=states)).grid for place in row} == {None}
 
 
-def test_the_run_is_animated_too(view):
+def test_the_run_is_animated_too(view, monkeypatch):
+    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])  # the file is small, whatever the rate
     assert animate(view).startswith(b"\x89PNG")

@@ -76,4 +76,3 @@ def test_a_long_random_search_covers_all_there_is(cheap_world):
     # The cheap world has no left lane, so that no run comes to its three cells.
     assert keys(coverage.driven, "cell") == {(cell,) for cell in (2, 3, 4, 5, 6)}
     assert len(keys(coverage.driven, "step")) == 13
-    assert events[-1].coverage == coverage

@@ -51,6 +51,15 @@ def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_worl
     assert memory.recall(other) == replace(run, scenario=other, executed=other)
 
 
+@given(st.integers(0, 2**32))
+def test_where_seeds_matter_a_run_is_known_for_its_own_seed_alone(cheap_world, seed):
+    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(seed)))
+    memory = EvaluationCache([run], seeds_matter=True)
+    assert memory.recall(run.scenario) == run
+    assert memory.recall(run.executed) == replace(run, scenario=run.executed)
+    assert memory.recall(replace(run.executed, seed=run.scenario.seed + 1)) is None
+
+
 def test_a_difference_in_a_gene_that_was_not_started_is_none(make_evaluation):
     crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
     evaluation = make_evaluation(crashed, genes_started=2, fitness=7.0)

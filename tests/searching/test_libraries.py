@@ -102,6 +102,16 @@ def test_a_population_that_is_too_small_is_refused(name):
         resolve_algorithm(name).make(SearchSpace(), population=0)
 
 
+def test_cma_es_learns_from_four_and_refuses_fewer(make_evaluation):
+    algorithm = resolve_algorithm("cma-es")
+    for fewer in (2, 3):
+        with pytest.raises(ValueError, match=f"population: expected at least 4 for cma-es, .*, received {fewer}"):
+            algorithm.make(SearchSpace(), population=fewer)
+    search = algorithm.make(SearchSpace(), population=4)
+    events = run_campaign(search, lambda asked: [make_evaluation(each) for each in asked], generations=3, seed=1)
+    assert list(events)[-1].generations == 3
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_without_its_library_the_error_tells_how_to_install_it(name, monkeypatch):
     library = resolve_algorithm(name).library

@@ -4,11 +4,13 @@ import math
 from itertools import product
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.searching.operators import best_of, crossover, elites, improves, mutate, parents
+from pytest_pafot.searching import operators
+from pytest_pafot.searching.operators import best_of, crossover, elites, first_crossed, improves, mutate, parents
 from pytest_pafot.searching.operators import tournament as binary_tournament
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.trace import Outcome
@@ -41,6 +43,15 @@ def test_crossover_keeps_the_cells_of_chains_that_fit_together(seed):
     assert [child.npcs for child in crossover(a, b, rng)] == [b.npcs, a.npcs]
 
 
+@given(spaces, spaces, seeds)
+def test_the_first_child_alone_is_that_of_both_and_takes_as_many_draws(space_a, space_b, seed):
+    rng = np.random.default_rng(seed)
+    a, b = sample(space_a, rng), sample(space_b, rng)
+    one, other = np.random.default_rng(seed), np.random.default_rng(seed)
+    assert first_crossed(a, b, one) == crossover(a, b, other)[0]
+    assert one.bit_generator.state == other.bit_generator.state
+
+
 def test_crossover_takes_each_npc_with_equal_chances(assert_rate):
     rng = np.random.default_rng(1)
     a, b = sample(SearchSpace(npcs=3), rng), sample(SearchSpace(npcs=2), rng)
@@ -70,6 +81,24 @@ def test_mutation_takes_each_instruction_with_equal_chances(assert_rate):
         counts[next((n, g) for n, g in places if mutant[n][g] != scenario.npcs[n][g])] += 1
     for count in counts.values():
         assert_rate(count, 1200, 1 / 6)
+
+
+@pytest.mark.parametrize("starts", [{}, {"ego_lanes": (0, 1, 2)}, {"ego_lanes": (1,), "ego_speeds": (22.0, 22.0)}])
+def test_a_third_of_the_mutations_is_a_pattern_however_the_start_is_drawn(starts, assert_rate, monkeypatch):
+    monkeypatch.setattr(operators, "_with_pattern", lambda scenario, space, rng: None)
+    rng = np.random.default_rng(4)
+    space = SearchSpace(patterns=True, **starts)
+    scenario = sample(space, rng)
+    assert_rate([mutate(scenario, space, rng) for _ in range(1200)].count(None), 1200, 0.35)
+
+
+@pytest.mark.parametrize("speeds", [None, (22.0, 22.0)])
+@pytest.mark.parametrize("lanes", [(1,), (0, 1)])
+def test_a_mutation_changes_something_where_there_is_one_lane_or_speed_to_start_with(lanes, speeds):
+    rng = np.random.default_rng(5)
+    space = SearchSpace(ego_lanes=lanes, ego_speeds=speeds)
+    scenario = sample(space, rng)
+    assert scenario not in [mutate(scenario, space, rng) for _ in range(100)]
 
 
 def test_mutation_reaches_every_cell_that_fits_between_its_neighbours():

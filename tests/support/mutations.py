@@ -209,6 +209,7 @@ def holds(finding: Finding) -> dict[str, Any]:
         | {"reference_drivers": dict(expect.reference_drivers), "last_chance": _chance(expect.last_chance)}
         | {"check": None if expect.check is None else asdict(expect.check)},
         "found": {name: getattr(found, name) for name in found.__slots__} | {"versions": dict(found.versions)},
+        "perception": finding.perception,  # which no file has that is damaged
         "shrunk": None
         if shrunk is None
         else {
@@ -246,6 +247,7 @@ DEFAULTS: Mapping[str, Any] = {
     "assertion": "",
     "message": "",
     "against": "",
+    "weights": "",
     "traceback": "",
 }
 """What a file may leave out, where that is not None."""

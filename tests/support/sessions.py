@@ -1,14 +1,72 @@
 """Sessions of pytest inside of a test, deep in the calls of the session that runs it."""
 
+import faulthandler
+import os
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+
+import pytest
+
 
 def in_process(pytester, *args, **kwargs):
-    """``pytester.runpytest_inprocess``, in a frame that brings room for all frames of the calls in it.
+    """``pytester.runpytest_inprocess``, with room for its frames."""
+    return _with_room(pytester.runpytest_inprocess, *args, **kwargs)
+
+
+def in_a_copy(pytester, *args):
+    """``pytester.runpytest_subprocess`` in a copy of this process, which has imported all that a session needs.
+
+    For an interpreter of its own that takes longer than most sessions last. A copy may end in any way. It shows nothing
+    of what a session imports, of hash seeds, or of other things that are settled when an interpreter starts.
+    """
+    if not hasattr(os, "fork"):
+        return pytester.runpytest_subprocess(*args)
+    begun = time.monotonic()
+    streams = [pytester.path / name for name in ("stdout", "stderr")]
+    base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: that of a worker of pytest-xdist only waits
+        pid = os.fork()
+    if not pid:
+        _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    out, err = (stream.read_text(encoding="utf-8") for stream in streams)
+    print(out, err, sep="\n")
+    return pytest.RunResult(status, out.splitlines(), err.splitlines(), time.monotonic() - begun)
+
+
+def _be_a_session(streams, args):
+    """To the end of this process, with standard output and errors in files."""
+    status = 1
+    try:
+        for number, path in enumerate((os.devnull, *streams)):
+            os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+        sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
+        sys.__stdout__, sys.__stderr__ = sys.stdout, sys.stderr
+        warnings.resetwarnings()
+        faulthandler.disable()
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
+        status = int(_with_room(pytest.main, args))
+    except BaseException:  # noqa: BLE001
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def _with_room(call, *args, **kwargs):
+    """A call in a frame that brings room for all frames of the calls in it.
 
     CPython keeps frames in pieces of 16 KiB, and asks the system for a new piece at each call that does not fit, which
     goes back when the call returns: where a loop calls so deep, that takes more time than what it calls. A frame that
     needs more has a piece of its own, of twice the size or a little less, and later frames use the rest of it.
     """
-    return pytester.runpytest_inprocess(*args, **kwargs)
+    return call(*args, **kwargs)
 
 
-in_process.__code__ = in_process.__code__.replace(co_stacksize=70_000)
+_with_room.__code__ = _with_room.__code__.replace(co_stacksize=70_000)

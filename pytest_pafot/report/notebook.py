@@ -1,0 +1,119 @@
+"""How runs, findings and searches show themselves in notebooks; :mod:`pytest_pafot.shown` asks for it.
+
+Each output is a page of its own inside a frame, so that no two outputs of a notebook meet in a name, a style or a
+script, and needs nothing from the network.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pytest_pafot.campaign.events import FindTold, SearchStarted
+from pytest_pafot.campaign.explore import Exploration
+from pytest_pafot.campaign.saved_scenario import SavedScenario
+from pytest_pafot.checks import CheckFailed
+from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.report import animation
+from pytest_pafot.report.campaign_view import campaign_view
+from pytest_pafot.report.finding_view import finding_view, run_view
+from pytest_pafot.report.page import render_frame
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report
+from pytest_pafot.run import Run
+from pytest_pafot.searching.events import Event
+from pytest_pafot.text import plural
+from pytest_pafot.trace import Trace
+from pytest_pafot.world.limits import CLEARANCE
+
+BEFORE = (4.0, 3.0, 2.0, 1.0, 0.0)
+"""The moments of a plot, before the one that the run is about [s]."""
+
+
+def html(value: object) -> str:
+    """A value as a frame with its page."""
+    return render_frame(report_of(value))
+
+
+def plot(value: object, times: Sequence[float] | None) -> bytes:
+    """A run at several moments [s], as the content of a PNG file."""
+    view = _run_view(value)
+    if times is None:
+        times = sorted({max(0.0, view.moment - before) for before in BEFORE})
+    for time in times:
+        if not 0 <= time <= view.duration + 1e-3:  # the view has milliseconds
+            raise ValueError(f"times: expected seconds from 0 to {view.duration:g}, received {time!r}")
+    if len(times) == 0:  # an array, too
+        raise ValueError("times: expected at least one moment, received none; leave it out for the last four seconds")
+    return animation.strip(view, times)
+
+
+def animate(value: object) -> bytes:
+    """The end of a run, as the content of an APNG file."""
+    return animation.animate(_run_view(value))
+
+
+def report_of(value: object) -> Report:
+    """What the page of a value has."""
+    if isinstance(value, Exploration):
+        return _exploration(value)
+    if isinstance(value, SavedScenario):
+        view = _finding_view(value.finding)
+        view = replace(view, path=str(value.path), command=f"pytest {shlex.quote(str(value.path))}")
+    elif isinstance(value, Finding):
+        view = _finding_view(value)
+    else:
+        view = _run_view(value)
+    return Report.of(view)
+
+
+def _finding_view(finding: Finding) -> FindingView:
+    """A finding by itself: nobody knows how many runs failed so, or what replays it."""
+    headline = _event(finding.expect) if finding.trace is None else ""
+    view = finding_view(finding.trace, finding, node_id=finding.test, headline=headline)
+    return replace(view, runs=0, command="")
+
+
+def _event(expect: Expect) -> str:
+    """What a file expects, in a line."""
+    if expect.is_crash or expect.message:
+        return expect.message or expect.failure
+    what = str(expect.outcome) if expect.check is None else f"{expect.assertion} failed"
+    npc = "" if expect.npc is None else f": NPC {expect.npc}"
+    cell = "" if expect.cell is None else f" in cell {int(expect.cell)} ({expect.cell.label})"
+    side = "" if expect.side is None else f" against the ego's {expect.side}"
+    return f"{what} after {expect.time:.1f} s{npc}{cell}{side}"
+
+
+def _exploration(value: Exploration) -> Report:
+    views = tuple(_told_view(told, value) for told in value.told)
+    title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
+    return Report(title=title, findings=views, campaigns=(_campaign(value),))
+
+
+def _told_view(told: FindTold, value: Exploration) -> FindingView:
+    """A find of a search without pytest, which no test replays."""
+    find = told.kept.find
+    view = finding_view(
+        None if told.run is None else told.run.trace,
+        told.kept.finding,
+        node_id=find.path or find.node_id,
+        headline=find.headline,
+        check=told.exception.check if isinstance(told.exception, CheckFailed) else None,
+    )
+    runs = next((1 + each.repeats for each in value.summary.finds if each.id == find.id), 1)
+    return replace(view, runs=runs, path=find.path, label=find.remark, command="")
+
+
+def _campaign(value: Exploration) -> CampaignView:
+    started = next(event for event in value.events if isinstance(event, SearchStarted))
+    events = [event for event in value.events if isinstance(event, Event)]
+    return campaign_view(started.node_id, events, speed_limit=started.speed_limit)
+
+
+def _run_view(value: object) -> FindingView:
+    if isinstance(value, Run):
+        return run_view(value.trace, float(getattr(value.world, "clearance", CLEARANCE)))
+    if isinstance(value, Trace):
+        return run_view(value)
+    raise TypeError(f"expected a run, a trace, a finding or an exploration, received {value!r:.60}")

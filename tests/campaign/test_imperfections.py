@@ -1,0 +1,84 @@
+"""Which imperfections of its sight a failure needs: which are tried, and what a search tells of its findings."""
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.campaign.imperfections import needed_imperfections
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.sight import Sight
+from tests.support.perceiving import Careful, Debouncing, GhostFiltering, Oblivious
+
+ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5}, dropout=0.1, occlusion=True)
+
+
+def needed(sight, *enough):
+    """What is needed where any of these sets of imperfections is enough to fail, and how many runs that takes."""
+    tried = []
+
+    def fails(other):
+        tried.append(other)
+        return any(set(names) <= set(other.imperfections) for names in enough)
+
+    return needed_imperfections(sight, fails), len(tried)
+
+
+def test_a_failure_with_perfect_sight_needs_none_and_one_run():
+    assert needed(ALL, ()) == ((), 1)
+
+
+def test_a_single_imperfection_is_needed_where_perfect_sight_passes():
+    assert needed(Sight(latency=0.3), ("latency",)) == (("latency",), 1)
+
+
+@pytest.mark.parametrize(
+    ("enough", "expected"),
+    [
+        ([("latency",)], ("latency",)),
+        ([("range", "occlusion")], ("range", "occlusion")),
+        ([("range",), ("dropout",)], ("dropout",)),
+        ([("latency", "noise"), ("range", "dropout", "occlusion")], ("latency", "noise")),
+        ([ALL.imperfections], ALL.imperfections),
+    ],
+)
+def test_of_several_those_are_needed_none_of_which_can_be_spared(enough, expected):
+    found, runs = needed(ALL, *enough)
+    assert found == expected
+    assert runs <= 1 + len(ALL.imperfections)
+
+
+def no_collision(run):
+    assert not run.collision, run.explain()
+
+
+@pytest.mark.parametrize(
+    ("planner", "imperfections", "sentence"),
+    [
+        (Careful, {"latency": 1.5, "occlusion": True}, "only with 1.5 s of latency"),
+        (Debouncing, {"noise": {"position": 2.0}}, "only with noise of 2 m"),
+        (GhostFiltering, {"occlusion": True}, "only with occlusion"),
+        (Oblivious, {"latency": 0.3, "occlusion": True}, "fails also with perfect sight"),
+    ],
+)
+def test_a_search_of_100_runs_tells_what_the_failure_of_a_planner_needs(planner, imperfections, sentence, tmp_path):
+    world = pafot.Highway(duration=30.0)
+    common = {"holds": no_collision, "world": world, "blame": "ego", "seed": 4, "runs": 100, "shrink_rollouts": 10}
+    factory = pafot.Perception(planner, **imperfections)
+    found = pafot.explore(factory, **common, stop_after=1, corpus=str(tmp_path))
+    (finding,) = found.findings
+    assert finding.perception.sentence == sentence
+    assert found.summary.finds[0].headline.endswith(f", {sentence}")
+    (file,) = tmp_path.rglob("*.yaml")
+    assert load(file) == finding
+    now = pafot.Run(world.rollout(finding.scenario, factory))
+    perfect = pafot.Run(world.rollout(finding.scenario, planner))
+    assert now.collision
+    assert bool(perfect.collision) is ("perfect" in sentence)
+
+
+@pytest.mark.parametrize(
+    ("sight", "are_reused"), [({"range": 90.0}, True), ({"noise": {"position": 2.0}}, False), ({"dropout": 0.1}, False)]
+)
+def test_a_run_stands_for_one_of_another_seed_only_where_nothing_that_is_seen_is_drawn(sight, are_reused):
+    common = {"holds": no_collision, "world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1}
+    found = pafot.explore(pafot.Perception(Careful, **sight), **common, seed=9, runs=60)
+    assert bool(found.summary.known_runs) is are_reused

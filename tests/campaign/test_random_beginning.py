@@ -1,0 +1,43 @@
+"""How often the random scenarios that a search begins with fail by the ego's fault."""
+
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.campaign.events import Judged
+from pytest_pafot.report.terminal import search_lines
+
+
+def no_collision(run):
+    assert not run.collision
+
+
+def explored(**arguments):
+    return pafot.explore(
+        constant_speed.make, holds=no_collision, seed=5, shrink_rollouts=0, gene_seconds=5.0, genes=2, **arguments
+    )
+
+
+def test_all_scenarios_of_a_random_search_are_counted_that_say_something_of_the_ego():
+    judged = []
+    found = explored(
+        runs=30, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
+    )
+    last = {each.run.trace.scenario.id: each for each in judged}.values()
+    valid = [each for each in last if each.verdict.kind != "invalid"]
+    at_fault = [each for each in valid if each.run.responsibility in ("ego", "both")]
+    assert found.summary.random == (len(at_fault), len(valid))
+    assert 0 < len(at_fault) < len(valid)
+    told = " ".join(search_lines(found.summary))
+    assert f"random scenarios: {len(at_fault)} of {len(valid)} failed by the ego's fault, " in told
+
+
+def test_a_search_that_ended_for_its_findings_before_it_ran_all_of_them_says_nothing_of_their_share():
+    assert explored(runs=40, algorithm="distinct", stop_after=1).summary.random == (0, 0)
+
+
+@pytest.mark.parametrize(("algorithm", "most"), [("distinct", 20), ("av-fuzzer", 0)])
+def test_of_other_searches_only_the_random_scenarios_at_their_beginning(algorithm, most):
+    failing, runs = explored(runs=40, algorithm=algorithm).summary.random
+    assert most - 8 <= runs <= most
+    assert failing <= runs

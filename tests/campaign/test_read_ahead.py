@@ -1,0 +1,54 @@
+"""What other processes read from the runs that they have made, and that nobody can tell."""
+
+import pickle
+import sys
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
+from pytest_pafot.attribution import near_misses
+from pytest_pafot.campaign.read_ahead import FITNESS, read_ahead
+from pytest_pafot.execution import prefetching
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.fitness import resolve
+
+
+def brakes_late(observation):
+    """Keeps its lane, and brakes for who is a second ahead in it."""
+    ego = observation.ego
+    gaps = [each.x - ego.x for each in observation.others if each.lane == ego.lane and each.x > ego.x]
+    return (-6.0 if min(gaps, default=100.0) < ego.speed else 1.0 if ego.speed < 22.0 else 0.0), 0.0
+
+
+def avoids_collisions(run):
+    assert not run.collision
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+@pytest.mark.parametrize("settings", [{"blame": "any"}, {"blame": "ego"}, {"fitness": "npcs.ttc", "blame": "ego"}])
+def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypatch, settings):
+    monkeypatch.setattr(prefetching, "DEAR", 0.0)
+
+    def learnt(workers):
+        found = pafot.explore(
+            lambda: brakes_late, holds=avoids_collisions, runs=64, workers=workers, shrink_rollouts=0, **settings
+        )
+        return [each for each in found.events if isinstance(each, Evaluated)], [each.id for each in found.findings]
+
+    (here, found), elsewhere = learnt(1), learnt(2)
+    assert any(each.evaluation.failing for each in here)
+    assert (here, found) == elsewhere
+
+
+def test_what_was_read_ahead_comes_with_the_trace_and_is_not_read_again(monkeypatch):
+    chains = [[PositionInstruction(Cell.FRONT, 12.0)], [PositionInstruction(Cell.REAR, 26.0)]]
+    trace = Highway().rollout(Scenario.repaired(chains, gene_seconds=10.0), lambda: brakes_late)
+    floors, fitness = dict(near_misses.ALL), resolve("default")
+    expected = near_misses.near_misses(trace, floors), Evaluation.of(trace, fitness=fitness(trace), failing=False)
+    read_ahead(fitness, trace, floors)
+    sent = pickle.loads(pickle.dumps(trace))
+    monkeypatch.setattr(near_misses, "_worst", lambda trace, floors: pytest.fail("read again"))
+    again = sent.reading(FITNESS, lambda trace: pytest.fail("read again"))
+    assert (near_misses.near_misses(sent, floors), Evaluation.of(sent, fitness=again, failing=False)) == expected

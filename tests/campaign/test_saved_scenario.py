@@ -1,0 +1,114 @@
+"""A saved scenario outside of pytest."""
+
+from dataclasses import replace
+
+import pytest
+
+import pytest_pafot as pafot
+from pytest_pafot.checks import Check
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.errors import CorpusError
+from pytest_pafot.findings.finding import Finding, Found
+from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
+from pytest_pafot.trace import LANE
+from pytest_pafot.world import codec
+
+WORLD = pafot.Highway(lanes=3, duration=10.0)
+SLOW_LEADER = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]])
+
+
+class Walled:
+    """A world of somebody's own, which is code."""
+
+    speed_limit, longest_run, to_dict = 25.0, 10.0, dict
+
+    def rollout(self, scenario, ads_factory):
+        return WORLD.rollout(scenario, ads_factory)
+
+
+def keeps_its_speed():
+    return lambda observation: (0.0, 0.0)
+
+
+def brakes():
+    return lambda observation: (-4.0, 0.0)
+
+
+def finding_in(world, failure=None):
+    run = pafot.Run(world.rollout(SLOW_LEADER, keeps_its_speed))
+    found = Found(seed=0, generation=0, algorithm="random")
+    failure = failure or Failure(kind="AssertionError", assertion="assert not run.collision")
+    return Finding.of(run, failure, test="test_it.py::test_it", world=codec.described(world), found=found)
+
+
+@pytest.fixture
+def save(tmp_path):
+    def saved(finding):
+        path = tmp_path / f"{finding.id}.pafot.yaml"
+        write(path, finding)
+        return pafot.load(path)
+
+    return saved
+
+
+def test_it_has_the_scenario_the_world_and_what_was_expected(save):
+    finding = finding_in(WORLD)
+    saved = save(finding)
+    assert (saved.id, saved.scenario, saved.world, saved.expect) == (
+        finding.id, finding.scenario, WORLD, finding.expect,
+    )  # fmt: skip
+    assert repr(saved) == f"<SavedScenario {finding.id}: AssertionError, collision at {finding.expect.time:.1f} s>"
+
+
+def test_a_replay_shows_what_is_expected_until_the_policy_is_mended(save):
+    saved = save(finding_in(WORLD))
+    assert saved.matches(saved.replay(keeps_its_speed))
+    assert not saved.matches(saved.replay(brakes))
+
+
+def test_a_replay_knows_its_world(save):
+    run = save(finding_in(WORLD)).replay(keeps_its_speed)
+    assert "idm-aeb" in run.preventable_by
+    assert run.last_chance.time < run.collision.time
+
+
+def test_a_world_that_is_code_has_to_be_given(save):
+    saved = save(finding_in(Walled()))
+    with pytest.raises(CorpusError, match=r"expected a world that is data.*replay\(ads, world=") as error:
+        saved.replay(keeps_its_speed)
+    assert error.value.line
+    assert error.value.field == "world"
+    assert saved.matches(saved.replay(keeps_its_speed, world=Walled()))
+
+
+def test_a_scenario_that_does_not_fit_its_world_names_its_line(save):
+    finding = finding_in(WORLD)
+    saved = save(replace(finding, scenario=replace(finding.scenario, ego_lane=3)))
+    with pytest.raises(CorpusError, match=r"yaml:\d+: scenario.ego.lane: expected"):
+        saved.replay(keeps_its_speed)
+    assert saved.replay(keeps_its_speed, world=pafot.Highway(lanes=4)).trace.ego[0, LANE] == 3
+
+
+def test_a_world_of_an_unknown_kind_names_its_line(save):
+    saved = save(replace(finding_in(WORLD), world={"kind": "moon"}))
+    with pytest.raises(CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, highway, received 'moon'"):
+        saved.world  # noqa: B018
+
+
+def test_a_scenario_in_which_a_process_died_is_left_to_pytest(save):
+    finding = finding_in(WORLD)
+    saved = save(replace(finding, expect=replace(finding.expect, failure=PROCESS_CRASH)))
+    with pytest.raises(CorpusError, match=r"run `python -m pytest .*yaml`"):
+        saved.replay(keeps_its_speed)
+
+
+def test_only_its_test_function_knows_whether_a_check_fails(save):
+    check = Check(name="jerk", value=30.0, margin=-10.0, at_most=20.0, time=1.0)
+    saved = save(finding_in(WORLD, Failure(kind="CheckFailed", assertion="jerk", check=check)))
+    with pytest.raises(ValueError, match="the check 'jerk'; call the test function"):
+        saved.matches(saved.replay(keeps_its_speed))
+
+
+def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path):
+    with pytest.raises(CorpusError, match=r"none.pafot.yaml: expected a file that can be read"):
+        pafot.load(tmp_path / "none.pafot.yaml")
