@@ -110,7 +110,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "not all were tried.",
     "flaky": "What differed when the scenario was run again. Such a file is never called fixed. Remove the line once "
     "the ADS drives a scenario in the same way each time.",
-    "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand.",
+    "xfail": "Your reason to accept the failure. Optional; the only line that is meant to be written by hand. With "
+    "`{reason: ..., until: 2027-01-31}` it is accepted up to that day, and counts from the next one on.",
 }
 
 AT_THE_END = ("perception", "original", "shrunk", "flaky", "xfail")

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.corpus.joining import Candidate, Joined, join, reasons
+from pytest_pafot.corpus.joining import Candidate, Joined, acceptances, join
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.corpus.writer import CorpusWriteError, overwrite
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.text import plural
 
@@ -35,7 +36,7 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
     """Bring the files of other folders into the corpus of a test; ``owner`` is that of the crash record.
 
     Files of the corpus that fail are of the join, so that one of them goes where another folder has a simpler one of
-    its kind. One that does not fail stays as it is, and so does every file of a kind with several reasons for
+    its kind. One that does not fail stays as it is, and so does every file of a kind with several reasons or days of
     ``xfail``. Nothing is written under ``save="none"``.
     """
     harness = replays.harness
@@ -93,11 +94,17 @@ def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signatur
 
 
 def _conflict(group: Sequence[Candidate], root: Path) -> str:
-    told = "; ".join(f"{relative(each.saved.path, root)}: {each.finding.xfail}" for each in group if each.finding.xfail)
-    return (
-        f"xfail: expected one reason for a kind of failure, received {len(reasons(group))} ({told}); "
-        "write the same reason in these files, and merge again"
+    told = "; ".join(
+        f"{relative(each.saved.path, root)}: {each.finding.accepted}" for each in group if each.finding.xfail
     )
+    return (
+        f"xfail: expected one reason and one day for a kind of failure, received {len(acceptances(group))} ({told}); "
+        "write the same in these files, and merge again"
+    )
+
+
+def _accepts(finding: Finding | None) -> tuple[str | None, date | None]:
+    return (None, None) if finding is None else (finding.xfail, finding.xfail_until)
 
 
 def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
@@ -106,7 +113,7 @@ def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
     in_conflict = {each.saved.path for group in result.conflicts for each in group}
     try:
         for path, each in targets.items():
-            if (each.saved.path, each.saved.xfail) != (path, each.finding.xfail):
+            if each.saved.path != path or _accepts(each.saved.finding) != _accepts(each.finding):
                 overwrite(path, replace(each.finding, id=path.name.removesuffix(SUFFIX)))
         for path in old - targets.keys() - in_conflict:
             path.unlink(missing_ok=True)

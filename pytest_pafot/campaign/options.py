@@ -16,11 +16,12 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
+from pytest_pafot.text import day_of
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day"]
 
 SEED_LIMIT = 2**63
 
@@ -73,7 +74,7 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """What the help shows for a value."""
-        shown = {"integer": "N", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
+        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "folders": "DIR", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
@@ -216,6 +217,14 @@ OPTIONS: tuple[Option, ...] = (
         is_argument=False,
     ),
     Option(
+        "today",
+        "day",
+        "Hold the last days of accepted failures (`xfail` with `until`) against this day in place of today's, to see "
+        "what will count then.",
+        everywhere=False,
+        is_argument=False,
+    ),
+    Option(
         "profile",
         "text",
         "Defaults for an occasion: ci (400 runs, seed 0; automatic when CI is set) or local.",
@@ -322,6 +331,12 @@ def _read_text(option: Option, value: object) -> str:
     return str(os.fspath(value))
 
 
+def _read_day(option: Option, value: object) -> str:
+    if not isinstance(value, str) or day_of(value) is None:
+        raise OptionError(f"expected a day of the calendar, as 2027-01-31, received {value!r}")
+    return value
+
+
 def _read_page(option: Option, value: object) -> str:
     text = _read_text(option, value)
     if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
@@ -353,4 +368,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "workers": _read_workers,
     "address": _read_text,
     "folders": _read_text,
+    "day": _read_day,
 }

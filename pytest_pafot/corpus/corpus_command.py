@@ -15,6 +15,9 @@ from pytest_pafot.corpus.saved import Saved, read_saved_file
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.text import ascii_text, plural
 
+MARKS = ("flaky", "xfail", "xfail_until")
+"""What a line tells of a file where it has it."""
+
 NO_FOLDER = 2
 """Exit code where a folder is none, as for wrong arguments."""
 
@@ -71,6 +74,7 @@ def _row(saved: Saved) -> dict[str, Any]:
         "seed": finding.found.seed,
         "flaky": finding.flaky,
         "xfail": finding.xfail,
+        "xfail_until": None if finding.xfail_until is None else finding.xfail_until.isoformat(),
     }
 
 
@@ -91,7 +95,7 @@ def _lines(told: list[dict[str, Any]] | dict[str, Any]) -> Iterator[str]:
     """The same for people."""
     if isinstance(told, list):
         for row in told:
-            marks = "".join(f", {name}: {row[name]}" for name in ("flaky", "xfail") if row.get(name))
+            marks = "".join(f", {name.replace('_', ' ')}: {row[name]}" for name in MARKS if row.get(name))
             rest = row.get("error") or f"{row['outcome']} at {row['time']:.1f} s, {row['size']}{marks}"
             yield ascii_text(f"{row['file']}: {rest}")
         return

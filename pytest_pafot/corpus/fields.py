@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from pytest_pafot.corpus.schema import VERSION, Keys
 from pytest_pafot.corpus.yaml_document import Lines, Place
 from pytest_pafot.errors import RESTORE, CorpusError
 from pytest_pafot.findings.finding import MAX_NUMBER
+from pytest_pafot.text import day_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,13 @@ class Field:
             top = "" if high is None else f" to {high}"
             raise self.error(f"a whole number from {low}{top}", "correct it")
         return int(self.value)
+
+    def day(self) -> date:
+        """A day of the calendar, as 2027-01-31."""
+        day = day_of(self.value) if isinstance(self.value, str) else None
+        if day is None:
+            raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
+        return day
 
     def truth(self) -> bool:
         """True or false."""

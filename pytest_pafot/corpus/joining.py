@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.yaml_text import text_of
@@ -31,7 +32,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joined:
-    """What to keep, by id, with the reason for ``xfail`` of its kind; and the kinds that have several reasons."""
+    """What to keep, by id, with the ``xfail`` of its kind; and the kinds that have several."""
 
     kept: Mapping[str, Candidate]
     conflicts: Sequence[Sequence[Candidate]]
@@ -46,7 +47,7 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
     kinds: dict[Signature, list[Candidate]] = {}
     for each in candidates:
         kinds.setdefault(each.kind, []).append(each)
-    conflicts = [group for group in kinds.values() if len(reasons(group)) > 1]
+    conflicts = [group for group in kinds.values() if len(acceptances(group)) > 1]
     best = [_best(group) for group in kinds.values() if group not in conflicts]
     ids = {*taken, *(each.finding.id for group in conflicts for each in group)}
     kept: dict[str, Candidate] = {}
@@ -55,20 +56,22 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
     return Joined(kept=kept, conflicts=conflicts)
 
 
-def reasons(group: Iterable[Candidate]) -> list[str]:
-    """The reasons for which a kind of failure is accepted, each once, in alphabetical order."""
-    return sorted({each.finding.xfail for each in group if each.finding.xfail is not None})
+def acceptances(group: Iterable[Candidate]) -> Mapping[tuple[str, date | None], Candidate]:
+    """The reasons and last days with which a kind of failure is accepted, each with a candidate that tells them."""
+    findings = ((each.finding, each) for each in group)
+    return {(finding.xfail, finding.xfail_until): each for finding, each in findings if finding.xfail is not None}
 
 
 def _best(group: Sequence[Candidate]) -> Candidate:
     first = min(group, key=_order)
-    return replace(first, finding=replace(first.finding, xfail=next(iter(reasons(group)), None)))
+    reason, until = next(iter(acceptances(group)), (None, None))
+    return replace(first, finding=replace(first.finding, xfail=reason, xfail_until=until))
 
 
 def _order(candidate: Candidate) -> tuple[bool, tuple[int, ...], str, str]:
     finding = candidate.finding
     # The text tells apart what else is equal, such as two searches that have found the same scenario.
-    text = text_of(replace(finding, xfail=None))
+    text = text_of(replace(finding, xfail=None, xfail_until=None))
     return finding.flaky is not None, sort_key(finding.scenario), _stem(finding), text
 
 

@@ -10,6 +10,7 @@ import re
 import stat
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
@@ -56,7 +57,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         raise CorpusError(path, expected, path.name, "rename the file")
     fields = top.mapping(schema.FILE)
     scenario = _scenario(fields["scenario"])
-    reason = 'write the reason in quotes, as in xfail: "issue 12"'
+    reason, until = _given(fields, "xfail", _xfail, (None, None))
     return Finding(
         id=name,
         test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
@@ -68,7 +69,8 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario)),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
-        xfail=_given(fields, "xfail", lambda field: field.some_text(reason)),
+        xfail=reason,
+        xfail_until=until,
     )
 
 
@@ -209,6 +211,15 @@ def _expect(field: Field, npcs: int) -> Expect:
         against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
     )
+
+
+def _xfail(field: Field) -> tuple[str, date | None]:
+    """Why the failure is accepted, and the last day on which it is."""
+    fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
+    if not isinstance(field.value, dict):
+        return field.some_text(fix), None
+    fields = field.mapping(schema.XFAIL)
+    return fields["reason"].some_text(fix), _given(fields, "until", Field.day)
 
 
 def _check(field: Field) -> Bounded:

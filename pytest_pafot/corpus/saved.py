@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,6 +28,10 @@ class Saved(NamedTuple):
     def xfail(self) -> str | None:
         """The reason why the failure is accepted, or None."""
         return None if self.finding is None else self.finding.xfail
+
+    def is_accepted(self, today: date) -> bool:
+        """Whether the failure is accepted on a day."""
+        return self.finding is not None and self.finding.is_accepted(today)
 
     @property
     def is_crash(self) -> bool:

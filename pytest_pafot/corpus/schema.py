@@ -49,6 +49,9 @@ EGO = Keys(("lane", "speed"))
 POSITION_INSTRUCTION = Keys(("cell", "speed"))
 LANE_INSTRUCTION = Keys(("lane", "speed"))
 
+XFAIL = Keys(("reason",), ("until",))
+"""Of ``xfail`` where it is no plain text."""
+
 EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (

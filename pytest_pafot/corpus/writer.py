@@ -37,7 +37,7 @@ def write(path: Path, finding: Finding) -> bool:
 
 
 def rewrite(path: Path, finding: Finding) -> Finding:
-    """Replace a file's content, all at once, and give the finding as written: a reason for ``xfail`` that it has stays.
+    """Replace a file's content, all at once, and give the finding as written: an ``xfail`` that it has stays.
 
     A file that has gone is written anew; one that cannot be read is not overwritten.
 
@@ -47,7 +47,8 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
         try:
-            kept = replace(finding, xfail=load(path).xfail)
+            there = load(path)
+            kept = replace(finding, xfail=there.xfail, xfail_until=there.xfail_until)
         except CorpusError as error:
             raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
     _written(path, kept, write_whole)

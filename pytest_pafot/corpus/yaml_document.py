@@ -1,6 +1,7 @@
 """YAML as untrusted input: plain data with line numbers, and nothing else that YAML can do.
 
-No aliases, anchors, tags, merge keys, repeated keys, dates or second documents; limited in size and depth.
+No aliases, anchors, tags, merge keys, repeated keys or second documents, and dates in one place alone; limited in
+size and depth.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ DEPTH = MAX_DEPTH + 4
 
 Place = tuple[str | int, ...]
 """Keys and indices from the top of the document."""
+
+DAY: Place = ("xfail", "until")
+"""Where a date needs no quotes: it is read as its text."""
 
 _PREFIX = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "float", "str"))
@@ -112,15 +116,17 @@ class _Builder:
         if event.tag is not None:
             raise self._error(event, "values without tags", f"the tag {event.tag!r:.60}", "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
-            return self._scalar(event)
+            return self._scalar(event, is_day=place == DAY)
         if len(place) >= DEPTH:
             raise self._error(event, f"at most {DEPTH} levels of nesting", "more", "flatten it")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(place)
         return [self._value((*place, index), each) for index, each in enumerate(self._until(yaml.SequenceEndEvent))]
 
-    def _scalar(self, event: Any) -> Any:
+    def _scalar(self, event: Any, *, is_day: bool) -> Any:
         tag = self.loader.resolve(yaml.ScalarNode, event.value, event.implicit)
+        if is_day and tag == f"{_PREFIX}timestamp":
+            return str(event.value)
         if tag not in _PLAIN_TAGS:
             received = f"{event.value!r:.60}, which YAML takes for a {tag.removeprefix(_PREFIX)}"
             raise self._error(event, "a number, text, true, false or null", received, "put it in quotes")

@@ -39,9 +39,21 @@ def text_of(finding: Finding) -> str:
         *([] if finding.original is None else _scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
-        '# xfail: "reason"' if finding.xfail is None else f"xfail: {_quoted(finding.xfail)}",
+        _xfail_line(finding),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _xfail_line(finding: Finding) -> str:
+    """The line by which a failure is accepted, or the hint how to write it."""
+    if finding.xfail is None:
+        return '# xfail: "reason"'
+    reason = _quoted(finding.xfail)
+    return (
+        f"xfail: {reason}"
+        if finding.xfail_until is None
+        else f"xfail: {{reason: {reason}, until: {finding.xfail_until}}}"
+    )
 
 
 def _perceived(perception: Perceived) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import re
 import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from datetime import date
 from types import TracebackType
 from typing import Any
 
@@ -204,11 +205,12 @@ class Finding(Shown):
         shrunk: how it was shrunk; None where it was not.
         flaky: what differed when the scenario was run again, or None; it is then never called fixed.
         xfail: the user's reason to accept the failure, or None.
+        xfail_until: the last day on which it is accepted; None where it is for good.
         trace: of the run that shows it, where a search of this process made it; no part of what a finding is, nor of
             its file.
 
     Raises:
-        ValueError: if the id is no such name, the world no plain data or the reason empty.
+        ValueError: if the id is no such name, the world no plain data, the reason empty or a day without a reason.
     """
 
     id: str
@@ -222,6 +224,7 @@ class Finding(Shown):
     shrunk: Shrunk | None = None
     flaky: str | None = None
     xfail: str | None = None
+    xfail_until: date | None = None
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -230,12 +233,24 @@ class Finding(Shown):
         for name, text in (("xfail", self.xfail), ("flaky", self.flaky)):
             if text is not None and not text.strip():
                 raise ValueError(f"{name}: expected a reason or None, received an empty text")
+        if self.xfail is None and self.xfail_until is not None:
+            raise ValueError(f"xfail_until: expected None without a reason, received {self.xfail_until!r}")
         check_plain("world", self.world)
 
     @property
     def signature(self) -> Signature:
         """The identity of the failure, as far as the file tells it."""
         return self.expect.signature
+
+    @property
+    def accepted(self) -> str:
+        """Why the failure is accepted, and until when, in words; empty where it is not."""
+        until = "" if self.xfail_until is None else f", until {self.xfail_until}"
+        return "" if self.xfail is None else f"{self.xfail}{until}"
+
+    def is_accepted(self, today: date) -> bool:
+        """Whether the failure is accepted on a day: there is a reason, and its last day is not over."""
+        return self.xfail is not None and (self.xfail_until is None or today <= self.xfail_until)
 
     @classmethod
     def of(

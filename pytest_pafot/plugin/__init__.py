@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import fixtures, messages
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, RATE_MARK, SAVED_MARK, SEARCH_MARK
@@ -43,7 +44,8 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
-        config.stash[SHARED] = Shared()
+        asked = config.getoption(BY_NAME["today"].key)
+        config.stash[SHARED] = Shared(today=asked) if asked else Shared()
         features |= {"reporting": Reporter(config), "pages": Pages(config)}
     if config.getoption(MERGE):
         features["merging"] = Merging(config)

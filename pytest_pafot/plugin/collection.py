@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import replace
+from datetime import date
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -127,8 +128,8 @@ class Collection:
             return False  # pytest-xdist ends a session whose workers collect different items
         # Now that the parameters are known, so is the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
-        if saved.xfail is not None:
-            item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail), append=False)
+        if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
+            item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail or ""), append=False)
         return True
 
     def _folder(self, item: pytest.Item, arguments: Mapping[str, Any]) -> Path | None:

@@ -108,7 +108,7 @@ class PageMessages:
         self._tell(replayed=label)
         if headline:
             view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
-            accepted = "" if finding.xfail is None else f", accepted: {finding.xfail}"
+            accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
             self._tell(view=encode(replace(view, label=f"{label}{accepted}", path=path)))
 
     def _tell(self, **data: object) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,8 @@ class Shared:
     progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # between two reports of progress
     width: int = field(default_factory=terminal_width)  # in columns, which a worker cannot ask
     began: float = field(default_factory=time.monotonic)  # when the session did, by the clock of this process [s]
+    # The day by which last days of accepted failures are held, as text, which a worker can be sent
+    today: str = field(default_factory=lambda: date.today().isoformat())
     # node ids of the saved scenarios that the first workers collected; a worker that replaces a crashed one collects
     # these and no files that were written since. None before
     frozen: frozenset[str] | None = None

@@ -1,6 +1,7 @@
 """``python -m pytest_pafot corpus``: which saved scenarios there are, without running them."""
 
 import json
+from datetime import date
 
 import pytest
 
@@ -11,7 +12,7 @@ from tests.findings.builders import plain_finding
 
 @pytest.fixture
 def folder(tmp_path):
-    for name, changes in (("a-111111", {}), ("b-222222", {"xfail": "issue 12"})):
+    for name, changes in (("a-111111", {}), ("b-222222", {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})):
         write(tmp_path / "test_it" / "test_x" / f"{name}.pafot.yaml", plain_finding(id=name, **changes))
     return tmp_path
 
@@ -20,7 +21,7 @@ def test_the_list_has_a_line_for_each_file(folder, capsys):
     assert main(["corpus", "list", str(folder)]) == 0
     one, other = capsys.readouterr().out.splitlines()
     assert "a-111111.pafot.yaml: collision at " in one
-    assert other.endswith(", xfail: issue 12")
+    assert other.endswith(", xfail: issue 12, xfail until: 2027-01-31")
 
 
 def test_the_list_for_programs_says_the_same_and_each_file_once(folder, capsys):

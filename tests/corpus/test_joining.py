@@ -1,6 +1,7 @@
 """What is kept of the saved scenarios of several corpora, and under which name; nothing is run here."""
 
 from dataclasses import replace
+from datetime import date
 from itertools import permutations
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import plain_finding
 
+DAY = date(2027, 1, 31)
 REAR = replace(plain_finding().signature, side="rear")
 
 
@@ -55,11 +57,22 @@ def test_several_reasons_for_one_kind_are_a_conflict_of_which_nothing_is_kept():
     assert list(joined.kept) == ["a-111111-2"]
 
 
+def test_one_reason_with_two_last_days_is_a_conflict_too():
+    two = [candidate(f"{name}-111111", xfail="issue 12", xfail_until=day) for name, day in (("a", DAY), ("b", None))]
+    assert join(two).conflicts == [two]
+
+
+def test_a_last_day_goes_with_its_reason():
+    accepting = candidate(xfail="issue 12", xfail_until=DAY)
+    (best,) = join([accepting, candidate("b-222222", speed=10.0)]).kept.values()
+    assert (best.finding.id, best.finding.xfail, best.finding.xfail_until) == ("b-222222", "issue 12", DAY)
+
+
 def test_any_order_and_any_grouping_gives_the_same():
     all_four = [
         candidate("a-111111", speed=20.0),
         candidate("a-111111", speed=10.0, kind=REAR),
-        candidate("b-222222", speed=10.0, xfail="issue 12"),
+        candidate("b-222222", speed=10.0, xfail="issue 12", xfail_until=DAY),
         candidate("b-222222", speed=15.0, kind=REAR),
     ]
     expected = kept(*all_four)

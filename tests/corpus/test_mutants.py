@@ -1,6 +1,8 @@
 """No damaged file is read as something else than it says; ``tests/benchmarks/mutants.py`` has more of the same."""
 
 import random
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,16 @@ def finding_of(text, loader=None):
 @pytest.mark.parametrize("text", TEXTS, ids=[f"{path.name}-{version}" for path in GOLDEN for version in (1, 2)])
 def test_a_file_is_read_as_what_it_says(text):
     assert misread(text, finding_of(text)) == []
+
+
+def test_so_is_one_that_accepts_its_failure_up_to_a_day_and_a_mutant_of_it():
+    text = text_of(replace(load(GOLDEN[0]), xfail="issue 12", xfail_until=date(2027, 1, 31)))
+    assert misread(text, finding_of(text)) == []
+    for day in ("2027-02-01", "'2027-02-01'", "2027-02-30", "20270201", "2027-2-1", "2027-W05-1", "~", "[2027-02-01]"):
+        changed = text.replace("2027-01-31", day)
+        finding = finding_of(changed)
+        assert (finding is not None) == day.strip("'").startswith("2027-02-01")
+        assert finding is None or misread(changed, finding) == []
 
 
 @pytest.mark.parametrize("kind", MUTATIONS)

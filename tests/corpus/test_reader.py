@@ -1,6 +1,7 @@
 import contextlib
 import os
 import time
+from datetime import date
 
 import pytest
 import yaml
@@ -171,6 +172,14 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ('# xfail: "reason"', "xfail: true", 17, "xfail"),
         ('# xfail: "reason"', "xfail: ''", 17, "xfail"),
         ('# xfail: "reason"', "xfails: 'planner issue 12'", 17, "xfails"),
+        ('# xfail: "reason"', "xfail: {until: 2027-01-31}", 17, "xfail"),
+        ('# xfail: "reason"', "xfail: {reason: '', until: 2027-01-31}", 17, "xfail.reason"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-02-30}", 17, "xfail.until"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-1-31}", 17, "xfail.until"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31 12:00:00}", 17, "xfail.until"),
+        ('# xfail: "reason"', "xfail: {reason: slow, until: 20270131}", 17, "xfail.until"),
+        ('# xfail: "reason"', "xfail: {reason: slow, till: soon}", 17, "xfail.till"),
+        ('# xfail: "reason"', "xfail: 2027-01-31", 17, ""),
     ],
 )
 def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, line, field):
@@ -206,6 +215,27 @@ def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
 def test_a_word_that_can_be_read_in_two_ways_is_no_truth_value(path, word):
     text = text_of(SHRUNK).replace("is_minimal: false", f"is_minimal: {word}")
     assert fault(path, text).line == text[: text.index("is_minimal")].count("\n") + 1
+
+
+@pytest.mark.parametrize("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
+def test_the_last_day_of_xfail_is_read_with_quotes_and_without(path, day):
+    path.write_text(swapped('# xfail: "reason"', f"xfail: {{reason: issue 12, until: {day}}}"))
+    finding = load(path)
+    assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
+    assert finding.accepted == "issue 12, until 2027-01-31"
+
+
+def test_a_wrong_day_comes_with_how_to_write_it(path):
+    error = fault(path, swapped('# xfail: "reason"', "xfail: {reason: slow, until: 2027-02-30}"))
+    assert str(error).endswith(
+        ":17: xfail.until: expected a day of the calendar, as year-month-day, received '2027-02-30'; "
+        "write it as 2027-01-31"
+    )
+
+
+def test_xfail_as_a_mapping_without_a_day_is_the_plain_text(path):
+    path.write_text(swapped('# xfail: "reason"', "xfail: {reason: issue 12}"))
+    assert (load(path).xfail, load(path).xfail_until) == ("issue 12", None)
 
 
 def test_a_misspelt_key_comes_with_the_right_one(path):

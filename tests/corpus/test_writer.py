@@ -3,6 +3,7 @@ import os
 import re
 import threading
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,12 @@ def test_a_rewrite_takes_a_reason_of_its_own(path):
     write(path, plain_finding(xfail="old"))
     rewrite(path, plain_finding(xfail="new"))
     assert load(path).xfail == "new"
+
+
+def test_the_last_day_of_an_xfail_stays_with_it(tmp_path):
+    path = tmp_path / "front-2-1f3a9c.pafot.yaml"
+    write(path, plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31)))
+    assert rewrite(path, plain_finding()).xfail_until == load(path).xfail_until == date(2027, 1, 31)
 
 
 def test_a_rewrite_of_a_file_that_has_gone_writes_it_anew(path):

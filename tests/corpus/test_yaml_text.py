@@ -1,4 +1,5 @@
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,11 @@ def test_a_file_is_for_people_to_read():
 
 def test_the_reason_for_xfail_stands_where_the_hint_was():
     assert text_of(plain_finding(xfail='planner "issue" 12')).endswith('}}\nxfail: "planner \\"issue\\" 12"\n')
+
+
+def test_the_last_day_of_xfail_stands_beside_its_reason():
+    text = text_of(plain_finding(xfail='planner "issue" 12', xfail_until=date(2027, 1, 31)))
+    assert text.endswith('}}\nxfail: {reason: "planner \\"issue\\" 12", until: 2027-01-31}\n')
 
 
 def test_the_duration_of_a_gene_is_written_where_it_is_not_the_default():

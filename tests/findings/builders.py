@@ -171,6 +171,7 @@ def perceptions(draw):
 @st.composite
 def findings(draw):
     scenario = draw(scenarios())
+    reason = draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip)))
     return Finding(
         id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
         test=draw(texts(min_size=1).filter(str.strip)),
@@ -188,5 +189,6 @@ def findings(draw):
         original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
-        xfail=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
+        xfail=reason,
+        xfail_until=None if reason is None else draw(st.none() | st.dates()),
     )

@@ -1,5 +1,6 @@
 import os
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
@@ -132,6 +133,16 @@ def test_an_id_must_fit_into_file_names_and_node_ids(name):
 def test_a_reason_must_say_something(reason):
     with pytest.raises(ValueError, match="xfail: expected a reason"):
         plain_finding(xfail=reason)
+
+
+def test_a_failure_is_accepted_up_to_its_last_day_and_not_without_a_reason():
+    day, next_day = date(2027, 1, 31), date(2027, 2, 1)
+    finding = plain_finding(xfail="issue 12", xfail_until=day)
+    assert (finding.is_accepted(day), finding.is_accepted(next_day)) == (True, False)
+    assert plain_finding(xfail="issue 12").is_accepted(next_day)
+    assert not plain_finding().is_accepted(day)
+    with pytest.raises(ValueError, match="xfail_until: expected None without a reason"):
+        plain_finding(xfail_until=day)
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,25 @@ def test_two_reasons_for_one_kind_fail_and_leave_the_own_file(failing, other):
     before = corpus(failing)
     result = merge(failing, other)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["xfail: expected one reason for a kind of failure, received 2 (*issue 12*issue 13*"])
+    result.stdout.fnmatch_lines(
+        ["xfail: expected one reason and one day for a kind of failure, received 2 (*issue 12*issue 13*"]
+    )
     assert corpus(failing) == before
+
+
+def test_the_last_day_of_a_reason_goes_with_it_and_another_day_is_a_conflict(failing, other):
+    file = the_file(other)
+    file.write_text(file.read_text().replace('# xfail: "reason"', "xfail: {reason: issue 12, until: 2027-01-31}"))
+    merge(failing, other)
+    own = the_file(failing.path / "pafot_corpus")
+    assert load(own).accepted == "issue 12, until 2027-01-31"
+    own.write_text(own.read_text().replace("2027-01-31", "2027-02-28"))
+    result = merge(failing, other)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        ["*received 2 (*issue 12, until 2027-02-28*issue 12, until 2027-01-31); write the same*"]
+    )
+    assert load(own).accepted == "issue 12, until 2027-02-28"
 
 
 def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(failing):

@@ -218,8 +218,13 @@ def holds(finding: Finding) -> dict[str, Any]:
             "speeds": [{name: getattr(each, name) for name in each.__slots__} for each in shrunk.speeds],
         },
         "flaky": finding.flaky,
-        "xfail": finding.xfail,
+        "xfail": _accepted(finding),
     }
+
+
+def _accepted(finding: Finding) -> Any:
+    until = finding.xfail_until
+    return finding.xfail if until is None else {"reason": finding.xfail, "until": until.isoformat()}
 
 
 def _chance(chance: LastChance | None) -> dict[str, Any] | None:
