@@ -66,6 +66,7 @@ def types(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def docs(session: nox.Session) -> None:
-    """Every sample, table, link and option in the documents."""
-    session.install(".[test]")
+    """Every sample, table, link and option in the documents, and their site."""
+    session.install(".[test,docs]")
     session.run("python", "-m", "pytest", "-n", "2", "tests/test_docs.py", *session.posargs)
+    session.run(*shlex.split("python -m sphinx -W --keep-going -n -b html docs build/site"))

@@ -1,5 +1,7 @@
 """Ready properties: what is commonly asked of a driving policy, one line of a test function each.
 
+Such as::
+
     @pafot.search(blame="ego")
     def test_drives_well(run):
         pafot.properties.comfort(run)
@@ -55,7 +57,7 @@ CONTACT = 0.1
 def no_fault(run: Run) -> None:
     """The ego is at fault in no collision, neither alone nor with the NPC; an assertion, without a margin.
 
-    By the written rules of ``run.attribution``, whose sources docs/verdicts.md names.
+    By the written rules of ``run.attribution``, whose sources docs/explanation/verdicts.md names.
     """
     assert run.responsibility not in ("ego", "both"), run.explain()  # noqa: S101
 
@@ -171,7 +173,8 @@ def brakes_for_a_reason(run: Run) -> None:
     """The ego never brakes hard, more than 5 m/s^2 for 0.4 s, with nothing in its way, whether somebody hits it or not.
 
     What is checked is the deceleration that lasts for 0.4 s from a tick on [m/s^2], 0 where there is a reason, at most
-    5. A reason of docs/verdicts.md, rule 7, must be there when the braking began, up to 1.6 s before, or 0.4 s after.
+    5. A reason of docs/explanation/verdicts.md, rule 7, must be there when the braking began, up to 1.6 s before, or
+    0.4 s after.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """

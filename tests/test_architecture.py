@@ -8,9 +8,9 @@ import pytest
 from tests.test_layers import HOMES, MODULES, PACKAGE, ROOMS, room_of
 
 ROOT = PACKAGE.parent
-PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "maintain" / "architecture.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-EXPLANATION = (ROOT / "docs" / "explanation.md").read_text(encoding="utf-8")
+EXPLANATION = "".join(page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "explanation").glob("*.md")))
 
 ROOM_ROW = re.compile(r"^\| `(\w+)` \| (.+?) \|(.*)\|$", re.MULTILINE)
 MENTION = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml)|(?:[\w.-]+/)+)(?::([\w.]+))?`")

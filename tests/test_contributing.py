@@ -87,10 +87,17 @@ def test_the_same_linters_run_by_hand_before_a_commit_in_nox_and_in_ci(command):
     assert re.search(rf"&& {command}\b", CI)
 
 
+def test_the_site_is_built_strictly_and_everywhere_by_one_command():
+    readme, conf = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/conf.py"))
+    assert "docs" in PROJECT["optional-dependencies"]
+    for text in (readme, conf, TEXT, CI, NOX):
+        assert re.search(r"python -m sphinx (-q )?-W --keep-going -n -b html docs build/site", text)
+
+
 def test_the_citation_is_of_this_version_and_of_the_paper_that_the_explanation_names():
     assert CITATION["version"] == PROJECT["version"] == pytest_pafot.__version__
     assert (CITATION["title"], CITATION["license"]) == (PROJECT["name"], PROJECT["license"])
     (paper,) = CITATION["references"]
     address = f"https://doi.org/{paper['doi']}"
     assert PROJECT["urls"]["Paper"] == address
-    assert address in (ROOT / "docs" / "explanation.md").read_text(encoding="utf-8")
+    assert address in (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")

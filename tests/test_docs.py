@@ -42,14 +42,14 @@ import pytest_pafot.plugin.execution
 import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
-import pytest_pafot.world.engines.object_engine  # noqa: F401
+import pytest_pafot.world.engines.object_engine
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
 from tests.support.sessions import in_process
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
 OVERVIEW, OVERVIEWS = ROOT / "docs" / "comparisons" / "README.md", ("overview-of-the-paper", "overview-of-failures")
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
@@ -82,6 +82,11 @@ def text_of(document):
     return document.read_text(encoding="utf-8")
 
 
+def place(document):
+    """Of a document in the repository, without its suffix."""
+    return document.relative_to(ROOT).with_suffix("").as_posix()
+
+
 def blocks_of(text):
     return [
         Block(tuple((found[1] or "").split(" | ")) if found[1] else (), found[2], *found[3].partition("\n")[::2])
@@ -94,7 +99,7 @@ def stories():
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
-                yield pytest.param(document, part, id=f"{document.stem}-{number}")
+                yield pytest.param(document, part, id=f"{place(document)}-{number}")
 
 
 def pattern(text, varying):
@@ -315,7 +320,7 @@ def test_refreshing_writes_new_numbers_and_new_names_of_files_wherever_the_docum
     assert "after 6.4 s in cell 2, took 0.125 s\n\n20 runs in 12.5 s\n...\nsaved as front-d175c7\n" in text
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=place)
 def test_every_block_says_its_language(document):
     assert {block.language for block in blocks_of(text_of(document))} <= RUN | NOT_RUN
 
@@ -348,19 +353,19 @@ def generator():
 
 def test_the_reference_is_as_the_code_has_it():
     module = generator()
-    text = text_of(module.REFERENCE)
-    assert module.generated(text) == text, "run: python docs/tools/generate.py"
+    for page in module.REFERENCE:
+        assert module.generated(text_of(page)) == text_of(page), "run: python docs/tools/generate.py"
 
 
 def test_every_generated_section_is_in_the_reference():
     module = generator()
-    present = [name for name, _ in GENERATED.findall(text_of(module.REFERENCE))]
+    present = [name for name, _ in GENERATED.findall("".join(map(text_of, module.REFERENCE)))]
     assert sorted(present) == sorted(module.sections())
 
 
 def test_every_measured_table_has_a_program_and_one_place():
     measured = tool("figures").BENCHMARKS
-    places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, [*DOCUMENTS, OVERVIEW])))
+    places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, DOCUMENTS)))
     assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *OVERVIEWS])
     for name, (command, document) in measured.items():
         assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
@@ -387,7 +392,9 @@ def test_the_reference_has_a_row_for_every_option_with_all_its_names():
 
 def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
     (example,) = (
-        block for name, block in GENERATED.findall(text_of(ROOT / "docs/reference.md")) if name == "example-file"
+        block
+        for name, block in GENERATED.findall(text_of(ROOT / "docs/reference/corpus-files.md"))
+        if name == "example-file"
     )
     content = example.removeprefix("```yaml\n").removesuffix("```\n")
     finding = parsed(Path("front-2-1f3a9c.pafot.yaml"), content.encode())
@@ -403,6 +410,17 @@ def test_every_tool_of_the_documents_finds_what_it_imports(tool):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_the_site_has_every_public_name_and_every_package_that_lists_some():
+    pages = "".join(map(text_of, (ROOT / "docs" / "api").glob("*.rst")))
+    modules = re.findall(r"^\.\. automodule:: (\S+)", pages, re.MULTILINE)
+    lists = [path for path in (ROOT / "pytest_pafot").glob("*/__init__.py") if "__all__ = " in text_of(path)]
+    assert {f"pytest_pafot.{path.parent.name}" for path in lists} <= set(modules)
+    names = {name for each in modules for name in getattr(importlib.import_module(each), "__all__", ())}
+    names |= {each.removeprefix("pytest_pafot.") for each in modules}
+    names |= set(re.findall(r"^\.\. auto\w+:: pytest_pafot\.(\w+)$", pages, re.MULTILINE))
+    assert set(pytest_pafot.__all__) <= names
+
+
 def anchor(heading):
     """As code hosts make it."""
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
@@ -414,9 +432,9 @@ def anchors(document):
 
 def links():
     for document in DOCUMENTS:
-        for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text_of(document))):
+        for target in re.findall(r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))):
             if "://" not in target:
-                yield pytest.param(document, target, id=f"{document.name}-{target}")
+                yield pytest.param(document, target, id=f"{place(document)}-{target}")
 
 
 @pytest.mark.parametrize(("document", "target"), list(links()))
@@ -431,14 +449,14 @@ def test_every_option_in_the_documents_exists():
     flags = {option.flag for option in OPTIONS}
     for document in DOCUMENTS:
         used = set(re.findall(r"--pafot-[a-z]+(?:-[a-z]+)*", text_of(document)))
-        assert used <= flags, document.name
+        assert used <= flags, place(document)
 
 
 def workflows():
     for document in DOCUMENTS:
         for block in blocks_of(text_of(document)):
             if block.first.startswith("# .github/workflows/"):
-                yield pytest.param(yaml.safe_load(block.rest), id=document.name)
+                yield pytest.param(yaml.safe_load(block.rest), id=place(document))
 
 
 @pytest.mark.parametrize("workflow", list(workflows()))

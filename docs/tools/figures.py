@@ -44,33 +44,41 @@ REPORTS = {
 }
 """Arguments of the comparisons, by the folder of the report; of two in braces the second is the quick one."""
 
+DEFAULT_SEARCH = "docs/explanation/default-search.md"
+
 BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
     "paper-collisions": (
         "paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}",
         "docs/comparisons/README.md",
     ),
-    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation.md"),
-    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", "docs/explanation.md"),
+    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
+    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
-        "docs/explanation.md",
+        DEFAULT_SEARCH,
     ),
     "near-misses": (
         "ablation --tables failures --runs {60|1} --hours {12|0.1} --workers WORKERS "
         "--searches random pafot 'distinct, as it is' 'no near-misses'",
-        "docs/explanation.md",
+        DEFAULT_SEARCH,
     ),
-    "nearness": ("nearness --scenarios {20000|50} --parents {60|1} --children {60|1}", "docs/explanation.md"),
+    "nearness": (
+        "nearness --scenarios {20000|50} --parents {60|1} --children {60|1}",
+        DEFAULT_SEARCH,
+    ),
     "collisions": (
         "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
-        "docs/explanation.md",
+        DEFAULT_SEARCH,
     ),
-    "failures": ("ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS", "docs/explanation.md"),
-    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation.md"),
-    "every-road": ("every_road --seeds {5|1} --generations {10|1}", "docs/explanation.md"),
+    "failures": (
+        "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
+        DEFAULT_SEARCH,
+    ),
+    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", "docs/explanation/findings.md"),
+    "every-road": ("every_road --seeds {5|1} --generations {10|1}", "docs/explanation/roads.md"),
     "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
     "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
-    "training": ("training --seconds {8|1}", "docs/reference.md"),
+    "training": ("training --seconds {8|1}", "docs/reference/training.md"),
     "positive-controls": (
         "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --workers WORKERS",
         None,

@@ -1,4 +1,4 @@
-"""Write the table of gallery.md and its pictures, from the situations that the tests judge.
+"""Write the table of explanation/gallery.md and its pictures, from the situations that the tests judge.
 
 Run it after a change of either: ``python docs/tools/gallery.py``. It needs nothing besides the plugin.
 """
@@ -20,8 +20,8 @@ from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.trace import ACROSS, ANGLE, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y  # noqa: E402
 from tests.support.situations import SITUATIONS, Situation  # noqa: E402
 
-PAGE = DOCS / "gallery.md"
-PICTURES = DOCS / "gallery"
+PAGE = DOCS / "explanation" / "gallery.md"
+PICTURES = PAGE.with_suffix("")
 
 WIDTH, LINE, MARGIN = 460, 15, 4
 """Of a picture, of a line of text in it, and around both [px]."""

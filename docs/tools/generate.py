@@ -1,4 +1,4 @@
-"""Write the tables of reference.md that come from the code.
+"""Write the tables of reference/ that come from the code.
 
 Run it after a change of either: ``python docs/tools/generate.py``.
 """
@@ -41,7 +41,7 @@ from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.training import training_env
 from pytest_pafot.world import Drive, Highway, NpcLimits, Observation, Perception, VehicleState, World, WorldLike
 
-REFERENCE = Path(__file__).parents[1] / "reference.md"
+REFERENCE = sorted((Path(__file__).parents[1] / "reference").glob("*.md"))
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
@@ -81,8 +81,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "`Highway` or `World`, all of them. `config` of a `World` has the defaults of its environment, too. The replay "
     "uses this world, not the one that the test names now, and no default of a later version. Where the world is code, "
     "the replay uses the one that the test names: kind `own`, with the `class` of [a world of your "
-    "own](how-to.md#a-world-of-your-own) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. "
-    "A world that a package has [registered](how-to.md#a-simulator-of-your-own) has its own kind and its `data`.",
+    "own](../guide/own-world.md) and the `data` of its `to_dict`; and `gym` with the names of `wrappers`. "
+    "A world that a package has [registered](../guide/own-world.md#a-simulator-of-your-own) has its own kind "
+    "and its `data`.",
     "scenario.seed": "Seed of the repair inside the run.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], with which everybody starts.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` where it is not given.",
@@ -90,15 +91,16 @@ FILE_TEXTS: Mapping[str, str] = {
     "finds of algorithms that know no grid, of Lane-Instructions `{lane, speed}`: lane `keep`, `left` or `right`.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.reference_drivers": "For each reference driver what becomes of it in the ego's place: `avoids`, `hit`, "
-    "`at-fault` or `fails` ([their meaning](explanation.md#who-could-have-prevented-it)); not there where it means "
-    "nothing. Older files have a list `preventable_by` of drivers without a collision, which is read as `avoids`.",
+    "`at-fault` or `fails` ([their meaning](../explanation/responsibility.md#who-could-have-prevented-it)); not "
+    "there where it means nothing. Older files have a list `preventable_by` of drivers without a collision, which is "
+    "read as `avoids`.",
     "expect.check": "What the failed check measured, and its bounds, in its unit: `value`, `at_most`, `at_least`, "
     "`unit`. The assertion is its name then.",
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "
     "`driver`, and its `action` and the ego's, `ego_action`: acceleration [m/s^2] and steering [rad]. Not there where "
     "there is no such moment.",
     "perception": "How the ADS saw the others, where that was not perfect: what was given to "
-    "[`pafot.Perception`](#what-an-ads-sees-and-returns), without what is perfect; and, once that is known, the list "
+    "[`pafot.Perception`](ads.md), without what is perfect; and, once that is known, the list "
     "`needed` of those imperfections without which the test does not fail, empty where it fails also with perfect "
     "sight. A replay runs what the test gives now, and says where that sees otherwise.",
     "original": "The scenario as first found, like `scenario`; where shrinking has put a simpler one in its place.",
@@ -424,4 +426,5 @@ def _strategies_table() -> str:
 
 
 if __name__ == "__main__":
-    REFERENCE.write_text(generated(REFERENCE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    for page in REFERENCE:
+        page.write_text(generated(page.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")

@@ -1,4 +1,4 @@
-"""Make the pictures of report pages in README.md and how-to.md from real searches of two example policies.
+"""Make the pictures of report pages in README.md and guide/triage.md from real searches of two example policies.
 
 It runs both searches, opens their pages in a headless Chromium, light and dark, and stores what it shows. It needs
 Chromium, and Pillow and fiss-planner besides the plugin:

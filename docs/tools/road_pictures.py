@@ -1,4 +1,4 @@
-"""Make roads.png, the sheet in explanation.md: one finding on each kind of road that highway-env has.
+"""Make roads.png, the sheet in explanation/roads.md: one finding on each kind of road that highway-env has.
 
 Random scenarios run against a vehicle that keeps its lane and its speed; the first collision for which it is
 responsible is pictured, half a second before the impact. It needs Pillow besides the plugin:

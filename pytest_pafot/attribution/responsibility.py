@@ -1,7 +1,7 @@
 """Who caused a collision, by written rules over the trace.
 
-:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/verdicts.md tells the rules clause by
-clause, with their sources.
+:func:`rss_rule` is the rule; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md tells the rules
+clause by clause, with their sources.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def rss_rule(trace: Trace) -> Attribution:
     one behind, or was the leader long enough for that one to respond; and an ego that a careful driver's braking would
     have saved from a cut-in answers for that. Otherwise the follower does, where 6 m/s^2 after 1 s would have avoided
     it. A leading ego answers for braking hard, or stopping, with nothing in its way; otherwise not, and not while it
-    stands. Each clause, its source and its numbers are in docs/verdicts.md.
+    stands. Each clause, its source and its numbers are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157
@@ -207,7 +207,7 @@ class Conflict:
 
     @cached_property
     def attribution(self) -> Attribution:
-        """By the rules of docs/verdicts.md."""
+        """By the rules of docs/explanation/verdicts.md."""
         over = self._over
         if self._is_in_one_track:
             return self._in_one_lane() if over is None else self._changed(over)

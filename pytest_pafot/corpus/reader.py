@@ -1,6 +1,6 @@
 """Reads a corpus file: the finding in it, checked strictly, or one error with the line, the field and the way out.
 
-The format is in docs/reference; which keys a file may have stands in :mod:`pytest_pafot.corpus.schema`.
+The format is in docs/reference/corpus-files.md; which keys a file may have stands in :mod:`pytest_pafot.corpus.schema`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """AV-Fuzzer, the baseline of the paper's evaluation: a genetic algorithm over manoeuvres, without a grid.
 
 Source: Li et al., "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, as its authors
-released it. docs/explanation.md says what is otherwise here, and why.
+released it. docs/explanation/baselines.md says what is otherwise here, and why.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The paper's search counts collisions. What a user wants is each distinct failure once, and there it stands in its own
 way: whatever fails outranks all that does not, so the first defect that is found absorbs its population of four, and
 every further generation breeds it again. This search keeps the paper's genes and operators, and replaces what decides
-who breeds. docs/explanation.md has the comparison.
+who breeds. docs/explanation/default-search.md has the comparison.
 
 Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
 """

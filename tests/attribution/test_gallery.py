@@ -35,4 +35,4 @@ def test_the_page_and_its_pictures_are_as_the_situations_have_it():
 
 
 def test_no_picture_is_heavy():
-    assert max(path.stat().st_size for path in (ROOT / "docs" / "gallery").iterdir()) <= 4096
+    assert max(path.stat().st_size for path in (ROOT / "docs" / "explanation" / "gallery").iterdir()) <= 4096

@@ -1,4 +1,7 @@
-"""The rules against a second program that was written from docs/verdicts.md alone, and reasons against their traces."""
+"""The rules against a second program that was written from their page alone, and reasons against their traces.
+
+The page is docs/explanation/verdicts.md.
+"""
 
 from collections import Counter
 

@@ -34,7 +34,7 @@ DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, "sound-lane-changer": SoundLaneChanger}
 )
 AT_FAULT = "fuzzy-safety"
-"""Brakes for a leader's braking with 4 m/s^2 at most, and harder too late (docs/explanation.md)."""
+"""Brakes for a leader's braking with 4 m/s^2 at most, and harder too late (docs/explanation/responsibility.md)."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""How fast a world runs, and where the time goes. One command for all figures of docs/explanation.md, section Speed:
+"""How fast a world runs, and where the time goes. One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7] [--parts engines ads npcs search batch pure start memory comparison]
 

@@ -1,4 +1,6 @@
-"""Do two programs that were written from one page come to the same verdicts? docs/verdicts.md, on random collisions.
+"""Do two programs that were written from one page come to the same verdicts on random collisions?
+
+The page is docs/explanation/verdicts.md.
 
     python -m tests.benchmarks.verdicts_twice [--collisions 2000] [--seed 0] [--policies NAME ...] [--workers 2]
 

@@ -1,4 +1,4 @@
-"""The rules of attribution once more, from docs/verdicts.md alone: clause by clause, in plain loops over plain numbers.
+"""The rules of attribution once more, from docs/explanation/verdicts.md alone: clause by clause, in plain loops.
 
 It was written without a look at the program that it is compared with, and is obvious rather than fast. Sides are +1 to
 the right and -1 to the left; ticks are indices of the trace's rows.

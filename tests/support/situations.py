@@ -1,4 +1,6 @@
-"""Collisions that an expert has judged: what happens, and whose fault it is, by which clause of docs/verdicts.md.
+"""Collisions that an expert has judged: what happens, and whose fault it is, by which clause of the page.
+
+The page is docs/explanation/verdicts.md.
 
 The verdicts are written from the clauses, not from what the code says.
 """
@@ -30,7 +32,7 @@ class Situation:
         text: what happens.
         trace: makes it.
         responsibility, fault: that an expert expects.
-        clause: of docs/verdicts.md that decides.
+        clause: of docs/explanation/verdicts.md that decides.
         says: what the reason has in it.
     """
 

@@ -1,0 +1,113 @@
+"""The site: ``python -m sphinx -W --keep-going -n -b html docs build/site``.
+
+Pages are plain Markdown that also reads well on a code host, so what only a site needs is made here: the navigation
+from the lists of pages in each ``index.md``, copies of pictures and report pages that HTML inside of a page names, and
+links that lead out of this folder.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from docutils import nodes
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+
+import pytest_pafot
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+
+project = "pytest-pafot"
+author = "the pytest-pafot developers"
+release = version = pytest_pafot.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["tools", "_static"]
+
+html_theme = "furo"
+html_title = f"{project} {version}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": False}
+
+myst_heading_anchors = 4
+myst_links_external_new_tab = False
+
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+default_role = "code"  # in a docstring `name` is code, as in Markdown
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a docstring names, see closest()
+
+_PICTURE = re.compile(
+    r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'
+)
+_LISTED = re.compile(r"^- \[[^\]]*\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
+
+
+def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Give a page that is called index the navigation that its lists of pages say, by heading."""
+    if docname.rpartition("/")[2] == "index":
+        _, *parts = re.split(r"^## (.*)$", f"## \n{content[0]}", flags=re.MULTILINE)
+        for heading, body in zip(parts[::2], parts[1::2], strict=True):
+            if pages := "\n".join(_LISTED.findall(body)):
+                caption = f":caption: {heading}\n" if heading else ""
+                content[0] += f"\n```{{toctree}}\n:hidden:\n{caption}\n{pages}\n```\n"
+
+
+def themed(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Let pictures follow the page's own switch between light and dark, not only the browser's."""
+    content[0] = _PICTURE.sub(r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0])
+
+
+def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Put the file of the repository's root where its page is."""
+    if docname == "maintain/contributing":
+        text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/tutorial.md)")
+
+
+def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Make links of the pages that a docstring names."""
+    lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
+
+
+def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Node | None:
+    """What a docstring calls by a short name, where exactly one object on the pages has it."""
+    if node.get("refdomain") != "py":
+        return None
+    domain, last = env.domains.python_domain, f".{node['reftarget'].rpartition('.')[2]}"
+    found = {entry.docname: name for name, entry in domain.objects.items() if f".{name}".endswith(last)}
+    if len(found) != 1:
+        return None
+    ((docname, name),) = found.items()
+    address = app.builder.get_relative_uri(node["refdoc"], docname)
+    return nodes.reference("", "", content, internal=True, refuri=f"{address}#{name}")
+
+
+def pictures() -> Iterator[Path]:
+    """Files that HTML inside of pages names, and that Sphinx therefore does not see."""
+    for suffix in ("png", "svg", "html"):
+        yield from DOCS.rglob(f"*.{suffix}")
+
+
+def copied(app: Sphinx, exception: Exception | None) -> None:
+    """Put pictures and report pages where pages look for them."""
+    for path in pictures():
+        place = Path(app.outdir) / path.relative_to(DOCS)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, place)
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    for change in (contributing, navigated, themed):
+        app.connect("source-read", change)
+    app.connect("autodoc-process-docstring", linked)
+    app.connect("missing-reference", closest)
+    app.connect("build-finished", copied)
