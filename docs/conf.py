@@ -7,6 +7,7 @@ links that lead out of this folder.
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 from collections.abc import Iterator
@@ -41,6 +42,7 @@ myst_links_external_new_tab = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
+napoleon_custom_sections = [("Attributes", "params_style")]  # as arguments: one list
 default_role = "code"  # in a docstring `name` is code, as in Markdown
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a docstring names, see closest()
 
@@ -72,9 +74,16 @@ def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
         content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/tutorial.md)")
 
 
+def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
+    """Leave out what only a compiled class has as a member; its docstring lists it."""
+    return True if inspect.isgetsetdescriptor(thing) or inspect.ismemberdescriptor(thing) else None
+
+
 def linked(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Make links of the pages that a docstring names."""
+    """Make links of the pages that a docstring names, and keep "word: text" from being read as type and text."""
     lines[:] = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", line) for line in lines]
+    if what == "property":
+        lines.insert(0, "")
 
 
 def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Node | None:
@@ -108,6 +117,7 @@ def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     for change in (contributing, navigated, themed):
         app.connect("source-read", change)
-    app.connect("autodoc-process-docstring", linked)
+    app.connect("autodoc-skip-member", skipped)
+    app.connect("autodoc-process-docstring", linked, priority=400)  # before napoleon
     app.connect("missing-reference", closest)
     app.connect("build-finished", copied)
