@@ -237,7 +237,13 @@ class Folder:
 
 @pytest.fixture
 def folder(pytester, monkeypatch, document):
-    for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", *(option.variable for option in OPTIONS)):
+    for name in (
+        "CI",
+        "BUILD_NUMBER",
+        "PYTEST_ADDOPTS",
+        "GITHUB_STEP_SUMMARY",
+        *(option.variable for option in OPTIONS),
+    ):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

@@ -16,12 +16,11 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.text import day_of
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
-Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day"]
+Kind = Literal["integer", "seconds", "text", "page", "switch", "workers", "address", "folders", "day", "file"]
 
 SEED_LIMIT = 2**63
 
@@ -202,6 +201,13 @@ OPTIONS: tuple[Option, ...] = (
         "Write the findings to FILE.html as one web page, or to DIR/ as a page and a moving picture of each.",
     ),
     Option(
+        "json",
+        "file",
+        "Write to FILE what the session comes to, for programs: searches, findings, their files and the exit code.",
+        everywhere=False,
+        is_argument=False,
+    ),
+    Option(
         "prune",
         "switch",
         "Remove saved scenarios whose test was collected and no longer exists; lists them first.",
@@ -332,6 +338,8 @@ def _read_text(option: Option, value: object) -> str:
 
 
 def _read_day(option: Option, value: object) -> str:
+    from pytest_pafot.text import day_of  # noqa: PLC0415  (for few sessions)
+
     if not isinstance(value, str) or day_of(value) is None:
         raise OptionError(f"expected a day of the calendar, as 2027-01-31, received {value!r}")
     return value
@@ -369,4 +377,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "address": _read_text,
     "folders": _read_text,
     "day": _read_day,
+    "file": _read_text,
 }

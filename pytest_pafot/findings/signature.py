@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from textwrap import dedent
 
@@ -119,6 +119,12 @@ class Signature:
             return False
         named, measures = _named(self.assertion)
         return bool(measures) and not named & _OF_COLLISIONS
+
+    @property
+    def text(self) -> str:
+        """All that is compared, in one line: equal for two signatures where these are equal, and nowhere else."""
+        compared = ((each.name, getattr(self, each.name)) for each in fields(self) if each.compare)
+        return " ".join(f"{name}={str(value)!r}" for name, value in compared if value is not None)
 
     @property
     def slug(self) -> str:

@@ -6,12 +6,13 @@ numpy, yaml or highway-env is imported when a marked test is collected or run.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.plugin import fixtures, messages
+from pytest_pafot.plugin import fixtures, messages, session_records
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, RATE_MARK, SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.merge_item import MERGE, Merging
@@ -47,6 +48,8 @@ def pytest_configure(config: pytest.Config) -> None:
         asked = config.getoption(BY_NAME["today"].key)
         config.stash[SHARED] = Shared(today=asked) if asked else Shared()
         features |= {"reporting": Reporter(config), "pages": Pages(config)}
+        if session_records.is_asked_for(config, os.environ):
+            features["records"] = session_records.Records(config)
     if config.getoption(MERGE):
         features["merging"] = Merging(config)
     if config.getoption("dist", "no") != "no":

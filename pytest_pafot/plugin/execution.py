@@ -6,6 +6,7 @@ import pytest
 
 from pytest_pafot.plugin.collection import is_search, saved_of
 from pytest_pafot.plugin.item_checks import REQUEST
+from pytest_pafot.plugin.item_properties import set_of_saved
 from pytest_pafot.plugin.merge_item import MERGES, run_merge
 from pytest_pafot.plugin.session import SHARED
 
@@ -15,7 +16,13 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Count searches that begin, whether they are skipped or not: they no longer wait for their time."""
+        """Count searches that begin, whether they are skipped or not: they no longer wait for their time.
+
+        What an item of a saved scenario is called and where it lies is known whatever becomes of it.
+        """
+        saved = saved_of(item)
+        if saved is not None:
+            set_of_saved(item, saved)
         if is_search(item):
             item.config.stash[SHARED].begun.add(item.nodeid)
 

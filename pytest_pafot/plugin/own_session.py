@@ -17,11 +17,9 @@ from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.crash_records import left_by
 from pytest_pafot.execution.pool import ProcessLostError, ending
 from pytest_pafot.execution.scenario_pool import Job
+from pytest_pafot.plugin.session import HERE
 from pytest_pafot.plugin.stuck_ads import STATUS
 from pytest_pafot.scenario import Scenario
-
-HERE = "PAFOT_REPLAY_HERE"
-"""Set in the environment of a session that was started to replay a file in its own process."""
 
 
 def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import date
 from functools import partial
 from typing import NoReturn
@@ -24,6 +25,7 @@ from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.report.session_record import FindingRecord, replay_command
 from pytest_pafot.report.wrapping import fitted_lines
 from pytest_pafot.run import Run
 from pytest_pafot.text import ascii_text
@@ -49,11 +51,11 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     for leftover in harness.left_behind(item.nodeid):
         leftover.discard()  # What came of it is told now.
     if lost is not None:
-        _conclude_lost(item, replays, finding, lost, path, beside)
+        _conclude_lost(item, replays, saved, finding, lost, beside)
     detail = "; ".join(filter(None, [_against(replays), *replays.sight_change(finding)]))
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
-    _tell(item, replays, label, detail)
+    _tell(item, replays, saved, label, headline=headline(run, verdict) if verdict.failed else "", detail=detail)
     page = page_messages_of(item, request.settings)
     if page is not None:
         line = headline(run, verdict) if verdict.failed else ""
@@ -68,17 +70,18 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
 
 
 def _conclude_lost(
-    item: pytest.Function, replays: Replays, finding: Finding, lost: LostRun, path: str, beside: str
+    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, beside: str
 ) -> NoReturn:
     """Fail for a scenario whose process did not come back; ``beside`` is what to call it beside a reference."""
     __tracebackhide__ = True
+    path = relative(saved.path, replays.harness.root)
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
     label = beside or ("still failing" if was_lost else "drifted")
     detail = _against(replays)
     if label == "drifted":
         detail = replays.changes(finding, f"the process {lost.how}")
-    _tell(item, replays, label, detail)
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
+    _tell(item, replays, saved, label, headline=line, detail=detail)
     page = page_messages_of(item, replays.harness.request.settings)
     if page is not None:
         page.replayed(finding, None, headline=line, label=label, path=path)
@@ -94,7 +97,11 @@ def _against(replays: Replays) -> str:
     return "" if against is None else f"against {against.shown}"
 
 
-def _tell(item: pytest.Function, replays: Replays, label: str, detail: str) -> None:
+def _tell(item: pytest.Function, replays: Replays, saved: Saved, label: str, *, headline: str, detail: str) -> None:
+    path, finding = relative(saved.path, replays.harness.root), saved.finding
+    if finding is not None:
+        told = {"file": path, "replay": replay_command(path), "headline": headline, "detail": detail}
+        messages.send(item, "record", asdict(FindingRecord.of(finding, node_id=item.nodeid, status=label, **told)))
     against = "" if replays.harness.against is None else replays.harness.against.shown
     messages.send(item, "replay", {"label": label, "detail": detail, "against": against})
     item.user_properties.append(("pafot", label))

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,13 @@ import pytest
 
 from pytest_pafot.campaign.against import reference_of
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
-from pytest_pafot.campaign.events import FindTold, Listener, SearchEvent, SearchStarted
+from pytest_pafot.campaign.events import FindTold, Kept, Listener, SearchEvent, SearchStarted
 from pytest_pafot.campaign.harness import Harness, checked_factory, source_file
+from pytest_pafot.campaign.options import Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
-from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import folder_of_test
 from pytest_pafot.files import remove_unfinished
@@ -29,12 +30,14 @@ from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
+from pytest_pafot.plugin.item_properties import of_findings, set_properties
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
+from pytest_pafot.report.session_record import NEW, FindingRecord, replay_command, search_command
 from pytest_pafot.versions import installed_versions
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
@@ -119,7 +122,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     search = Search(
         node_id=item.nodeid,
         harness=chosen,
-        listener=SearchMessages(item, page_messages_of(item, settings)),
+        listener=SearchMessages(item, page_messages_of(item, settings), settings),
         limit=time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item)),
         replays=replace(replays, harness=chosen),
         # The session ends at the first failure then, which a loop inside of an item must do by itself.
@@ -171,22 +174,28 @@ class SearchMessages:
 
     item: pytest.Function
     page: Listener | None
+    settings: Settings
+    told: dict[str, Kept] = field(default_factory=dict)  # the finds so far, by id
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message, for those events that the terminal tells."""
         if isinstance(event, SearchStarted):
+            set_properties(self.item.user_properties, seed=event.seed, base_seed=self.settings.seed)
             messages.send(self.item, "start", {})
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, FindTold):
             self._find(event)
         elif isinstance(event, SearchSummary):
+            found = of_findings((each.finding, each.find.path) for each in self.told.values())
+            set_properties(self.item.user_properties, **found)
             messages.send(self.item, "search", asdict(event))
         if self.page is not None:
             self.page(event)
 
     def _find(self, told: FindTold) -> None:
         kept, config = told.kept, self.item.config
+        self.told[kept.find.id] = kept
         width = config.stash[SHARED].width
         explanation = "" if told.run is None else explained(told.run, told.exception, config)
         details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
@@ -206,11 +215,26 @@ class SearchMessages:
             width=width,
         )
         lines = terminal.found_lines(kept.find, width) if told.is_new else []
-        report = _report(self.item, kept.find, told.exception, section)
+        report = _report(self.item, kept, told.exception, section)
         messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
+        messages.send(self.item, "record", asdict(self._record(kept)))
+
+    def _record(self, kept: Kept) -> FindingRecord:
+        """A find for programs. One that lies in no file is found again by its search."""
+        find, settings = kept.find, self.settings
+        options = [*settings.budget.split(), f"--pafot-seed={settings.seed}"]
+        return FindingRecord.of(
+            kept.finding,
+            node_id=find.node_id,
+            status=NEW,
+            file=find.path or None,
+            replay=replay_command(find.path) if find.path else search_command(self.item.nodeid, *options),
+            headline=find.headline,
+            detail=find.problem,
+        )
 
 
-def _report(item: pytest.Item, find: Find, exception: BaseException, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, kept: Kept, exception: BaseException, section: str) -> dict[str, Any]:
     """The report of a find as the item that it will be next time, serialised.
 
     Made by pytest's own hooks, so that marks of the function, such as xfail, act on it.
@@ -221,13 +245,13 @@ def _report(item: pytest.Item, find: Find, exception: BaseException, section: st
 
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
+    find = kept.find
     path, line, _ = report.location
     summarise(report, find.summary)
     report.nodeid = find.node_id
     report.location = (path, line, node_ids.saved_name(item, find.id))
     report.sections.append(("pafot", section))
-    if find.path:
-        report.user_properties.append(("pafot_file", find.path))  # for files such as JUnit's, which have no sections
+    set_properties(report.user_properties, **of_findings([(kept.finding, find.path)]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

@@ -20,6 +20,10 @@ from pytest_pafot.plugin.option_sources import resolve
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 
 
+HERE = "PAFOT_REPLAY_HERE"
+"""Set in the environment of a session that was started to replay a file in its own process."""
+
+
 def terminal_width() -> int:
     """Columns of the terminal, as pytest counts them."""
     columns = shutil.get_terminal_size((80, 24)).columns

@@ -151,6 +151,7 @@ def project(pytester, monkeypatch, found):
         "CI",
         "BUILD_NUMBER",
         "PYTEST_ADDOPTS",
+        "GITHUB_STEP_SUMMARY",
         "PAFOT_SEED",
         "PAFOT_RUNS",
         "PAFOT_GENERATIONS",

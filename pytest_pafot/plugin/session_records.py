@@ -1,0 +1,186 @@
+"""``--pafot-json`` and the summary of a CI job: what items tell is gathered on the controller, and written at the end.
+
+The JSON file is there from the beginning of the session, and written again with each find: a session that is killed
+leaves what it has found, and no file of an earlier one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.plugin import messages
+from pytest_pafot.plugin.item_properties import PREFIX
+from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
+
+if TYPE_CHECKING:
+    from pytest_pafot.campaign.summary import SearchSummary
+    from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+
+JSON = BY_NAME["json"]
+SUMMARY = "GITHUB_STEP_SUMMARY"
+"""The variable with which GitHub names the file for the summary of a step."""
+
+
+def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
+    """Whether anybody reads what a session comes to; of one that only replays a file for another one nobody does."""
+    is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
+    return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
+
+
+class Records:
+    """Gathers what items tell, and how they end."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._file: str | None = config.getoption(JSON.key)
+        self._lines = config.stash[SUMMARY_LINES]
+        self._summaries: dict[str, SearchSummary | None] = {}  # by node id; None of one that has not ended
+        self._findings: dict[str, FindingRecord] = {}
+        self._runs: dict[str, int] = {}
+        self._results: dict[str, list[str]] = {}
+        self._reasons: dict[str, str] = {}
+        self._texts: dict[str, list[str]] = {"rate": [], "merge": []}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionstart(self) -> None:
+        """Replace what an earlier session has left, by the record of one that has not ended."""
+        self._write_json(None)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take what items tell, and how each phase of theirs ended."""
+        message = messages.received(report)
+        if message is None:
+            self._take_phase(report)
+        elif message.kind in ("record", "start", "search", "rate", "merge"):
+            self._take(report.nodeid, message)
+
+    @pytest.hookimpl(trylast=True)  # when pages are written and finds are reported
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Write both, also when the session was interrupted."""
+        self._write_json(int(session.exitstatus))
+        with self._lines.faults(f"the summary in {SUMMARY}"):
+            self._append_summary(int(session.exitstatus))
+
+    def _take(self, node_id: str, message: messages.Message) -> None:
+        from pytest_pafot.campaign.summary import SearchSummary  # noqa: PLC0415
+        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
+
+        data = message.data
+        match message.kind:
+            case "start":
+                self._summaries[node_id] = None
+            case "record":
+                finding = self._findings[data["node_id"]] = FindingRecord(**data)
+                if finding.is_new:
+                    self._write_json(None)
+            case "search":
+                summary = self._summaries[node_id] = SearchSummary.from_plain(data)
+                self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
+                self._write_json(None)
+            case kind:
+                self._texts[kind].append(f"{data['text']}")
+
+    def _take_phase(self, report: pytest.TestReport) -> None:
+        """A saved scenario that tells nothing of itself could not be read or run."""
+        if SEARCH_MARK not in report.keywords:
+            return
+        self._results.setdefault(report.nodeid, []).append(_result(report))
+        if report.failed:
+            self._reasons.setdefault(report.nodeid, _reason(report))
+        if report.nodeid in self._findings:
+            return
+        if SAVED_MARK not in report.keywords:
+            if report.failed:
+                self._summaries.setdefault(report.nodeid, None)
+        elif report.failed:
+            self._findings[report.nodeid] = self._unreadable(report)
+
+    def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
+        from pytest_pafot.report.session_record import ERROR, FindingRecord, replay_command  # noqa: PLC0415
+
+        told = {name.removeprefix(PREFIX): str(value) for name, value in report.user_properties}
+        return FindingRecord(
+            node_id=report.nodeid,
+            id=told.get("id", ""),
+            status=ERROR,
+            file=told.get("file"),
+            replay=replay_command(told.get("file", report.nodeid)),
+            detail=self._reasons[report.nodeid],
+        )
+
+    def _record(self, code: int | None) -> SessionRecord:
+        from pytest_pafot.report.session_record import SessionRecord, worst  # noqa: PLC0415
+        from pytest_pafot.versions import installed_versions  # noqa: PLC0415
+
+        results = {node_id: worst(results) for node_id, results in self._results.items()}
+        return SessionRecord(
+            exit=code,
+            versions=installed_versions(),
+            searches=[self._search(node_id, results.get(node_id, "")) for node_id in sorted(self._summaries)],
+            findings=[
+                replace(self._findings[node_id], result=results.get(node_id, ""), runs=self._runs.get(node_id, 0))
+                for node_id in sorted(self._findings)
+            ],
+            rates=sorted(self._texts["rate"]),
+            merged=sorted(self._texts["merge"]),
+            problems=list(self._lines.problems),
+        )
+
+    def _search(self, node_id: str, result: str) -> SearchRecord:
+        from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
+
+        summary = self._summaries[node_id]
+        search = SearchRecord(node_id=node_id) if summary is None else SearchRecord.of(summary)
+        return replace(search, result=result, message=self._reasons.get(node_id, ""))
+
+    def _write_json(self, code: int | None) -> None:
+        if self._file is None:
+            return
+        from pytest_pafot.files import way_out, write_whole  # noqa: PLC0415
+        from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
+
+        path = Path(os.path.normpath(self._config.invocation_params.dir / self._file))
+        try:
+            write_whole(path, to_text(self._record(code)))
+        except OSError as error:
+            if code is not None:  # told once, at the end
+                fix = way_out(error, "or name another file")
+                self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {error.strerror or error}; {fix}")
+            return
+        if code is not None:
+            self._lines.reports.append(f"json: {self._file}")
+
+    def _append_summary(self, code: int) -> None:
+        """Nothing is imported for it in a session that has nothing to tell."""
+        path = os.environ.get(SUMMARY)
+        if not path or not any((self._summaries, self._findings, *self._texts.values(), self._lines.problems)):
+            return
+        from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
+
+        with Path(path).open("a", encoding="utf-8") as file:
+            file.write(markdown(self._record(code)))
+
+
+def _result(report: pytest.TestReport) -> str:
+    """What a phase says of its item."""
+    if report.failed:
+        return "failed" if report.when == "call" else "error"
+    if report.skipped:
+        return "xfailed" if hasattr(report, "wasxfail") else "skipped"
+    return "passed"
+
+
+def _reason(report: pytest.TestReport) -> str:
+    """The line of the short summary, or the first one of the text."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    text = report.longreprtext if crash is None else str(crash.message)
+    return next((line.strip() for line in text.splitlines() if line.strip()), "")

@@ -1,0 +1,125 @@
+"""What came of a session, in a few lines of Markdown, for the page of a CI job.
+
+Texts of users and of exceptions are shown as they are: nothing in them becomes markup.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+
+from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SearchRecord, SessionRecord
+from pytest_pafot.text import plural
+
+MAX_LISTED = 20
+"""Findings of one kind that are listed one by one."""
+
+MAX_TEXT = 300
+"""Characters of a text that somebody else wrote."""
+
+ACCEPTED = "accepted"
+"""What fails and is expected to."""
+
+_GROUPS: Mapping[str, str] = MappingProxyType(
+    {
+        NEW: "New",
+        "introduced": "Introduced by the change",
+        ERROR: "Could not be read or run",
+        "still failing": "Known, still failing",
+        "drifted": "Drifted: something else than in the file",
+        "flaky": "Flaky",
+        "common": "Known, and failing in the reference as well",
+        ACCEPTED: "Accepted for now",
+        "fixed": "Fixed",
+        "fixed before": "Fixed before",
+    }
+)
+"""Titles by what a finding is, in the order of what a reader must look at."""
+
+_MARKUP = re.compile(r"([\\`*_\[\]|~#!])")
+_LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
+_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+
+
+def markdown(record: SessionRecord) -> str:
+    """The summary of a session; empty where nothing in it concerned this plugin."""
+    return "" if record.is_empty else "\n".join(_lines(record)) + "\n"
+
+
+def _lines(record: SessionRecord) -> Iterator[str]:
+    groups: dict[str, list[FindingRecord]] = {name: [] for name in _GROUPS}
+    for finding in record.findings:
+        groups[ACCEPTED if finding.result == "xfailed" else finding.status].append(finding)
+    counts = [f"{len(group)} {name}" for name, group in groups.items() if group]
+    yield f"### pafot: {', '.join([*([] if groups[NEW] else ['nothing new']), *counts])}"
+    yield ""
+    yield from _search_lines(record)
+    for name, group in groups.items():
+        if group:
+            yield from ("", f"**{_GROUPS[name]}**", "")
+            for finding in group[:MAX_LISTED]:
+                yield from _finding_lines(finding)
+            yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
+    yield from _listed(
+        "Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in _faulty(record)]
+    )
+    yield from _listed("Crashes in ordinary traffic", [plain(each) for each in record.rates])
+    yield from _listed("Merged", [plain(each) for each in record.merged])
+    yield from _listed("Problems", [plain(each) for each in record.problems])
+
+
+def _search_lines(record: SessionRecord) -> Iterator[str]:
+    """How much was searched, and how to search again."""
+    ran = [search for search in record.searches if search.began]
+    if not ran:
+        yield "No search ran to its end." if record.searches else "No search was asked for."
+        return
+    seeds = ", ".join(dict.fromkeys(f"--pafot-seed={search.base_seed}" for search in ran))
+    count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
+    yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; again with {code(seeds)}."
+    against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
+    if against:
+        yield f"Only what {against} passes is a failure."
+
+
+def _finding_lines(finding: FindingRecord) -> Iterator[str]:
+    """A finding: what it is, and the command that shows it again, with its file."""
+    told = [plain(finding.headline or finding.detail)]
+    told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
+    if finding.xfail is not None:
+        until = finding.xfail["until"]
+        told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
+    yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
+    missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""
+    yield f"  <br>{missing}{code(finding.replay)}"
+
+
+def _faulty(record: SessionRecord) -> list[SearchRecord]:
+    """Searches that failed, and not by what they found."""
+    return [each for each in record.searches if each.result in ("failed", "error") and not (each.finds or each.unsaved)]
+
+
+def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
+    if entries:
+        yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:MAX_LISTED]))
+        yield from ([f"- ... and {len(entries) - MAX_LISTED} more"] if len(entries) > MAX_LISTED else [])
+
+
+def plain(text: str) -> str:
+    """A text on one line in which nothing is markup, a link or HTML."""
+    line = _LINK.sub(r"\\\1\2", _MARKUP.sub(r"\\\1", _one_line(text)))
+    return "".join(_ENTITIES.get(character, character) for character in line)
+
+
+def code(text: str) -> str:
+    """A text as code: between more backticks than it has side by side."""
+    line = _one_line(text)
+    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
+    return f"{fence}{pad}{line or ' '}{pad}{fence}"
+
+
+def _one_line(text: str) -> str:
+    line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
+    return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."

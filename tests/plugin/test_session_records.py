@@ -1,0 +1,210 @@
+"""``--pafot-json``, the summary of a CI job and properties for JUnit: what a session tells to programs."""
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.report.job_summary import markdown
+from pytest_pafot.report.session_record import from_text
+
+TWO = """
+@pafot.search(SHORT)
+def test_first(run):
+    assert run.scenario.id == ""
+
+@pafot.search(SHORT)
+def test_second(run):
+    assert run.scenario.id == ""
+"""
+
+IS_CUT = """
+seen = []
+
+@pafot.search(SHORT)
+def test_fails(run):
+    seen.append(run)
+    if len(seen) > 3:
+        raise KeyboardInterrupt
+    assert not run
+"""
+
+
+SEVERAL_KINDS = """
+@pafot.search(SHORT)
+def test_fails(run):
+    assert not run.scenario.npcs[0][0].speed < 15
+    assert not run
+"""
+
+
+def record_of(project, name="pafot.json"):
+    return from_text((project.path / name).read_text(encoding="utf-8"))
+
+
+def recorded(project, *args, **options):
+    project.run("--pafot-json=pafot.json", *args, **options)
+    return record_of(project)
+
+
+def properties(project):
+    """Of each test case of JUnit's file, by its name."""
+    cases = ElementTree.parse(project.path / "junit.xml").getroot().iter("testcase")
+    return {case.get("name"): {each.get("name"): each.get("value") for each in case.iter("property")} for case in cases}
+
+
+def test_a_search_and_its_find_are_recorded(failing):
+    record = recorded(failing)
+    (search,), (find,) = record.searches, record.findings
+    saved = load(failing.only_file)
+    assert (record.exit, record.problems) == (pytest.ExitCode.TESTS_FAILED, [])
+    assert (search.node_id, search.result, search.finds) == ("test_it.py::test_fails[search]", "failed", [saved.id])
+    assert (search.base_seed, search.seed) == (1, saved.found.seed)
+    assert search.message == f"1 new finding: {saved.id}"
+    assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
+    assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
+    assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
+    assert find.runs == search.failing > 0
+
+
+def test_a_replay_is_recorded_with_its_label_and_the_result_of_its_item(saved):
+    (find,) = recorded(saved, generations=0).findings
+    assert (find.status, find.result, find.file) == ("still failing", "failed", saved.files[0])
+    assert find.headline
+    saved.only_file.write_text(saved.only_file.read_text().replace("# xfail", "xfail"))
+    record = recorded(saved, generations=0)
+    assert (record.exit, record.findings[0].result, record.searches) == (0, "xfailed", [])
+    assert record.findings[0].xfail == {"reason": "reason", "until": None}
+
+
+def test_a_file_that_cannot_be_read_is_recorded_with_why(saved):
+    name = saved.files[0]
+    saved.only_file.write_text("pafot: 99\n")
+    (find,) = recorded(saved, generations=0).findings
+    assert (find.id, find.file, find.status, find.result) == (saved.only_id, name, "error", "failed")
+    assert "expected the format version" in find.detail
+
+
+def test_a_search_that_does_not_begin_is_recorded_with_why(project):
+    project.write("@pafot.search(SHORT, ads='nothing')\ndef test_it(run):\n    pass\n")
+    (search,) = recorded(project).searches
+    assert (search.result, search.reason, search.runs) == ("error", "", 0)
+    assert "the fixture 'nothing'" in search.message
+
+
+def test_a_session_that_is_interrupted_leaves_what_it_found(project):
+    project.write(IS_CUT)
+    record = recorded(project, no_reraise_ctrlc=True)
+    assert record.exit == pytest.ExitCode.INTERRUPTED
+    assert record.searches[0].reason == "interrupted"
+    assert [find.file for find in record.findings] == project.files
+    assert len(record.findings) == 2
+
+
+@pytest.mark.processes
+def test_a_session_that_is_killed_leaves_what_it_found_and_no_exit_code(project):
+    cut = IS_CUT.replace("raise KeyboardInterrupt", "import os; os._exit(9)")
+    project.write(cut)
+    (project.path / "pafot.json").write_text("of an earlier session")
+    project.run("--pafot-json=pafot.json", apart=True)
+    record = record_of(project)
+    assert (record.exit, record.searches[0].reason, len(record.findings)) == (None, "", 2)
+
+
+@pytest.mark.processes
+def test_workers_record_the_same_text_as_one_process(project):
+    pytest.importorskip("xdist")
+    project.write(TWO)
+    texts = []
+    for args in ([], ["-n2"]):
+        project.run("--pafot-json=out/pafot.json", *args, generations=2)
+        texts.append((project.path / "out" / "pafot.json").read_text())
+        project.run("--pafot-json=again.json", *args, generations=0)
+        texts.append((project.path / "again.json").read_text())
+        project.forget()
+    assert texts[:2] == texts[2:]
+    assert len(json.loads(texts[1])["findings"]) == len(json.loads(texts[0])["findings"]) > 1
+
+
+@pytest.mark.processes
+def test_workers_give_their_properties_to_junit(project):
+    pytest.importorskip("xdist")
+    project.write(TWO)
+    project.run("-n1", "--junitxml=junit.xml")
+    found = properties(project)
+    assert found["test_first[search]"]["pafot_base_seed"] == "1"
+    saved = [found[f"test_{name.split('/')[2][5:]}[saved-{load(project.path / name).id}]"] for name in project.files]
+    assert [each["pafot_file"] for each in saved] == project.files
+
+
+def test_junit_has_seed_id_signature_and_file_of_a_search_its_find_and_a_replay(failing):
+    failing.run("--junitxml=junit.xml")
+    find = load(failing.only_file)
+    search, found = properties(failing).values()
+    told = {"pafot_id": find.id, "pafot_signature": find.signature.text, "pafot_file": failing.files[0]}
+    assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
+    failing.run("--junitxml=junit.xml", generations=0)
+    replay = properties(failing)[f"test_fails[saved-{find.id}]"]
+    assert replay == {"pafot_seed": str(find.found.seed), **told, "pafot": "still failing"}
+
+
+def test_junit_names_all_finds_of_a_search_and_a_file_that_cannot_be_read(project):
+    project.write(SEVERAL_KINDS)
+    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0")
+    search = properties(project)["test_fails[search]"]
+    assert sorted(search["pafot_file"].split(", ")) == project.files
+    assert len(project.files) == len(search["pafot_id"].split(", ")) == 3
+    (project.path / project.files[0]).write_text("pafot: 99\n")
+    project.run("--junitxml=junit.xml", generations=0)
+    named = [each for each in properties(project).values() if each.get("pafot_file") == project.files[0]]
+    assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
+
+
+def test_a_file_that_cannot_be_written_is_a_problem_of_the_summary(failing):
+    (failing.path / "taken").write_text("")
+    result = failing.run("--pafot-json=taken/pafot.json")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["  problem: --pafot-json=taken/pafot.json: not written: *; *"])
+
+
+def test_nothing_is_written_where_tests_are_only_listed(failing):
+    failing.run("--pafot-json=pafot.json", "--collect-only")
+    assert not (failing.path / "pafot.json").exists()
+
+
+@pytest.fixture
+def summary(project, monkeypatch):
+    """The file for the summary of a step, with what an earlier command of that step has written."""
+    path = project.path / "summary.md"
+    path.write_text("before\n")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(path))
+    return path
+
+
+def test_the_summary_of_a_job_is_appended_to(summary, failing):
+    record = recorded(failing)
+    assert summary.read_text() == f"before\n{markdown(record)}"
+    assert f"<br>`python -m pytest {failing.files[0]}`\n" in markdown(record)
+
+
+def test_a_session_that_does_not_concern_this_plugin_adds_nothing(summary, project):
+    project.write("def test_it():\n    assert False\n")
+    project.run()
+    assert summary.read_text() == "before\n"
+
+
+def test_a_summary_that_cannot_be_written_costs_nothing_else(project, failing, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
+    result = failing.run("--pafot-json=pafot.json")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["  problem: the summary in GITHUB_STEP_SUMMARY: *"])
+
+
+@pytest.mark.processes
+def test_a_session_that_only_replays_for_another_one_writes_neither(summary, saved, monkeypatch):
+    monkeypatch.setenv("PAFOT_REPLAY_HERE", "1")
+    summary.write_text("before\n")
+    saved.run("--pafot-json=pafot.json", generations=0)
+    assert summary.read_text() == "before\n"
+    assert not (saved.path / "pafot.json").exists()

@@ -1,0 +1,139 @@
+"""The summary of a CI job: short, and nothing in it but what this plugin writes is markup."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.report.job_summary import MAX_LISTED, code, markdown, plain
+from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+
+
+def finding(id_="a", status="new", **changes):
+    known = {"test": "test_it.py::x", "headline": "collision after 5.4 s", "file": f"corpus/{id_}.pafot.yaml"}
+    known["replay"] = f"python -m pytest corpus/{id_}.pafot.yaml"
+    return FindingRecord(node_id=f"test_it.py::x[saved-{id_}]", id=id_, status=status, **known | changes)
+
+
+def search(**changes):
+    return SearchRecord(
+        node_id="test_it.py::x[search]", **{"reason": "all runs done", "runs": 40, "base_seed": 5} | changes
+    )
+
+
+def test_a_session_that_does_not_concern_this_plugin_has_none():
+    assert markdown(SessionRecord(exit=1)) == ""
+
+
+def test_what_is_found_known_and_fixed_is_counted_and_listed_with_how_to_replay_it():
+    record = SessionRecord(
+        searches=[search(finds=["a"])],
+        findings=[finding("c", "fixed", headline=""), finding("b", "still failing"), finding()],
+    )
+    assert (
+        markdown(record)
+        == """\
+### pafot: 1 new, 1 still failing, 1 fixed
+
+1 search, 40 runs; again with `--pafot-seed=5`.
+
+**New**
+
+- `test_it.py::x`: collision after 5.4 s
+  <br>`python -m pytest corpus/a.pafot.yaml`
+
+**Known, still failing**
+
+- `test_it.py::x`: collision after 5.4 s
+  <br>`python -m pytest corpus/b.pafot.yaml`
+
+**Fixed**
+
+- `test_it.py::x`
+  <br>`python -m pytest corpus/c.pafot.yaml`
+"""
+    )
+
+
+def test_where_nothing_is_found_it_says_so_in_two_lines():
+    assert markdown(SessionRecord(searches=[search()])).splitlines() == [
+        "### pafot: nothing new",
+        "",
+        "1 search, 40 runs; again with `--pafot-seed=5`.",
+    ]
+
+
+def test_what_is_accepted_comes_with_its_reason_and_last_day():
+    accepted = finding(status="still failing", result="xfailed", xfail={"reason": "issue 12", "until": "2027-01-31"})
+    text = markdown(SessionRecord(findings=[accepted]))
+    assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was asked for.\n\n**Accepted for now**\n")
+    assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
+
+
+def test_a_find_without_a_file_comes_with_the_search_that_finds_it_again():
+    unsaved = finding(file=None, detail="--pafot-save=none", replay="python -m pytest x --pafot-seed=5")
+    text = markdown(SessionRecord(searches=[search()], findings=[unsaved]))
+    assert "  <br>not saved: --pafot-save=none; `python -m pytest x --pafot-seed=5`\n" in text
+
+
+def test_long_lists_are_cut():
+    record = SessionRecord(findings=[finding(str(number)) for number in range(MAX_LISTED + 5)])
+    lines = markdown(record).splitlines()
+    assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
+    assert lines[-1] == "- ... and 5 more"
+    assert lines[0] == f"### pafot: {MAX_LISTED + 5} new"
+
+
+def test_a_search_that_failed_by_itself_problems_rates_and_merges_are_told():
+    record = SessionRecord(
+        searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
+        rates=["0 of 100 episodes"],
+        merged=["merged: test_it.py::x\n  2 saved scenarios"],
+        problems=["no space"],
+    )
+    assert markdown(record).splitlines()[4:] == [
+        "**Searches that failed**",
+        "",
+        "- `test_it.py::x[search]`: the search tested nothing: 40 runs, rejected",
+        "",
+        "**Crashes in ordinary traffic**",
+        "",
+        "- 0 of 100 episodes",
+        "",
+        "**Merged**",
+        "",
+        "- merged: test\\_it.py::x 2 saved scenarios",
+        "",
+        "**Problems**",
+        "",
+        "- no space",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a *b* _c_ `d`", r"a \*b\* \_c\_ \`d\`"),
+        ("[x](javascript:y) ![z](q)", r"\[x\](javascript:y) \!\[z\](q)"),
+        ("<img src=x onerror=y>&amp;", "&lt;img src=x onerror=y&gt;&amp;amp;"),
+        ("a | b\n# c\x1b[31m", r"a \| b \# c \[31m"),
+        ("https://a.b www.c.d", r"https\://a.b www\.c.d"),
+    ],
+)
+def test_texts_of_others_are_no_markup(text, expected):
+    assert plain(text) == expected
+
+
+@pytest.mark.parametrize(("text", "expected"), [("a", "`a`"), ("a`b", "``a`b``"), ("`", "`` ` ``"), ("", "` `")])
+def test_code_is_fenced_by_more_backticks_than_it_has(text, expected):
+    assert code(text) == expected
+
+
+@given(st.text(max_size=400))
+def test_no_text_ends_its_line_or_opens_a_tag(text):
+    for shown in (plain(text), code(text)):
+        assert len(shown.splitlines()) <= 1
+    assert not re.search("[<>]", plain(text))
+    fence = re.match("`+", code(text))[0]
+    assert code(text).count(fence) == 2

@@ -1,0 +1,114 @@
+"""What came of a session, for programs: its fields, its text and back."""
+
+import json
+import re
+from dataclasses import fields
+from datetime import date
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.campaign.summary import Find, SearchSummary
+from pytest_pafot.report.session_record import (
+    RESULTS,
+    FindingRecord,
+    RecordError,
+    SearchRecord,
+    SessionRecord,
+    from_text,
+    replay_command,
+    search_command,
+    to_text,
+    worst,
+)
+from tests.findings.builders import findings, plain_finding
+
+TEXTS = st.text(max_size=20)
+COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
+SUMMARIES = st.builds(
+    SearchSummary,
+    node_id=TEXTS,
+    seed=st.integers(0, 2**63),
+    finds=st.lists(st.builds(Find, id=TEXTS, node_id=TEXTS, headline=TEXTS), max_size=2).map(tuple),
+    unsaved=COUNTS,
+    known=COUNTS,
+    reached=st.none() | st.floats(0, 1),
+    warnings=st.lists(TEXTS, max_size=2).map(tuple),
+)
+RECORDS = st.builds(
+    SessionRecord,
+    exit=st.none() | st.integers(0, 5),
+    versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
+    searches=st.lists(SUMMARIES.map(SearchRecord.of), max_size=2),
+    findings=st.lists(
+        findings().map(lambda each: FindingRecord.of(each, node_id="test_it.py::x", status="new", file=None)),
+        max_size=2,
+    ),
+    rates=st.lists(TEXTS, max_size=1),
+    merged=st.lists(TEXTS, max_size=1),
+    problems=st.lists(TEXTS, max_size=1),
+)
+
+
+@settings(max_examples=40)
+@given(RECORDS)
+def test_every_record_is_read_as_it_was_written(record):
+    assert from_text(to_text(record)) == record
+
+
+def test_keys_are_sorted_and_the_version_is_among_them():
+    text = to_text(SessionRecord(searches=[SearchRecord(node_id="a")], exit=1))
+    plain = json.loads(text)
+    assert plain["pafot_json"] == 1
+    assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
+
+
+def test_a_finding_tells_what_its_file_does():
+    finding = plain_finding(xfail="issue 12", xfail_until=date(2027, 1, 31))
+    record = FindingRecord.of(finding, node_id="test_it.py::x[saved-a]", status="fixed", file="a b.pafot.yaml")
+    expect = finding.expect
+    assert (record.id, record.test, record.time) == (finding.id, finding.test, expect.time)
+    assert (record.outcome, record.responsible, record.kind) == ("collision", "ego", finding.signature.slug)
+    assert record.xfail == {"reason": "issue 12", "until": "2027-01-31"}
+    assert FindingRecord.of(plain_finding(), node_id="", status="new", file=None).xfail is None
+
+
+def test_no_duration_is_in_it():
+    slow, fast = (SearchRecord.of(SearchSummary(node_id="a", seconds=seconds)) for seconds in (1.0, 2.0))
+    assert slow == fast
+
+
+@pytest.mark.parametrize("kind", [SessionRecord, SearchRecord, FindingRecord])
+def test_each_field_is_described_where_the_reference_takes_it_from(kind):
+    told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
+    assert told == [each.name for each in fields(kind)]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "expected JSON, received text with this fault: "),
+        ("[]", "pafot_json: expected 1, received None; "),
+        ('{"pafot_json": 2}', "pafot_json: expected 1, received 2; read it with the version that wrote it"),
+        ('{"pafot_json": 1, "searches": []}', "received other keys: 'findings'"),
+        ('{"pafot_json": 1, "searches": [{"runs": 1}], "findings": []}', "received other keys: "),
+    ],
+)
+def test_a_text_that_is_none_is_refused(text, expected):
+    with pytest.raises(RecordError) as caught:
+        from_text(text)
+    assert expected in str(caught.value)
+
+
+def test_commands_are_quoted_for_a_shell():
+    assert replay_command("a b.pafot.yaml") == "python -m pytest 'a b.pafot.yaml'"
+    assert search_command("test_it.py::x[1-search]", "--pafot-seed=5") == (
+        "python -m pytest 'test_it.py::x[1-search]' --pafot-seed=5"
+    )
+
+
+def test_the_worst_phase_of_an_item_counts():
+    assert worst(["passed", "failed", "passed"]) == "failed"
+    assert worst(["passed", "xfailed", "error"]) == "error"
+    assert worst([]) == RESULTS[0]
