@@ -75,9 +75,9 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     if not ran:
         yield "No search ran to its end." if record.searches else "No search was asked for."
         return
-    seeds = ", ".join(dict.fromkeys(f"--pafot-seed={search.base_seed}" for search in ran))
+    options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"
-    yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; again with {code(seeds)}."
+    yield f"{count}, {plural(sum(search.runs for search in ran), 'run')}; again with {options}."
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"Only what {against} passes is a failure."

@@ -209,6 +209,12 @@ class SearchRecord:
         return cls(**same | other)
 
     @property
+    def options(self) -> str:
+        """By which the same search is asked for."""
+        given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
+        return " ".join(f"--pafot-{name}={value}" for name, value in given if value is not None)
+
+    @property
     def began(self) -> bool:
         """Whether it ran, and told so at its end."""
         return bool(self.reason)

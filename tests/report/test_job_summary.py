@@ -18,7 +18,8 @@ def finding(id_="a", status="new", **changes):
 
 def search(**changes):
     return SearchRecord(
-        node_id="test_it.py::x[search]", **{"reason": "all runs done", "runs": 40, "base_seed": 5} | changes
+        node_id="test_it.py::x[search]",
+        **{"reason": "all runs done", "runs": 40, "budget": 40, "base_seed": 5} | changes,
     )
 
 
@@ -36,7 +37,7 @@ def test_what_is_found_known_and_fixed_is_counted_and_listed_with_how_to_replay_
         == """\
 ### pafot: 1 new, 1 still failing, 1 fixed
 
-1 search, 40 runs; again with `--pafot-seed=5`.
+1 search, 40 runs; again with `--pafot-runs=40 --pafot-seed=5`.
 
 **New**
 
@@ -60,7 +61,7 @@ def test_where_nothing_is_found_it_says_so_in_two_lines():
     assert markdown(SessionRecord(searches=[search()])).splitlines() == [
         "### pafot: nothing new",
         "",
-        "1 search, 40 runs; again with `--pafot-seed=5`.",
+        "1 search, 40 runs; again with `--pafot-runs=40 --pafot-seed=5`.",
     ]
 
 

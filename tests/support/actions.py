@@ -1,0 +1,88 @@
+"""The composite action of this repository, run as GitHub runs it as far as a shell can: its steps that are commands."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "ci" / "pafot.sh"
+WORKFLOWS = {path.stem: path for path in sorted((ROOT / "ci" / "workflows").glob("*.yml"))}
+EXPRESSION = re.compile(r"\$\{\{ *([^}]*?) *\}\}")
+OWN = "./.github/actions/pafot"
+"""Where users put a copy of the action, by which workflows name it."""
+
+
+def loaded(path):
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def action():
+    return loaded(ROOT / "action.yml")
+
+
+def filled(text, values):
+    """A text with its expressions replaced; one that has no value is a fault of the test, or of the file."""
+    return EXPRESSION.sub(lambda found: str(values[found[1]]), str(text))
+
+
+def steps_of(workflow):
+    """The steps of a workflow, each with its job."""
+    return [(job, step) for job in loaded(WORKFLOWS[workflow])["jobs"].values() for step in job["steps"]]
+
+
+def inputs_of(workflow, task, values=None):
+    """What a workflow gives to the action for a task, with values for the expressions in it."""
+    (given,) = (step["with"] for _, step in steps_of(workflow) if step.get("with", {}).get("task") == task)
+    return {name: filled(each, values or {}) for name, each in given.items()}
+
+
+def environment(**variables):
+    """A job's: the Python of the tests, this plugin alone, and nothing that a CI around the tests sets."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PAFOT_", "GITHUB_", "PYTEST_"))}
+    kept.pop("CI", None)
+    path = os.pathsep.join([str(Path(sys.executable).parent), kept.get("PATH", os.defpath)])
+    named = {f"GIT_{who}_{what}": "a@b.c" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}
+    plugins = {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin"}
+    return {**kept, **named, **plugins, "PATH": path, "CI": "true", "GIT_CONFIG_GLOBAL": os.devnull} | variables
+
+
+def run_action(inputs, folder, **variables):
+    """Run the steps of the action in a folder, up to the first that fails; the exit code and what they printed."""
+    declared = action()
+    assert not inputs.keys() - declared["inputs"].keys()
+    values = {f"inputs.{name}": inputs.get(name, each["default"]) for name, each in declared["inputs"].items()}
+    printed = ""
+    for step in declared["runs"]["steps"]:
+        if "run" not in step:
+            continue
+        own = {name: filled(value, values) for name, value in step["env"].items()}
+        code, text = shell(step["run"], folder, GITHUB_ACTION_PATH=str(ROOT), **own, **variables)
+        printed += text
+        if code:
+            return code, printed
+    return 0, printed
+
+
+def shell(command, folder, **variables):
+    """The exit code of a command of a step, and what it printed."""
+    done = subprocess.run(
+        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", command],
+        cwd=folder,
+        env=environment(**variables),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+def git(folder, *args):
+    """What git prints."""
+    done = subprocess.run(["git", *args], cwd=folder, env=environment(), capture_output=True, text=True, check=True)
+    return done.stdout.strip()

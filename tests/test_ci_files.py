@@ -1,0 +1,134 @@
+"""The action and the workflows: well-formed, of steps that tests run, and in agreement with each other."""
+
+import re
+
+import pytest
+
+from tests.support.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, action, loaded, steps_of
+
+COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
+"""That ``test_ci_script.py`` runs."""
+
+TASKS = ["install", "replay", "search", "pull-request", "night", "merge"]
+OTHERS = {
+    "actions/checkout@v4",
+    "actions/setup-python@v5",
+    "actions/cache/restore@v4",
+    "actions/cache/save@v4",
+    "actions/download-artifact@v4",
+    "actions/upload-artifact@v4",
+}
+SCRIPT_TEXT = SCRIPT.read_text(encoding="utf-8")
+
+
+def expressions(value):
+    """All expressions anywhere in a document."""
+    if isinstance(value, dict):
+        return [each for inner in value.values() for each in expressions(inner)]
+    if isinstance(value, list):
+        return [each for inner in value for each in expressions(inner)]
+    return EXPRESSION.findall(str(value))
+
+
+def test_the_action_has_the_commands_that_are_tested_and_no_other():
+    steps = action()["runs"]["steps"]
+    assert action()["runs"]["using"] == "composite"
+    assert [step["run"] for step in steps if "run" in step] == COMMANDS
+    assert all(step["shell"] == "bash" for step in steps if "run" in step)
+    assert {step["uses"] for step in steps if "uses" in step} <= OTHERS
+
+
+def test_what_is_found_is_uploaded_whatever_happened():
+    last = action()["runs"]["steps"][-1]
+    assert (last["uses"], last["if"]) == ("actions/upload-artifact@v4", "always()")
+    assert last["with"]["path"].split() == ["pafot.html", "pafot.json", "pafot.xml", "**/*.pafot.yaml"]
+
+
+def test_each_input_is_described_has_a_default_and_is_used_and_nothing_else_is():
+    declared = action()["inputs"]
+    conditions = [f"inputs.{name}" for name in re.findall(r"inputs\.([\w-]+)", str([s.get("if") for s in steps()]))]
+    assert {f"inputs.{name}" for name in declared} == {*expressions(steps()), *conditions}
+    assert all(set(each) == {"description", "default"} and each["description"] for each in declared.values())
+
+
+def steps():
+    return action()["runs"]["steps"]
+
+
+def test_no_expression_stands_in_a_command_where_its_value_would_be_code():
+    assert not [step for step in steps() if expressions(step.get("run", ""))]
+
+
+def test_the_action_sets_every_variable_that_the_script_reads():
+    set_ = {name for step in steps() for name in step.get("env", {})}
+    read = set(re.findall(r"\$\{?([A-Z][A-Z_]+)", SCRIPT_TEXT)) - {"FILES", "FINDS", "PWD"}
+    for_laptops = {"REMOTE", "GIT_NAME", "GIT_EMAIL", "GIT_INDEX_FILE"}
+    assert set_ - {"TASK", "PYTEST_ADDOPTS"} <= read <= set_ | for_laptops
+
+
+def test_tasks_are_named_alike_in_the_script_its_head_and_the_action():
+    assert re.findall(r"^  ([a-z-]+)\) ", SCRIPT_TEXT, re.MULTILINE) == TASKS
+    assert re.findall(r"^#   sh ci/pafot.sh ([a-z-]+) ", SCRIPT_TEXT, re.MULTILINE) == TASKS
+    description = action()["inputs"]["task"]["description"]
+    assert all(task in description for task in TASKS if task != "install")
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_a_workflow_has_no_commands_of_its_own_and_gives_the_action_what_it_takes(name):
+    own = [step["with"] for _, step in steps_of(name) if step["uses"] == OWN]
+    assert own
+    assert all("run" not in step and step["uses"] in {OWN, *OTHERS} for _, step in steps_of(name))
+    assert all(given.keys() <= action()["inputs"].keys() for given in own)
+    assert all(given["task"] in TASKS for given in own)
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_a_job_has_an_end_and_no_more_rights_than_its_branch_needs(name):
+    workflow = loaded(WORKFLOWS[name])
+    for job in workflow["jobs"].values():
+        rights = job.get("permissions", workflow["permissions"])
+        keeps = any("branch" in step.get("with", {}) for step in job["steps"])
+        assert rights == {"contents": "write" if keeps else "read"}
+        assert job["timeout-minutes"] <= 360
+        assert set(job.get("needs", "").split()) <= workflow["jobs"].keys()
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_a_job_that_looks_at_other_commits_has_them(name):
+    for job in loaded(WORKFLOWS[name])["jobs"].values():
+        first, *others = job["steps"]
+        needs_history = any({"base", "branch"} & step.get("with", {}).keys() for step in others)
+        assert first["uses"] == "actions/checkout@v4"
+        assert (first.get("with", {}).get("fetch-depth") == 0) == needs_history
+
+
+def test_a_limit_of_time_leaves_a_job_room_for_installing_and_shrinking():
+    limits = [
+        (job["timeout-minutes"], step["with"]["limit"])
+        for name in WORKFLOWS
+        for job, step in steps_of(name)
+        if "limit" in step.get("with", {})
+    ]
+    assert len(limits) == 2
+    assert all(int(limit) <= 60 * (minutes - 25) for minutes, limit in limits)
+
+
+def test_the_states_of_a_night_are_saved_even_when_it_found_something():
+    cached = {step["uses"]: step for _, step in steps_of("night") if "cache" in step["uses"]}
+    restore, save = (cached[f"actions/cache/{what}@v4"] for what in ("restore", "save"))
+    assert save["if"] == "always()"
+    assert save["with"]["key"] == restore["with"]["key"]
+    assert save["with"]["path"] == restore["with"]["path"] == action()["inputs"]["state"]["default"]
+
+
+def test_the_fleet_merges_what_its_machines_upload():
+    given = {step["with"]["task"]: step["with"] for _, step in steps_of("fleet") if step["uses"] == OWN}
+    (download,) = (step["with"] for _, step in steps_of("fleet") if step["uses"] == "actions/download-artifact@v4")
+    assert given["search"]["artifact"].startswith(download["pattern"].rstrip("*"))
+    assert not action()["inputs"]["artifact"]["default"].startswith(download["pattern"].rstrip("*"))
+    assert download["path"] == given["merge"]["machines"]
+
+
+def test_the_files_are_in_the_source_distribution():
+    assert "include action.yml" in (ROOT / "MANIFEST.in").read_text()
+    assert "graft ci" in (ROOT / "MANIFEST.in").read_text()

@@ -1,0 +1,317 @@
+"""What jobs of a CI do, played through in a shell: ``ci/pafot.sh``, by the commands of the action."""
+
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.report.session_record import from_text
+from tests.support.actions import SCRIPT, git, inputs_of, run_action, shell
+
+pytestmark = pytest.mark.processes
+
+PLANNER = '''
+class Planner:
+    """Goes at 22 m/s, and brakes while somebody ahead in its lane is nearer than its headway."""
+
+    headway = 2.0  # [s]
+
+    def __call__(self, observation):
+        ego = observation.ego
+        gaps = [other.x - ego.x - other.length for other in observation.others if other.lane == ego.lane]
+        if any(0 < gap < 2.0 + self.headway * ego.speed for gap in gaps):
+            return -6.0, 0.0
+        return min(22.0 - ego.speed, 1.0), 0.0
+'''
+TEST = """
+import pytest_pafot as pafot
+from planner import Planner
+
+
+@pafot.search(ads=Planner, blame="ego")
+def test_never_at_fault(run):
+    assert not run.collision, run.explain()
+"""
+FAILS = """
+import pytest_pafot as pafot
+
+
+@pafot.search(ads=lambda: lambda observation: (0.0, 0.0), genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22)
+def test_fails(run):
+    slow = run.scenario.npcs[0][0].speed < 15
+    assert not slow or run.duration < 1
+    assert run.outcome == "nothing"
+"""
+FAKE = """#!/bin/sh
+echo "$@" >>"$CALLS"
+[ "$1" != -c ] || exit "${IMPORTS:-0}"
+if [ -n "${FINDS_NOW:-}" ]; then
+  mkdir -p pafot_corpus/test_it/test_x
+  echo "$FINDS_NOW" >"pafot_corpus/test_it/test_x/$FINDS_NOW.pafot.yaml"
+fi
+exit "${CODE:-0}"
+"""
+"""A Python that notes what it is asked for, and finds what it is told to."""
+
+
+@pytest.fixture
+def summary(tmp_path):
+    return tmp_path / "summary.md"
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """A clone with one commit, beside the repository that it is a clone of."""
+    folder = tmp_path / "clone"
+    git(tmp_path, "init", "-q", "--bare", "-b", "main", "origin.git")
+    git(tmp_path, "init", "-q", "-b", "main", "clone")
+    git(folder, "remote", "add", "origin", "../origin.git")
+    commit(folder, {".gitignore": "__pycache__/\n"}, "begin")
+    git(folder, "push", "-q", "origin", "main")
+    return folder
+
+
+def commit(folder, files, message):
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    git(folder, "add", "-A")
+    git(folder, "commit", "-q", "-m", message)
+
+
+def record_of(folder):
+    return from_text((folder / "pafot.json").read_text(encoding="utf-8"))
+
+
+def saved(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.pafot.yaml"))
+
+
+class TestAPullRequest:
+    """Through the workflow, with a search that is shorter than its."""
+
+    def run(self, folder, summary, **changes):
+        values = {"github.event.pull_request.base.sha": git(folder, "rev-parse", "main")}
+        inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "150", "seed": "5", "requirements": ""}
+        summary.write_text("")
+        code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary))
+        for name in ("pafot.json", "pafot.html", "pafot.xml"):
+            assert (folder / name).is_file(), printed
+        assert not (folder / "planner_before.py").exists()
+        return code, printed
+
+    def test_one_that_brings_a_regression_fails_with_its_find_and_passes_once_that_is_mended(self, repository, summary):
+        commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
+        git(repository, "switch", "-q", "-c", "closer")
+        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #")}, "Keep less distance")
+
+        code, printed = self.run(repository, summary)
+        (file,) = saved(repository)
+        record = record_of(repository)
+        (find,) = record.findings
+        assert (code, record.exit) == (1, 1)
+        assert "against planner_before:Planner: introduces 1 failure, fixes 0, 0 as before" in printed
+        assert (find.file, find.status, find.responsible) == (file, "new", "ego")
+        assert find.against == "planner_before:Planner"
+        assert summary.read_text() == (
+            "### pafot: 1 new\n\n"
+            "1 search, 150 runs; again with `--pafot-runs=150 --pafot-seed=5`.\n"
+            "Only what `planner_before:Planner` passes is a failure.\n\n"
+            "**New**\n\n"
+            f"- `test_safety.py::test_never_at_fault`: {find.headline}\n  <br>`python -m pytest {file}`\n"
+        )
+        assert find.headline.startswith("collision after ")
+
+        git(repository, "add", file)
+        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "2.1  #")}, "Keep more distance, with the find")
+        code, printed = self.run(repository, summary)
+        assert code == 0, printed
+        assert "### pafot: nothing new, 1 fixed before\n" in summary.read_text()
+        assert [(each.file, each.result) for each in record_of(repository).findings] == [(file, "passed")]
+
+    def test_of_a_policy_that_is_new_each_failure_counts(self, repository, summary):
+        git(repository, "switch", "-q", "-c", "begins")
+        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
+        code, printed = self.run(repository, summary, runs="20")
+        assert "planner.py is new: each failure counts" in printed
+        assert "against" not in printed
+        assert code == record_of(repository).exit
+
+    def test_another_reference_can_be_named(self, repository, summary):
+        commit(repository, {"planner.py": PLANNER, "test_safety.py": TEST}, "A planner")
+        code, printed = self.run(repository, summary, against="planner:Planner", runs="4")
+        assert (code, "against planner:Planner: introduces 0 failures" in printed) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"base": ""}, "expected POLICY and BASE, or AGAINST"),
+        ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
+        ({"policy": "drivers.planner:Planner"}, "found no drivers/planner.py"),
+    ],
+)
+def test_a_pull_request_that_cannot_be_compared_is_refused_with_the_way_out(repository, changes, expected):
+    commit(repository, {"planner.py": PLANNER}, "A planner")
+    inputs = {"task": "pull-request", "policy": "planner:Planner", "base": "main"} | changes
+    code, printed = run_action(inputs, repository)
+    assert (code, expected in printed) == (2, True), printed
+
+
+def test_a_file_of_the_users_is_not_overwritten_by_the_policy_of_before(repository):
+    commit(repository, {"planner.py": PLANNER, "planner_before.py": "mine"}, "A planner")
+    code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
+    assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
+    assert (repository / "planner_before.py").read_text() == "mine"
+
+
+def test_a_fleet_searches_with_seeds_of_its_own_and_merges_into_a_branch(repository, summary):
+    commit(repository, {"test_it.py": FAILS}, "A test")
+    found = []
+    for seed in (1, 2):
+        inputs = inputs_of("fleet", "search", {"matrix.seed": seed, "github.run_number": 7})
+        assert (inputs["seed"], inputs["artifact"]) == (f"700{seed}", f"pafot-{seed}")
+        inputs |= {"runs": "4", "requirements": "", "options": "--pafot-shrink-rollouts=0 -q"}
+        code, printed = run_action(inputs, repository)
+        assert code == 1, printed
+        found += saved(repository)
+        shutil.move(repository / "pafot_corpus", repository / "machines" / inputs["artifact"] / "pafot_corpus")
+    code, printed = run_action(
+        inputs_of("fleet", "merge") | {"requirements": ""}, repository, GITHUB_STEP_SUMMARY=str(summary)
+    )
+    assert code == 0, printed
+    assert "finds are on pafot-finds" in printed
+    assert "**Merged**" in summary.read_text()
+    assert 0 < len(saved(repository / "pafot_corpus")) < len(found)
+    git(repository, "fetch", "-q", "origin", "pafot-finds")
+    kept = git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines()
+    assert kept == [f"pafot_corpus/{name}" for name in saved(repository / "pafot_corpus")]
+
+
+@pytest.fixture
+def fake(tmp_path):
+    """The folder of a Python that searches nothing; variables that put it first, and what it was asked for."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    python = folder / "python"
+    python.write_text(FAKE)
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    path = os.pathsep.join([str(folder), os.environ.get("PATH", os.defpath)])
+    return {"PATH": path, "CALLS": str(tmp_path / "calls")}
+
+
+def calls(fake):
+    told = Path(fake["CALLS"])
+    return told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+
+
+SESSION = "-m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml"
+
+
+def test_what_is_empty_is_left_out_and_the_rest_becomes_options(repository, fake):
+    run_action({"task": "search"}, repository, **fake)
+    run_action({"task": "search", "runs": "40", "seed": "3", "limit": "60"}, repository, **fake)
+    run_action({"task": "replay"}, repository, **fake)
+    assert [call for call in calls(fake) if call.startswith("-m")] == [
+        SESSION,
+        f"{SESSION} --pafot-runs=40 --pafot-seed=3 --pafot-total-time=60",
+        f"{SESSION} --pafot-generations=0",
+    ]
+
+
+@pytest.mark.parametrize("code", [0, 1, 2, 5])
+def test_the_exit_code_is_that_of_pytest(repository, fake, code):
+    for task in ("replay", "search", "night"):
+        ended, printed = shell(f"sh {SCRIPT} {task}", repository, BRANCH="finds", CODE=str(code), **fake)
+        assert ended == code, printed
+
+
+def test_an_unknown_task_is_refused_with_those_that_there_are(repository):
+    code, printed = shell(f"sh {SCRIPT} nihgt", repository)
+    assert code == 2
+    assert "expected install, replay, search, pull-request, night or merge, received 'nihgt'" in printed
+
+
+def test_what_tests_need_is_installed_and_the_package_where_that_did_not_bring_it(repository, fake):
+    shell(f"sh {SCRIPT} install", repository, REQUIREMENTS="needs.txt", **fake)
+    assert calls(fake) == ["-m pip install -r needs.txt", "-c import pytest_pafot"]
+    code, _ = shell(f"sh {SCRIPT} install", repository, IMPORTS="1", **fake)
+    assert (code, calls(fake)[2:]) == (0, ["-c import pytest_pafot", f"-m pip install {SCRIPT.parent}/.."])
+
+
+def test_a_copy_of_the_action_without_the_package_says_what_to_do(repository, fake, tmp_path):
+    shutil.copytree(SCRIPT.parent, tmp_path / "copy" / "ci")
+    code, printed = shell(f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake)
+    assert (code, "expected pytest-pafot among the requirements, found none; name it there" in printed) == (2, True)
+
+
+class TestTheBranch:
+    """Where nights and merges keep what they find."""
+
+    def night(self, folder, fake, *, finds="", code="1"):
+        inputs = inputs_of("night", "night") | {"requirements": ""}
+        ended, printed = run_action(inputs, folder, **fake, FINDS_NOW=finds, CODE=code)
+        assert ended == int(code), printed
+        return printed
+
+    def kept(self, folder):
+        git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
+        return [
+            name.rpartition("/")[2][0] for name in git(folder, "diff", "--name-only", "main", "refs/kept").splitlines()
+        ]
+
+    def test_a_night_goes_on_from_its_state(self, repository, fake):
+        self.night(repository, fake, code="0")
+        assert calls(fake)[-1] == (f"{SESSION} --pafot-runs=1000000 --pafot-total-time=5400 --pafot-resume=pafot_state")
+
+    def test_a_night_without_finds_makes_no_branch(self, repository, fake):
+        assert "no finds to keep" in self.night(repository, fake, code="0")
+        assert git(repository, "ls-remote", "origin", "pafot-finds") == ""
+
+    def test_finds_are_one_commit_on_the_branch_and_the_checkout_stays_as_it_is(self, repository, fake):
+        before = git(repository, "rev-parse", "HEAD")
+        assert "finds are on pafot-finds" in self.night(repository, fake, finds="a")
+        assert self.kept(repository) == ["a"]
+        assert git(repository, "rev-parse", "refs/kept^", "HEAD").splitlines() == [before, before]
+        assert git(repository, "status", "--porcelain").splitlines() == ["?? pafot_corpus/"]
+
+    def test_the_next_night_in_a_fresh_clone_knows_them_and_adds_its_own(self, repository, fake, tmp_path):
+        self.night(repository, fake, finds="a")
+        git(tmp_path, "clone", "-q", "origin.git", "next")
+        self.night(tmp_path / "next", fake, finds="b")
+        assert [name[-12] for name in saved(tmp_path / "next")] == ["a", "b"]
+        assert self.kept(repository) == ["a", "b"]
+        git(tmp_path, "clone", "-q", "origin.git", "third")
+        assert "all finds are on pafot-finds" in self.night(tmp_path / "third", fake)
+
+    def test_what_was_merged_and_removed_since_does_not_come_back(self, repository, fake, tmp_path):
+        self.night(repository, fake, finds="a")
+        self.kept(repository)
+        shutil.rmtree(repository / "pafot_corpus")
+        git(repository, "merge", "-q", "refs/kept")
+        git(repository, "rm", "-q", "-r", "pafot_corpus")
+        git(repository, "commit", "-q", "-m", "Not of interest")
+        git(repository, "push", "-q", "origin", "main")
+        git(tmp_path, "clone", "-q", "origin.git", "next")
+        self.night(tmp_path / "next", fake, finds="b")
+        assert self.kept(repository) == ["b"]
+
+    def test_a_remote_that_cannot_be_read_ends_the_job_before_it_searches(self, repository, fake):
+        shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
+        inputs = inputs_of("night", "night") | {"requirements": ""}
+        code, printed = run_action(inputs, repository, **fake)
+        assert (code, "expected the remote origin with the branch pafot-finds" in printed) == (2, True), printed
+        assert not [call for call in calls(fake) if "pytest -m pafot" in call]
+
+
+def test_without_a_branch_finds_stay_where_they_are(repository, fake):
+    code, printed = shell(f"sh {SCRIPT} night", repository, FINDS_NOW="a", CODE="1", **fake)
+    assert (code, saved(repository)) == (1, ["pafot_corpus/test_it/test_x/a.pafot.yaml"])
+    assert git(repository, "ls-remote", "origin").count("refs/heads") == 1
+    assert "pafot-finds" not in printed
+
+
+def test_a_merge_without_machines_is_refused(repository, fake):
+    code, printed = shell(f"sh {SCRIPT} merge", repository, **fake)
+    assert (code, "expected a folder for each machine in machines, found none" in printed) == (2, True)
