@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.errors import WorldError
@@ -171,7 +171,7 @@ class World(BuiltInWorld):
         check_drives_in(ads_factory, self)
         if not isinstance(self.road, StraightRoad) and not wants_env(ads_factory):
             ads = make_ads(ads_factory)  # Whether the run needs the environment's own steps depends on what drives.
-            ads_factory = ads if is_vehicle_class(ads) else lambda: ads
+            ads_factory = ads if is_vehicle_class(ads) else wraps(ads_factory, updated=())(lambda: ads)
         if self.wrappers is not None or self.environment.steps_itself(drives_itself=is_vehicle_class(ads_factory)):
             return self.rollout_in_gym(scenario, ads_factory)
         from pytest_pafot.world.engines import policy_engine  # noqa: PLC0415  (imports highway-env)

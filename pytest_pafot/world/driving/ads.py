@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from pytest_pafot.errors import AdsFactoryError
-from pytest_pafot.world.driving.seeing import PlannerSight
+from pytest_pafot.world.driving.seeing import PlannerSight, SeeingAds
 from pytest_pafot.world.kernel.action import (
     Drive,
     checked_si_action,
@@ -139,6 +139,8 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
                 "each run puts a vehicle of its own on its road."
             )
         raise
+    if isinstance(ads, SeeingAds):
+        _check_sight_is_told(factory, ads)
     if is_vehicle_class(ads) or callable(ads):
         return ads
     hint = hint_at_object(ads) or (
@@ -148,6 +150,17 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
         f"class, received {shown(ads)}. {'Is a `return` missing in it?' if ads is None else hint}"
     )
+
+
+def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:
+    """Refuse an imperfect sight that only the ADS has: who looks at the factory would take it for perfect."""
+    seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == ads.sight)
+    if getattr(seeing, "sight", None) != ads.sight:
+        raise AdsFactoryError(
+            f"ads: expected a pafot.Perception as the factory itself, received one that {shown(factory)} makes and "
+            "calls, so that no finding could tell what is not seen; write "
+            "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
+        )
 
 
 def hint_at_object(given: Any) -> str:

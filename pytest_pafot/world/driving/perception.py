@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import Any
 
-from pytest_pafot.errors import AdsFactoryError, WorldError
+from pytest_pafot.errors import AdsFactoryError
 from pytest_pafot.sight import Sight
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
+from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.kernel.action import shown
 
 DRIVES_ITSELF = "a highway-env vehicle class drives itself and looks at the road, where nothing can be hidden from it"
@@ -98,40 +100,9 @@ class Perception:
         return SeeingAds(ads, self.sight)
 
 
-@dataclass(frozen=True, eq=False)
-class SeeingAds:
-    """An ADS with the sight that an engine lends it, which shows ``ads`` what it sees."""
-
-    ads: Any
-    sight: Sight
-
-    def __call__(self, *_: Any) -> Any:
-        """Not for worlds that know nothing of sights."""
-        raise WorldError(
-            field="world",
-            expected="pafot.Highway or pafot.World around an ADS in a pafot.Perception",
-            received="a world that asks it itself",
-            fix="have that world show what the ADS sees",
-        )
-
-    @property
-    def pure(self) -> bool:
-        """Whether it still decides by what is there alone."""
-        return self.sight.is_memoryless and getattr(self.ads, "pure", False) is True
-
-    @property
-    def batch(self) -> Any:
-        """The ADS's own, which is given what is seen in each run."""
-        return self.ads.batch
-
-    @property
-    def close(self) -> Any:
-        """The ADS's own."""
-        return self.ads.close
-
-
 def sight_of(factory: Any) -> Sight | None:
     """How the ADSs of a factory see; None where that is perfect."""
+    factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
     sight = factory.sight if isinstance(factory, Perception) else None
     return sight if sight is not None and sight.imperfections else None
 

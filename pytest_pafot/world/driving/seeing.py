@@ -24,6 +24,38 @@ OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollis
 """highway-env's observations that are made of the vehicles of a road, and of nothing that they are copied to."""
 
 
+@dataclass(frozen=True, eq=False)
+class SeeingAds:
+    """An ADS with the sight that an engine lends it, which shows ``ads`` what it sees."""
+
+    ads: Any
+    sight: Sight
+
+    def __call__(self, *_: Any) -> Any:
+        """Not for worlds that know nothing of sights."""
+        raise WorldError(
+            field="world",
+            expected="pafot.Highway or pafot.World around an ADS in a pafot.Perception",
+            received="a world that asks it itself",
+            fix="have that world show what the ADS sees",
+        )
+
+    @property
+    def pure(self) -> bool:
+        """Whether it still decides by what is there alone."""
+        return self.sight.is_memoryless and getattr(self.ads, "pure", False) is True
+
+    @property
+    def batch(self) -> Any:
+        """The ADS's own, which is given what is seen in each run."""
+        return self.ads.batch
+
+    @property
+    def close(self) -> Any:
+        """The ADS's own."""
+        return self.ads.close
+
+
 @dataclass(frozen=True, slots=True)
 class PlannerSight:
     """What a planner sees in one run.

@@ -1,5 +1,6 @@
 """An ADS in a Perception: what it is shown, in each engine and kind, against what the trace says there was."""
 
+import functools
 from collections import deque
 
 import gymnasium
@@ -15,6 +16,7 @@ from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.sight import hidden
 from pytest_pafot.trace import HEADING, SPEED, X, Y
 from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
 from tests.support.world_cases import changing_lanes
 
 CHAINS = ((5, 17.4), (4, 26.6), (4, 13.7)), ((4, 26.4), (3, 13.3), (2, 23.6)), ((3, 17.5), (2, 21.0), (3, 25.5))
@@ -317,6 +319,27 @@ def test_an_ads_is_closed_and_has_only_the_methods_of_its_own():
 def test_what_cannot_be_is_refused(make, error, message):
     with pytest.raises(error, match=message):
         make()
+
+
+@pytest.mark.parametrize("world", [pafot.Highway(), pafot.World("highway-v0"), pafot.World("merge-v0")])
+def test_a_sight_that_the_factory_does_not_tell_is_refused(world):
+    def inner():
+        return pafot.Perception(WatchingPolicy, noise={"speed": 1.0})()
+
+    for factory in (inner, pafot.Perception(inner, latency=0.2)):
+        with pytest.raises(AdsFactoryError, match=r"expected a pafot\.Perception as the factory itself, received one "):
+            world.rollout(SCENARIO, factory)
+
+
+def test_a_wrapper_that_says_what_it_wraps_tells_the_sight():
+    seeing = pafot.Perception(Watching, latency=0.2)
+
+    @functools.wraps(seeing)
+    def wrapper():
+        return seeing()
+
+    assert sight_of(wrapper) == seeing.sight
+    assert PLANNERS["kernel"](SCENARIO, wrapper).error is None
 
 
 @pytest.mark.parametrize("rollout", ["rollout", "rollout_in_gym"])
