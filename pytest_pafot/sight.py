@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Self
@@ -61,18 +62,16 @@ class Sight:
 
     def __post_init__(self) -> None:
         if self.range is not None:
-            _check_number("range", self.range, "m")
-        _check_number("latency", self.latency, "s")
+            object.__setattr__(self, "range", _number("range", self.range, "m"))
+        object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
         if not isinstance(self.noise, Mapping) or not self.noise.keys() <= NOISES.keys():
             expected = 'a mapping of "position" [m] and "speed" [m/s], one of them or both'
             raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
-        for name, deviation in self.noise.items():
-            _check_number(f"noise.{name}", deviation, NOISES[name])
-        _check_number("dropout", self.dropout, "", 1.0)
+        noise = {name: float(_number(f"noise.{name}", value, NOISES[name])) for name, value in self.noise.items()}
+        object.__setattr__(self, "noise", {name: deviation for name, deviation in noise.items() if deviation})
+        object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
         if not isinstance(self.occlusion, bool):
             raise FieldError(field="occlusion", expected="True or False", received=f"{self.occlusion!r:.100}")
-        told = {name: float(deviation) for name, deviation in self.noise.items() if deviation}
-        object.__setattr__(self, "noise", told)
 
     @property
     def imperfections(self) -> tuple[str, ...]:
@@ -165,12 +164,14 @@ def hidden(states: FloatArray) -> BoolArray:
     return hides
 
 
-def _check_number(name: str, value: object, unit: str, most: float = math.inf) -> None:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
+    """A checked number as Python's own, which a file can hold, whatever kind it is of, such as numpy's."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not is_number or not 0 <= value < math.inf or value > most:  # type: ignore[operator]
         of = f" [{unit}]" if unit else ""
         expected = f"a finite number from 0{of}" if most == math.inf else f"a number from 0 to {most:g}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
+    return int(value) if isinstance(value, numbers.Integral) else float(value)  # type: ignore[arg-type]
 
 
 _PERFECT = Sight()

@@ -1,6 +1,7 @@
 """What is seen of the others: held against rays that are followed step by step, and against numbers of many draws."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -128,6 +129,13 @@ def test_some_imperfections_can_be_kept_and_all_others_left_out():
     assert ALL.only(("latency", "occlusion")) == Sight(latency=0.3, occlusion=True)
     assert ALL.only(()) == Sight()
     assert ALL.described(("latency", "occlusion")) == "0.3 s of latency and occlusion"
+
+
+def test_numbers_of_any_kind_become_pythons_own():
+    sight = Sight(range=np.int64(50), latency=np.float64(0.5), noise={"speed": np.float32(1)}, dropout=Fraction(1, 4))
+    assert sight == Sight(range=50, latency=0.5, noise={"speed": 1.0}, dropout=0.25)
+    told = [sight.range, sight.latency, sight.noise["speed"], sight.dropout]
+    assert [type(each) for each in told] == [int, float, float, float]
 
 
 @pytest.mark.parametrize(

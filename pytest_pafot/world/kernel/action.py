@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import numbers
 import operator
 from dataclasses import dataclass
 from typing import Any
@@ -103,7 +104,8 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
     try:
         if isinstance(drive.lane, bool) or isinstance(given[0], (str, bytes)):
             raise TypeError("neither is a number")
-        lane, value = operator.index(drive.lane), float(given[0])
+        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(drive.lane)  # also 2.0, as of JSON
+        lane, value = operator.index(int(drive.lane) if is_whole else drive.lane), float(given[0])
     except (TypeError, ValueError, OverflowError):
         raise _bad_drive("numbers, that of the lane a whole one", drive) from None
     if not 0 <= lane < lanes:

@@ -6,6 +6,7 @@ import math
 import random
 import re
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -79,6 +80,12 @@ def test_a_lane_is_reached_within_three_seconds_and_kept_at_the_speed_that_is_wa
     assert abs(ego[-1, SPEED] - 25.0) < 0.01
 
 
+@pytest.mark.parametrize("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
+def test_a_lane_is_a_whole_number_of_any_kind(lane):
+    (action, *_) = Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=lane, speed=25.0))).actions
+    assert (action, type(action.lane)) == (Drive(lane=2, speed=25.0), int)
+
+
 def test_an_acceleration_is_held_as_far_as_it_has_an_effect_and_never_into_reverse():
     trace = Highway(duration=8.0).rollout(BEHIND, always(Drive(lane=1, acceleration=-20.0)))
     assert trace.ego[1, ACCELERATION] == -9.81
@@ -105,7 +112,7 @@ def test_a_pair_after_a_drive_is_held_as_any_pair():
         (Drive(lane=1, speed=-0.1), "a speed of at least 0 m/s"),
         (Drive(lane=1, speed=math.nan), "finite numbers"),
         (Drive(lane=1, acceleration=math.inf), "finite numbers"),
-        (Drive(lane=1.0, speed=20.0), "numbers, that of the lane a whole one"),
+        (Drive(lane=1.5, speed=20.0), "numbers, that of the lane a whole one"),
         (Drive(lane=True, speed=20.0), "numbers, that of the lane a whole one"),
         (Drive(lane=None, speed=20.0), "numbers, that of the lane a whole one"),
         (Drive(lane=1, speed="20"), "numbers, that of the lane a whole one"),
