@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -119,7 +119,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 
     Raises:
         WorldError: when the world has no environment that can be trained in.
-        ValueError: when the share is out of range, or there is no scenario.
+        ValueError: when the share is out of range, there is no scenario, or what is given is none.
         ScenarioError: when a scenario does not fit the world.
         CorpusError: when a file cannot be used.
     """
@@ -153,11 +153,18 @@ def _sampler(world: World, scenarios: Scenarios) -> Sampler:
         scenarios = _saved_in(Path(scenarios), world)
     elif callable(scenarios):
         return scenarios
-    if not scenarios:
+    known = tuple(scenarios) if isinstance(scenarios, Iterable) else (scenarios,)
+    if not all(isinstance(each, Scenario) for each in known):
+        expected = (
+            "a folder with saved scenarios, several pafot.Scenario, or a function of a numpy Generator that draws"
+        )
+        raise ValueError(
+            f"scenarios: expected {expected} one, received {scenarios!r:.200}; leave it out for random ones"
+        )
+    if not known:
         raise ValueError("scenarios: expected at least one, received none")
-    for each in scenarios:
+    for each in known:
         world.check_fits(each)
-    known = tuple(scenarios)
     return lambda rng: known[int(rng.integers(len(known)))]
 
 

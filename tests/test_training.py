@@ -160,6 +160,8 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
         ({"share": 1.5}, ValueError, "share: .* 0 to 1, received 1.5"),
         ({"share": True}, ValueError, "share: .* received True"),
         ({"scenarios": []}, ValueError, "scenarios: expected at least one, received none"),
+        ({"scenarios": 3}, ValueError, "scenarios: expected a folder .* received 3; leave it out for random ones"),
+        ({"scenarios": [BRAKING, "x"]}, ValueError, "scenarios: expected a folder .*'x'"),
         ({"scenarios": "nowhere"}, ValueError, "received nowhere, which is no folder; a search saves them"),
         ({"scenarios": [NOWHERE]}, ScenarioError, "ego_lane"),
     ],

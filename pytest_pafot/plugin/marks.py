@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import pytest
 
@@ -69,7 +69,11 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
     return getattr(pytest.mark, ANY_MARK)(target)
 
 
-def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]:
+@overload
+def rate(target: Target, /) -> Target: ...
+@overload
+def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]: ...
+def rate(*target: Any, **arguments: Any) -> Any:
     """Fail the decorated test function where an ADS crashes too often in an environment's own traffic.
 
     The function may have a parameter ``rate``, a :class:`pytest_pafot.Rate`. Arguments are checked when it runs.
@@ -86,14 +90,16 @@ def rate(**arguments: Unpack[RateArguments]) -> Callable[[Target], Target]:
         planner: whether the ADS sees a :class:`pytest_pafot.Observation` and answers in SI units.
     """
 
-    def decorated(target: Target) -> Target:
+    def decorated(function: Any, *positional: Any) -> Any:
         given: dict[str, Any] = {"ads": DEFAULT_ADS, **arguments}
         if isinstance(given["ads"], str):
-            target = pytest.mark.usefixtures(given["ads"])(target)
-        target = getattr(pytest.mark, RATE_MARK).with_args(**given)(target)
-        return cast("Target", getattr(pytest.mark, ANY_MARK)(target))
+            function = pytest.mark.usefixtures(given["ads"])(function)
+        function = getattr(pytest.mark, RATE_MARK).with_args(*positional, **given)(function)
+        return getattr(pytest.mark, ANY_MARK)(function)
 
-    return decorated
+    if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
+        return decorated(target[0])  # bare: what it lacks is told when the test runs
+    return lambda function: decorated(function, *target)
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:

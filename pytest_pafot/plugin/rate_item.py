@@ -31,7 +31,7 @@ class Rates:
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:
-            request = checked_rate(mark.kwargs)
+            request = checked_rate(mark.kwargs, mark.args)
             ads = request.ads
             factory = checked_factory(pyfuncitem.funcargs[ads], ads) if isinstance(ads, str) else ads
             with session_ends_if_stuck(pyfuncitem):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Required, TypedDict
 
@@ -78,19 +78,14 @@ class RateRequest:
         return f"expected {expected}{f', {how}' if how else ''}, received: {received}\n{told}"
 
 
-def checked_rate(arguments: Mapping[str, Any]) -> RateRequest:
-    """The request that arguments of a mark make.
+def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:
+    """The request that arguments of a mark make; those given by position are refused.
 
     Raises:
         RequestError: on the first wrong argument.
         WorldError: for an environment that cannot be used.
     """
-    known = RateArguments.__annotations__
-    for name in arguments:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            meant = f"did you mean {near[0]!r}? Expected" if near else "expected"
-            raise _error(f"{name}=...", f"{meant} one of {', '.join(sorted(known))}, received {name!r}")
+    _check_names(arguments, positional)
     for name, example in (("at_most", "at_most=0.02"), ("world", 'world="highway-fast-v0"')):
         if name not in arguments:
             raise _error(f"{name}=...", f"expected it to be given, as in {example}, received none")
@@ -112,6 +107,20 @@ def checked_rate(arguments: Mapping[str, Any]) -> RateRequest:
             )
     request.world.environment.with_traffic()
     return request
+
+
+def _check_names(arguments: Mapping[str, Any], positional: Sequence[object]) -> None:
+    if positional:
+        raise RequestError(
+            f"@pafot.rate: expected keyword arguments only, received {tuple(positional)!r:.200}; write their names, as "
+            'in @pafot.rate(at_most=0.02, world="highway-fast-v0")'
+        )
+    known = RateArguments.__annotations__
+    for name in arguments:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            meant = f"did you mean {near[0]!r}? Expected" if near else "expected"
+            raise _error(f"{name}=...", f"{meant} one of {', '.join(sorted(known))}, received {name!r}")
 
 
 def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:

@@ -90,3 +90,17 @@ def test_a_wrong_argument_fails_the_test_with_a_way_out(project, arguments, text
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([f"{text}*"])
+
+
+def test_a_bare_mark_fails_the_test_with_what_it_lacks(project):
+    project.write("@pafot.rate\ndef test_rate(rate):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02*"])
+
+
+def test_a_mark_with_an_argument_by_position_fails_the_test_with_its_name(project):
+    project.write(rated('"highway-fast-v0", at_most=0.1'))
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["@pafot.rate: expected keyword arguments only, received ('highway-fast-v0',); *"])
