@@ -136,6 +136,9 @@ def action_of(line: bytes) -> Any:
     answer = None
     with suppress(ValueError):
         answer = json.loads(line)
+    if isinstance(answer, dict) and "reset" in answer:  # it has the acceleration and the steering of now
+        again = shown(line.decode("utf-8", "replace"))
+        raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
     if isinstance(answer, dict) and "action" in answer:
         return answer["action"]
     if isinstance(answer, dict) and "lane" in answer:

@@ -129,6 +129,11 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
         ("print('hello', flush=True)", "BadAction", r"expected a line of JSON with .*received 'hello'"),
         ("answer(acceleration=1.0)", "BadAction", r"expected a line of JSON with"),
         ("answer(acceleration='fast', steering=0)", "BadAction", r"expected \(acceleration \[m/s\^2\], steering"),
+        (
+            "print(line, end='', flush=True)",
+            "BadAction",
+            r"a decision, as an object without .*, received an observation",
+        ),
         ("answer(lane=9, speed=1)", "BadAction", r"a lane from 0"),
         ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
         ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
