@@ -25,6 +25,7 @@ from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.sight import Sight
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import WorldError, codec, protocol
+from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 
 FLAKY = "flaky"
@@ -174,6 +175,11 @@ class Replays:
         now = sight_of(self.harness.ads) or Sight()
         return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
 
+    def ads_changes(self, finding: Finding) -> list[str]:
+        """What differs between the ADS of now and that of a file: how it sees, and its weights where both tell them."""
+        then, now = finding.found.weights, weights_digest(self.harness.ads)
+        return [*self.sight_change(finding), *(["found with other weights"] if then and now and then != now else [])]
+
     def changes(self, finding: Finding, now: str) -> str:
         """What differs from a file; ``now`` is what happens."""
         versions = self.harness.versions
@@ -182,7 +188,7 @@ class Replays:
             for name, version in sorted(finding.found.versions.items())
             if versions.get(name) != version
         ]
-        changed += [*codec.changes(finding.world, self.harness.world), *self.sight_change(finding)]
+        changed += [*codec.changes(finding.world, self.harness.world), *self.ads_changes(finding)]
         expect = finding.expect
         then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
         if expect.check is not None:

@@ -52,7 +52,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # What came of it is told now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, beside)
-    detail = "; ".join(filter(None, [_against(replays), *replays.sight_change(finding)]))
+    detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
     if label in ("drifted", FLAKY):
         detail = replays.changes(finding, happened(finding, run, verdict.failure))
     _tell(item, replays, saved, label, headline=headline(run, verdict) if verdict.failed else "", detail=detail)
@@ -77,7 +77,7 @@ def _conclude_lost(
     path = relative(saved.path, replays.harness.root)
     was_lost = finding.expect.outcome is Outcome.HANG if lost.is_hang else finding.expect.is_crash
     label = beside or ("still failing" if was_lost else "drifted")
-    detail = _against(replays)
+    detail = "; ".join(filter(None, [_against(replays), *replays.ads_changes(finding)]))
     if label == "drifted":
         detail = replays.changes(finding, f"the process {lost.how}")
     line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"

@@ -262,3 +262,26 @@ def test_brakes(run):
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
+
+
+TRAINED = """
+class Trained:
+    weights_digest = "sha256:1"
+
+    def __call__(self):
+        return lambda observation: (0.0, 0.0)
+
+@pafot.search(SHORT, stop_after=1, ads=Trained())
+def test_fails(run):
+    assert run.duration < LIMIT
+"""
+
+
+def test_a_replay_says_where_the_weights_are_not_those_that_it_was_found_with(project):
+    project.write(TRAINED.replace("LIMIT", "1"))
+    project.run()
+    project.run(generations=0).stdout.no_fnmatch_line("*other weights*")
+    project.write(TRAINED.replace("LIMIT", "1").replace("sha256:1", "sha256:2"))
+    project.run(generations=0).stdout.fnmatch_lines(["replay: still failing, found with other weights"])
+    project.write(TRAINED.replace("LIMIT", "100").replace("sha256:1", "sha256:2"))
+    project.run(generations=0).stdout.fnmatch_lines(["  fixed: *", "    found with other weights"])
