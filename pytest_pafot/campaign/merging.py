@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
@@ -9,8 +10,8 @@ from pathlib import Path
 
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.corpus.joining import Candidate, Joined, acceptances, join
-from pytest_pafot.corpus.layout import SUFFIX, relative
+from pytest_pafot.corpus.joining import Candidate, Joined, acceptances, free_id, join
+from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.corpus.writer import CorpusWriteError, overwrite
 from pytest_pafot.corpus.yaml_text import text_of
@@ -108,13 +109,27 @@ def _accepts(finding: Finding | None) -> tuple[str | None, date | None]:
 
 
 def _write(result: Joined, folder: Path, old: set[Path]) -> list[str]:
-    """Write what is kept, then remove the old files that it replaces; what is wrong where that is not possible."""
+    """Write what is kept, then remove the old files that it replaces; what is wrong where that is not possible.
+
+    Killed at any moment, it leaves each finding in one file or two, and merging again leaves one: what goes where a
+    file lies already is written under a name that is free, and takes the place of that file once all is written.
+    """
     targets = {folder / f"{id_}{SUFFIX}": each for id_, each in result.kept.items()}
     in_conflict = {each.saved.path for group in result.conflicts for each in group}
+    taken = {*result.kept, *(path.name.removesuffix(SUFFIX) for path in files_in(folder))}
+    replacing: dict[Path, Path] = {}
     try:
         for path, each in targets.items():
-            if each.saved.path != path or _accepts(each.saved.finding) != _accepts(each.finding):
-                overwrite(path, replace(each.finding, id=path.name.removesuffix(SUFFIX)))
+            if each.saved.path == path and _accepts(each.saved.finding) == _accepts(each.finding):
+                continue
+            new = path
+            if os.path.lexists(path):
+                new = folder / f"{free_id(each.finding, taken)}{SUFFIX}"
+                taken.add(new.name.removesuffix(SUFFIX))
+                replacing[new] = path
+            overwrite(new, replace(each.finding, id=path.name.removesuffix(SUFFIX)))
+        for new, path in replacing.items():
+            new.replace(path)
         for path in old - targets.keys() - in_conflict:
             path.unlink(missing_ok=True)
     except (CorpusWriteError, OSError) as error:

@@ -52,8 +52,18 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
     ids = {*taken, *(each.finding.id for group in conflicts for each in group)}
     kept: dict[str, Candidate] = {}
     for each in sorted(best, key=_order):
-        kept[_free_id(_stem(each.finding), {*ids, *kept})] = each
+        kept[free_id(each.finding, {*ids, *kept})] = each
     return Joined(kept=kept, conflicts=conflicts)
+
+
+def free_id(finding: Finding, taken: Collection[str]) -> str:
+    """An id for a finding that is not taken: its own without a number behind it, or with the first that is free."""
+    stem = _stem(finding)
+    number, name = 1, stem
+    while name in taken:
+        number += 1
+        name = f"{stem}-{number}"
+    return name
 
 
 def acceptances(group: Iterable[Candidate]) -> Mapping[tuple[str, date | None], Candidate]:
@@ -78,11 +88,3 @@ def _order(candidate: Candidate) -> tuple[bool, tuple[int, ...], str, str]:
 def _stem(finding: Finding) -> str:
     numbered = _NUMBERED.fullmatch(finding.id)
     return numbered[1] if numbered else finding.id
-
-
-def _free_id(stem: str, taken: Collection[str]) -> str:
-    number, name = 1, stem
-    while name in taken:
-        number += 1
-        name = f"{stem}-{number}"
-    return name

@@ -1,0 +1,91 @@
+"""Files of a merge: whatever ends it midway, no finding is gone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.campaign import merging
+from pytest_pafot.corpus.joining import Candidate, join
+from pytest_pafot.corpus.saved import saved_in
+from pytest_pafot.corpus.writer import write
+from pytest_pafot.scenario import PositionInstruction, Scenario
+from tests.findings.builders import plain_finding
+
+OWN = {"a-111111": (30.0, "front"), "a-111111-2": (20.0, "rear"), "b-222222": (25.0, "left")}
+"""Of the corpus: the speed of the only instruction, and the side that was hit. The first two will swap their names."""
+OTHERS = {"b-222222": (10.0, "left"), "a-111111": (40.0, "right")}
+"""Of another folder: a simpler one of a kind that is there, and a kind that is not."""
+MERGED = {"a-111111": 20.0, "a-111111-2": 30.0, "a-111111-3": 40.0, "b-222222": 10.0}
+STEPS = 7
+"""Four files are written, and three of them take the places of others."""
+
+
+class Killed(BaseException):
+    """The end of the process."""
+
+
+def speed(finding):
+    return finding.scenario.npcs[0][0].speed
+
+
+def put(folder, findings):
+    for id_, (of_npc, side) in findings.items():
+        scenario = Scenario(npcs=[[PositionInstruction(6, of_npc)]])
+        expect = replace(plain_finding().expect, side=side)
+        assert write(folder / f"{id_}.pafot.yaml", plain_finding(id=id_, scenario=scenario, expect=expect))
+
+
+def merge(own, *others):
+    saved = [each for folder in (own, *others) for each in saved_in(folder)]
+    candidates = [Candidate(saved=each, finding=each.finding, kind=each.finding.signature) for each in saved]
+    old = {each.path for each in saved_in(own)}
+    return merging._write(join(candidates), own, old)
+
+
+def contents(folder):
+    return {each.id: speed(each.finding) for each in saved_in(folder)}
+
+
+@pytest.fixture
+def folders(tmp_path):
+    put(tmp_path / "own", OWN)
+    put(tmp_path / "other", OTHERS)
+    return tmp_path / "own", tmp_path / "other"
+
+
+def test_names_are_swapped_and_simpler_ones_take_their_places(folders):
+    assert merge(*folders) == []
+    assert contents(folders[0]) == MERGED
+
+
+@pytest.mark.parametrize("number", range(STEPS + 1))
+def test_killed_at_any_write_it_loses_no_finding_and_the_next_merge_does_the_rest(folders, monkeypatch, number):
+    calls = [0]
+
+    def counted(name):
+        act = getattr(Path, name)
+
+        def acts(path, *arguments, **options):
+            calls[0] += not path.name.endswith(".tmp") or name == "replace"
+            if calls[0] == number + 1:
+                calls[0] += 1
+                raise Killed
+            return act(path, *arguments, **options)
+
+        monkeypatch.setattr(Path, name, acts)
+
+    counted("replace")
+    counted("unlink")
+    killed = False
+    try:
+        merge(*folders)
+    except Killed:
+        killed = True
+    monkeypatch.undo()
+    own, other = folders
+    assert {20.0, 30.0} <= set(contents(own).values())
+    assert {25.0, 10.0} & set(contents(own).values())
+    assert killed == (number < STEPS)
+    assert merge(own, other) == []
+    assert contents(own) == MERGED
