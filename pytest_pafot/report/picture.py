@@ -54,7 +54,7 @@ class Picture:
         cells: the eight around the ego.
         targets: per NPC, the cell that it is on its way to, or None.
         trails: per vehicle, where it was in the last seconds. The ego's is its path on the road; an NPC's is its
-            path as the ego saw it, moved along with the ego, or where the road is not straight its path as well.
+            path relative to the ego, moved along with it, or where the road is not straight its path as well.
         impact: where the vehicles touch, once they do.
     """
 

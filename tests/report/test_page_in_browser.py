@@ -58,6 +58,11 @@ def page(opened):
     return opened()
 
 
+def test_the_legend_says_what_trails_are_also_of_an_ads_that_sees_imperfectly(page):
+    legend = page.evaluate("document.querySelector('article.current .legend').textContent")
+    assert "Dotted trails: the last 4 s relative to the ego." in legend
+
+
 def test_the_page_draws_everything_and_asks_the_network_for_nothing(page, address):
     assert page.evaluate("document.title") == "Constant speed"
     assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3

@@ -98,7 +98,7 @@ class Player {
     this.checkCurve = this.checked ? new Charts(this.finding, width, this.finding.check) : null;
     if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
-      `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " as the ego saw them"}. ` +
+      `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
       "Dashed line: to the cell that an NPC is told to drive to. Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();

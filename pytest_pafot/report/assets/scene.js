@@ -324,7 +324,7 @@ class Scene {
   }
 
   drawTrails(time, frame, ego) {
-    // The ego's path on the road; the NPCs' paths as the ego saw them, which is what an instruction is about.
+    // The ego's path on the road; the NPCs' paths relative to the ego, which is what an instruction is about.
     const from = Math.max(0, time - TRAIL_SECONDS);
     const moments = [];
     for (let at = Math.ceil(from * 8) / 8; at < time; at += 0.125) moments.push(frameAt(this.finding.times, at));
