@@ -1,7 +1,8 @@
 """Configuration of the project's own tests."""
 
 import gc
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from importlib import metadata
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -30,6 +31,17 @@ def pytest_collection() -> Generator[None, object, object]:
     gc.freeze()
     gc.enable()
     return collected
+
+
+@pytest.fixture
+def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Lets the entry points of a group be there, by name and value, as if packages with them were installed."""
+
+    def put(named: str, **values: str) -> None:
+        entries = tuple(metadata.EntryPoint(name, value, named) for name, value in values.items())
+        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == named else ())
+
+    return put
 
 
 def pytest_unconfigure() -> None:

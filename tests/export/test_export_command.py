@@ -3,7 +3,6 @@
 import json
 import shutil
 import sys
-from importlib import metadata
 
 import pytest
 
@@ -22,17 +21,6 @@ def export(*arguments):
 def summary(finding, trace):
     """An exporter of one's own."""
     return {f"{finding.id}.json": json.dumps({"outcome": trace.outcome, "ticks": trace.ticks}).encode()}
-
-
-@pytest.fixture
-def register(monkeypatch):
-    """Lets entry points be there, by name and value, as if packages with them were installed."""
-
-    def put(**values):
-        entries = tuple(metadata.EntryPoint(name, value, GROUP) for name, value in values.items())
-        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == GROUP else ())
-
-    return put
 
 
 def test_it_drives_the_scenario_and_tells_the_files_that_it_has_written(tmp_path, capsys):
@@ -107,7 +95,7 @@ def test_a_missing_library_is_told_with_the_extra_that_installs_it(monkeypatch, 
 
 
 def test_a_package_adds_a_format_and_takes_no_name_of_this_one(register, tmp_path, capsys):
-    register(summary=f"{__name__}:summary", csv=f"{__name__}:summary")
+    register(GROUP, summary=f"{__name__}:summary", csv=f"{__name__}:summary")
     for name in ("summary", "csv"):
         assert export(FILE, "--to", name, "--ads", "constant_speed", "--out", tmp_path) == 0
     assert json.loads((tmp_path / "collision-xfail.json").read_text()) == {"outcome": "collision", "ticks": 94}
@@ -115,7 +103,7 @@ def test_a_package_adds_a_format_and_takes_no_name_of_this_one(register, tmp_pat
 
 
 def test_a_registered_exporter_that_cannot_be_imported_is_told_with_its_error(register, capsys):
-    register(broken="no_such_package:export")
+    register(GROUP, broken="no_such_package:export")
     assert export(FILE, "--to", "broken", "--ads", "constant_speed") == 2
     told = capsys.readouterr().err
     assert "--to broken: expected that no_such_package:export can be imported, received ModuleNotFoundError" in told

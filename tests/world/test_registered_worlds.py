@@ -1,7 +1,5 @@
 """Worlds of installed packages: a file names the kind that a package has registered, and no other code."""
 
-from importlib import metadata
-
 import pytest
 
 from pytest_pafot import Highway, WorldError
@@ -39,19 +37,8 @@ class Unwritable(Ring):
 
 
 @pytest.fixture
-def register(monkeypatch):
-    """Lets entry points be there, by name and value, as if packages with them were installed."""
-
-    def put(**values):
-        entries = tuple(metadata.EntryPoint(name, value, GROUP) for name, value in values.items())
-        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == GROUP else ())
-
-    return put
-
-
-@pytest.fixture
 def ring(register):
-    register(ring=f"{__name__}:Ring")
+    register(GROUP, ring=f"{__name__}:Ring")
 
 
 @pytest.mark.usefixtures("ring")
@@ -74,12 +61,12 @@ def test_a_class_that_derives_from_it_is_not_registered_with_it():
 
 
 def test_only_the_entry_points_of_its_own_package_are_imported_to_find_its_kind(register):
-    register(other="no_such_package:Ring", ring=f"{__name__}:Ring")
+    register(GROUP, other="no_such_package:Ring", ring=f"{__name__}:Ring")
     assert described(Ring(3))["kind"] == "ring"
 
 
 def test_the_kinds_of_this_package_cannot_be_taken(register):
-    register(highway=f"{__name__}:Ring", own=f"{__name__}:Ring")
+    register(GROUP, highway=f"{__name__}:Ring", own=f"{__name__}:Ring")
     assert from_dict({"kind": "highway"}) == Highway()
     assert described(Ring(3))["kind"] == "own"
 
@@ -102,7 +89,7 @@ def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cau
     ],
 )
 def test_what_makes_no_world_is_refused_with_its_place_and_cause(register, value, data, message):
-    register(ring=value)
+    register(GROUP, ring=value)
     with pytest.raises(WorldError, match=message):
         from_dict({"kind": "ring", "data": data})
 
@@ -115,6 +102,6 @@ def test_all_but_the_kind_is_in_its_data(world):
 
 
 def test_data_that_no_file_can_hold_are_refused_before_a_find_would_be_lost(register):
-    register(ring=f"{__name__}:Unwritable")
+    register(GROUP, ring=f"{__name__}:Unwritable")
     with pytest.raises(WorldError, match=r"Unwritable.to_dict: .*expected plain data"):
         described(Unwritable(3))
