@@ -11,9 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.options import cores
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
+from pytest_pafot.comparison.resumable import worker_count
 from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.files import write_whole
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
@@ -90,8 +90,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
     try:
         plan = checked(plan_of(arguments))
-        if arguments.workers is not None and arguments.workers < 1:
-            raise PlanError(f"--workers: expected at least 1, received {arguments.workers}")
+        workers = worker_count(arguments.workers)
         # What is wrong on the command line is told before anything is installed for it.
         missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
         if missing:
@@ -100,7 +99,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
                 "run `pip install 'pytest-pafot[compare]'`"
             )
         folder = Path(arguments.out)
-        results = run_all(plan, folder, workers=arguments.workers or cores(), told=sys.stderr, clock=time.monotonic)
+        results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE

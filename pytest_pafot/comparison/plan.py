@@ -9,9 +9,9 @@ import importlib
 import json
 import math
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
+from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.protocol import WorldLike, road_start
 
 EXAMPLES = "example_ads"
@@ -29,6 +30,9 @@ EXAMPLES = "example_ads"
 
 RUNS = "runs"  # folder of the results of single runs
 
+
+OF_FILE = "file:"
+"""How the identity of a policy begins that tells no hash of its weights."""
 
 PAPER, POPULATION = "paper", 4
 """What stands behind the ``@`` for the paper's scenarios, and how many of them are in a generation then."""
@@ -105,7 +109,8 @@ class Plan:
     def question(self) -> str:
         """All but which algorithms and how many runs, as canonical text: results of equal questions go together."""
         plain = asdict(replace(self, algorithms=(), runs=1))
-        return json.dumps({"plan": plain, "versions": installed_versions()}, indent=1, sort_keys=True) + "\n"
+        told = {"plan": plain, "policy": identity(self.ads), "versions": installed_versions()}
+        return json.dumps(told, indent=1, sort_keys=True) + "\n"
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
@@ -197,7 +202,7 @@ def ads_factory(reference: str) -> Callable[..., Any]:
             f"--ads: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
             f"received {reference!r}"
         )
-    module_name = parts[0] if len(parts) > 1 else f"{EXAMPLES}.{parts[0]}"
+    module_name = _module_name(reference)
     try:
         factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
     except ModuleNotFoundError as error:
@@ -218,6 +223,36 @@ def ads_factory(reference: str) -> Callable[..., Any]:
     if not callable(factory):
         raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which is none")
     return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
+
+
+def identity(reference: str) -> str:
+    """What tells a policy from another one of its name: the hash of its weights, else of the file of its module.
+
+    Raises:
+        PlanError: when there is none of this name.
+        AdsFactoryError: for weights that cannot be read.
+    """
+    told = weights_digest(ads_factory(reference))
+    if told:
+        return told
+    file = getattr(_imported(_module_name(reference)), "__file__", None)
+    return OF_FILE + ("" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest())
+
+
+def caution(references: Iterable[str]) -> str:
+    """What to mind of policies of which only the file of the module is known to be the same; empty for nothing."""
+    names = [each for each in references if identity(each).startswith(OF_FILE)]
+    if not names:
+        return ""
+    return (
+        f"{' and '.join(names)} tell{'s' if len(names) == 1 else ''} no hash of weights, so that only the file of the "
+        "module is known to be the same: if it was trained or changed since then, give another --out"
+    )
+
+
+def _module_name(reference: str) -> str:
+    name, colon, _ = reference.partition(":")
+    return name if colon else f"{EXAMPLES}.{name}"
 
 
 def _imported(module_name: str) -> ModuleType:

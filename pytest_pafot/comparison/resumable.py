@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TextIO
 
+from pytest_pafot.campaign.options import cores
 from pytest_pafot.comparison.plan import RUNS, PlanError, file_name
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.files import write_whole
@@ -34,11 +35,12 @@ class ResumableJob:
         units: what its progress counts, such as ``runs``.
         tasks: in the order in which they are started.
         in_order: the same in the order of their rows.
-        sizes: units of each task; one where there is none.
         question: on what results depend, as canonical text; results of equal questions go together.
         question_file: where that stands.
         differs: in what another question may differ, in words.
         text: the rows of a task as CSV; must be possible to pickle.
+        sizes: units of each task that is not one; then progress counts units of tasks that are going on, too.
+        caution: what to mind where results from before are kept; empty for nothing.
     """
 
     command: str
@@ -51,6 +53,7 @@ class ResumableJob:
     differs: str
     text: Callable[[Task, Tick], str]
     sizes: dict[Task, int] = field(default_factory=dict)
+    caution: str = ""
 
     def size(self, task: Task) -> int:
         """How many units a task is."""
@@ -72,8 +75,17 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     left = [task for task in job.tasks if not (folder / file_name(*task)).exists()]
     total = sum(map(job.size, job.tasks))
     done = total - sum(map(job.size, left))
+    if done and job.caution:
+        told.write(f"{job.command}: {done} of {total} {job.units} are from before; {job.caution}\n")
     progress = ProgressLine(
-        total=total, done=done, told=told, clock=clock, command=job.command, units=job.units, size=job.size
+        total=total,
+        done=done,
+        told=told,
+        clock=clock,
+        command=job.command,
+        units=job.units,
+        size=job.size,
+        counts_parts=bool(job.sizes),
     )
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
@@ -82,6 +94,17 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     header = parts[0].partition("\n")[0] + "\n"
     write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
     return folder / RESULTS
+
+
+def worker_count(given: int | None) -> int:
+    """How many processes ``--workers`` asks for: one for each core where it is not given.
+
+    Raises:
+        PlanError: for less than one.
+    """
+    if given is not None and given < 1:
+        raise PlanError(f"--workers: expected at least 1, received {given}")
+    return given or cores()
 
 
 def claim(job: ResumableJob, folder: Path) -> None:
@@ -111,6 +134,7 @@ class ProgressLine:
     command: str = "compare"
     units: str = "runs"
     size: Callable[[Task], int] = lambda task: 1  # of a task, in units
+    counts_parts: bool = False  # whether the units of a task are done one by one
     started: float = 0.0
     told_at: float = float("-inf")
     first_done: int = 0
@@ -134,7 +158,8 @@ class ProgressLine:
         gained = self.done - self.first_done + shares
         missing = self.total - self.done - shares
         left = "" if gained <= 0.02 else f", {_duration((now - self.started) / gained * missing)} left"
-        return f"{self.command}: {self.done} of {self.total} {self.units}, {share:.0%}{left}".replace("%", " %")
+        done = self.done + (math.floor(shares + 1e-6) if self.counts_parts else 0)
+        return f"{self.command}: {done} of {self.total} {self.units}, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
         """One more task."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from pytest_pafot.comparison.algorithm_run import Tick, run_rows
-from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.comparison.plan import Plan, caution
 from pytest_pafot.comparison.resumable import ResumableJob, Task, run_job
 from pytest_pafot.comparison.rows import text_of
 
@@ -28,8 +28,9 @@ def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Call
         in_order=tuple((name, run) for name in plan.names for run in range(plan.runs)),
         question=plan.question,
         question_file=QUESTION,
-        differs="the policy, the budget, the world, the seed or the versions",
+        differs="the policy, its weights, the budget, the world, the seed or the versions",
         text=partial(_text, plan),
+        caution=caution([plan.ads]),
     )
     return run_job(job, folder, workers=workers, told=told, clock=clock)
 

@@ -12,10 +12,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.campaign.options import cores
 from pytest_pafot.comparison.command import BAD_USE
 from pytest_pafot.comparison.plan import PlanError
-from pytest_pafot.comparison.resumable import run_job
+from pytest_pafot.comparison.resumable import run_job, worker_count
 from pytest_pafot.files import write_whole
 from pytest_pafot.rating.rate import Pair, Rate, rows_of
 from pytest_pafot.rating.rate_page import page
@@ -26,6 +25,8 @@ from pytest_pafot.world import AdsFactoryError, WorldError
 
 if TYPE_CHECKING:
     from pytest_pafot.world.engines.episode import Episode
+
+NOTHING_DRIVEN = 1  # exit code where the ADS failed in every episode, so that nothing is known of it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,8 +58,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
     try:
         plan = checked(_plan_of(arguments))
-        if arguments.workers is not None and arguments.workers < 1:
-            raise PlanError(f"--workers: expected at least 1, received {arguments.workers}")
+        workers = worker_count(arguments.workers)
         if arguments.episode is not None and arguments.episode < 0:
             raise PlanError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
         if arguments.episode is not None:
@@ -66,16 +66,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with ExitStack() as stack:
             folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
             job = plan.job
-            workers = min(arguments.workers or cores(), len(job.tasks))
-            results = run_job(job, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+            results = run_job(job, folder, workers=min(workers, len(job.tasks)), told=sys.stderr, clock=time.monotonic)
             rows = rows_of(results.read_text(encoding="utf-8"))
         rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
         sys.stdout.write(_text(plan, rates, arguments))
         if arguments.out is not None:
-            pictures = {}
-            for rate in rates:
-                for seed in rate.crashed[:1]:
-                    pictures[rate.ads] = _drawn(_episode(plan, rate.ads, seed), rate.ads, arguments.out)
+            pictures = _pictures(plan, rates, arguments.out)
             write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
             sys.stdout.write(f"{arguments.out / 'report.md'}\n")
     except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
@@ -86,7 +82,20 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         lost = "nothing is kept without --out"
         sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
         return 130
-    return 0
+    return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
+
+
+def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
+    """The name of the picture of the first crash of each policy; without the library for it none, which is told."""
+    try:
+        return {
+            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder)
+            for rate in rates
+            if rate.crashed
+        }
+    except AnimationError as error:
+        sys.stderr.write(f"rate: the report has no picture: {error}\n")
+        return {}
 
 
 def _plan_of(arguments: argparse.Namespace) -> RatePlan:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
-from pytest_pafot.comparison.plan import PlanError, ads_factory
+from pytest_pafot.comparison.plan import PlanError, ads_factory, caution, identity
 from pytest_pafot.comparison.resumable import ResumableJob, Task, Tick
 from pytest_pafot.rating.rate import EpisodeRow, text_of
 from pytest_pafot.trace import AdsError
@@ -64,18 +64,20 @@ class RatePlan:
             for count in (min(CHUNK, self.seed + self.episodes - first),)
         }
         question = {"ads": self.ads, "against": self.against, "env_id": self.env_id, "config": self.config}
-        versions = installed_versions()
+        names = [name.removesuffix(PLANNER) for name in self.policies.values()]
+        told = {"plan": question, "policies": [*map(identity, names)], "versions": installed_versions()}
         return ResumableJob(
             command="rate",
             noun="rate",
             units="episodes",
             tasks=tuple(sorted(sizes, key=lambda task: task[1])),
             in_order=tuple(sizes),
-            question=json.dumps({"plan": question, "versions": versions}, indent=1, sort_keys=True) + "\n",
+            question=json.dumps(told, indent=1, sort_keys=True) + "\n",
             question_file=QUESTION,
-            differs="the policies, the environment, its configuration or the versions",
+            differs="the policies, their weights, the environment, its configuration or the versions",
             text=partial(_text, self),
             sizes=sizes,
+            caution=caution(names),
         )
 
 

@@ -126,6 +126,11 @@ class TestProgressLine:
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
+    def test_where_a_task_is_many_units_it_counts_those_of_tasks_that_go_on(self):
+        many = {"command": "rate", "units": "episodes", "size": lambda task: 25, "counts_parts": True}
+        progress = ProgressLine(total=100, done=25, told=io.StringIO(), clock=lambda: 0.0, **many)
+        assert progress.line(18 / 25 * 25, 0.0) == "rate: 43 of 100 episodes, 43 %, 0 s left"
+
     def test_it_promises_nothing_before_anything_is_done(self):
         progress = ProgressLine(total=10, done=2, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import sys
 
 import pytest
 
@@ -67,6 +68,49 @@ def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, caps
     assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
 
 
+class Trained:
+    """A factory that says which weights its policy has, as those of ``pafot.policies`` do."""
+
+    weights_digest = "sha256:1"
+
+    def __call__(self):
+        return lambda observation: 1
+
+
+trained = Trained()
+
+
+def test_results_of_other_weights_are_not_gone_on_with(tmp_path, capsys, monkeypatch):
+    arguments = ("--ads", f"{__name__}:trained", "--episodes", "1", "--out", str(tmp_path))
+    assert rate(*arguments) == rate(*arguments) == 0
+    monkeypatch.setattr(Trained, "weights_digest", "sha256:2")
+    assert rate(*arguments) == 2
+    told = capsys.readouterr().err
+    assert "whose rate.json differs in the policies, their weights, " in told
+    assert "from before" not in told
+
+
+def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    planner = tmp_path / "planner_of_mine.py"
+    planner.write_text("def make():\n    return lambda observation: 1\n")
+    arguments = ("--ads", "planner_of_mine:make", "--episodes", "1", "--out", "out")
+    assert rate(*arguments) == rate(*arguments) == 0
+    told = "rate: 1 of 1 episodes are from before; planner_of_mine:make tells no hash of weights, so that only the file"
+    assert capsys.readouterr().err.count(told) == 1
+    planner.write_text(planner.read_text().replace("1", "0"))
+    assert rate(*arguments) == 2
+
+
+def test_without_pillow_the_report_has_no_picture_and_that_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    assert rate("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path)) == 0
+    assert "rate: the report has no picture: " in capsys.readouterr().err
+    assert "seeds of the crashes: 2" in (tmp_path / "report.md").read_text()
+
+
 def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys):
     assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path)) == 0
     assert "constant_speed@planner in highway-fast-v0, seed 2: crashed after " in capsys.readouterr().out
@@ -84,7 +128,7 @@ def test_one_episode_of_a_policy_that_cannot_be_made_says_why_without_a_picture(
 
 
 def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_given(capsys):
-    assert rate("--ads", "constant_speed", "--episodes", "2") == 0
+    assert rate("--ads", "constant_speed", "--episodes", "2") == 1
     out = capsys.readouterr().out
     assert "no episode of 2 was driven to its end" in out
     assert (
