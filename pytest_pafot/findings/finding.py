@@ -157,7 +157,8 @@ class Found:
         generation: in which it was found, counted from 0.
         algorithm: name of the search.
         versions: of the packages that the run depends on.
-        weights: ``sha256:`` and a hash of the policy, where its factory tells one (``pafot.policies``).
+        weights: ``sha256:`` and a hash of the policy, where its factory tells one (``pafot.policies``). A replay says
+            where that is another one now.
     """
 
     seed: int
