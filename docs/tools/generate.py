@@ -33,6 +33,7 @@ from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.marks import rate
 from pytest_pafot.rating.rate import EpisodeRow, Rate
 from pytest_pafot.rating.rate_command import add_arguments as add_rate_arguments
+from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
 from pytest_pafot.run import Moment, Run
 from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
@@ -124,6 +125,9 @@ def sections() -> dict[str, str]:
     """The text of every generated section, by name."""
     return {
         "options": _options_table(),
+        "session-record": _record_table(SessionRecord),
+        "search-record": _record_table(SearchRecord),
+        "finding-record": _record_table(FindingRecord),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run),
@@ -298,6 +302,10 @@ def _properties_table(cls: type[Any]) -> str:
             inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
             own[name if inner is not member else f"{name}()"] = _first_paragraph(inner.__doc__)
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
+
+
+def _record_table(cls: type[Any]) -> str:
+    return _table(["Key", "Meaning"], [[_code(name), _capital(text)] for name, text in _attributes(cls)])
 
 
 def _outcomes_table() -> str:

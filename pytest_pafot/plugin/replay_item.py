@@ -63,10 +63,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check)
     if finding.xfail is not None and not verdict.failed:
         item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {path}")
-    try:
-        _warn_of_last_day(item, finding, path)
-    finally:  # where warnings are errors, none hides the failure
-        _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
+    _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
 
 
 def _conclude_lost(
@@ -86,10 +83,7 @@ def _conclude_lost(
     if page is not None:
         page.replayed(finding, None, headline=line, label=label, path=path)
     item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
-    try:
-        _warn_of_last_day(item, finding, path)
-    finally:
-        pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
+    pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
 
 def _against(replays: Replays) -> str:
@@ -100,21 +94,16 @@ def _against(replays: Replays) -> str:
 def _tell(item: pytest.Function, replays: Replays, saved: Saved, label: str, *, headline: str, detail: str) -> None:
     path, finding = relative(saved.path, replays.harness.root), saved.finding
     if finding is not None:
+        if finding.xfail is not None and not finding.is_accepted(date.fromisoformat(item.config.stash[SHARED].today)):
+            over = (
+                f"{path}: accepted ({finding.accepted}), which is over: mend it, write a later day, or remove the line"
+            )
+            messages.send(item, "warning", {"text": over})
         told = {"file": path, "replay": replay_command(path), "headline": headline, "detail": detail}
         messages.send(item, "record", asdict(FindingRecord.of(finding, node_id=item.nodeid, status=label, **told)))
     against = "" if replays.harness.against is None else replays.harness.against.shown
     messages.send(item, "replay", {"label": label, "detail": detail, "against": against})
     item.user_properties.append(("pafot", label))
-
-
-def _warn_of_last_day(item: pytest.Function, finding: Finding, path: str) -> None:
-    """Say that a failure was accepted up to a day that is over; the item then fails as any other."""
-    if finding.xfail is None or finding.is_accepted(date.fromisoformat(item.config.stash[SHARED].today)):
-        return
-    text = (
-        f"{path}: accepted ({finding.accepted}), which is over: mend it, write a later day, or remove the line `xfail:`"
-    )
-    item.warn(pytest.PytestWarning(ascii_text(text)))
 
 
 def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:

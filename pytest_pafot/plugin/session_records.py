@@ -47,7 +47,7 @@ class Records:
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
         self._reasons: dict[str, str] = {}
-        self._texts: dict[str, list[str]] = {"rate": [], "merge": []}
+        self._texts: dict[str, list[str]] = {"rate": [], "merge": [], "warning": []}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self) -> None:
@@ -60,7 +60,7 @@ class Records:
         message = messages.received(report)
         if message is None:
             self._take_phase(report)
-        elif message.kind in ("record", "start", "search", "rate", "merge"):
+        elif message.kind in ("record", "start", "search", *self._texts):
             self._take(report.nodeid, message)
 
     @pytest.hookimpl(trylast=True)  # when pages are written and finds are reported
@@ -132,6 +132,7 @@ class Records:
             ],
             rates=sorted(self._texts["rate"]),
             merged=sorted(self._texts["merge"]),
+            warnings=sorted(self._texts["warning"]),
             problems=list(self._lines.problems),
         )
 

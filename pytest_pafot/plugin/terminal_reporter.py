@@ -95,6 +95,7 @@ class Reporter:
         self._removed: list[Path] = []
         self._lines = config.stash[SUMMARY_LINES]
         self._notes: dict[str, None] = {}
+        self._warnings: dict[str, None] = {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
@@ -169,6 +170,7 @@ class Reporter:
             problems=self._lines.problems,
             written=self._lines.reports,
             interrupted=list(self._running),
+            warnings=sorted(self._warnings),
             notes=list(self._notes),
         )
         width = self._config.stash[SHARED].width
@@ -196,6 +198,8 @@ class Reporter:
                 self._lines.reports.append(data["text"])
             case "note":
                 self._notes[data["text"]] = None
+            case "warning":
+                self._warnings[data["text"]] = None
 
     def _take_start(self, report: pytest.TestReport) -> None:
         # Under pytest-xdist nobody reports a collection here, and a fresh seed must be known should this end early.

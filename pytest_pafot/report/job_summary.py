@@ -66,6 +66,7 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     )
     yield from _listed("Crashes in ordinary traffic", [plain(each) for each in record.rates])
     yield from _listed("Merged", [plain(each) for each in record.merged])
+    yield from _listed("Warnings", [plain(each) for each in record.warnings])
     yield from _listed("Problems", [plain(each) for each in record.problems])
 
 
@@ -87,7 +88,7 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     """A finding: what it is, and the command that shows it again, with its file."""
     told = [plain(finding.headline or finding.detail)]
     told += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
-    if finding.xfail is not None:
+    if finding.xfail is not None and finding.result == "xfailed":
         until = finding.xfail["until"]
         told.append(f"accepted{f' until {until}' if until else ''}: {plain(finding.xfail['reason'] or '')}")
     yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"

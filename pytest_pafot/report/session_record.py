@@ -231,6 +231,7 @@ class SessionRecord:
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
         merged: what `--pafot-merge` told of each test.
+        warnings: of saved scenarios that are no longer accepted.
         problems: anything that went wrong beside the tests.
     """
 
@@ -240,6 +241,7 @@ class SessionRecord:
     findings: list[FindingRecord] = field(default_factory=list)
     rates: list[str] = field(default_factory=list)
     merged: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     @property

@@ -70,6 +70,7 @@ class SessionSummary:
         strays: saved scenarios that lie in no folder of a test, each with where it should be.
         unmerged: folders of other corpora that were not merged, each with why.
         interrupted: node ids of searches that began and did not end.
+        warnings: of saved scenarios that are no longer accepted.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -82,6 +83,7 @@ class SessionSummary:
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
     interrupted: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
 
 
@@ -290,10 +292,9 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     if any(find.path for search in session.searches for find in search.finds):
         lines.append("a saved scenario runs alone with: pytest FILE")
     lines += [ascii_text(line) for line in session.written]
-    for note in session.notes:
-        lines += _wrapped(f"note: {note}", width)
-    for problem in session.problems:
-        lines += _wrapped(f"problem: {problem}", width)
+    for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
+        for text in texts:
+            lines += _wrapped(f"{kind}: {text}", width)
     return [part for line in lines for part in line.splitlines()]
 
 

@@ -78,6 +78,17 @@ def test_a_replay_is_recorded_with_its_label_and_the_result_of_its_item(saved):
     assert record.findings[0].xfail == {"reason": "reason", "until": None}
 
 
+def test_a_failure_that_is_no_longer_accepted_is_recorded_with_a_warning(saved):
+    text = saved.only_file.read_text().replace('# xfail: "reason"', "xfail: {reason: issue 12, until: 2027-01-31}")
+    saved.only_file.write_text(text)
+    records = [recorded(saved, f"--pafot-today={day}", generations=0) for day in ("2027-01-31", "2027-02-01")]
+    assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
+    assert [record.findings[0].xfail["until"] for record in records] == ["2027-01-31"] * 2
+    assert records[0].warnings == []
+    (warning,) = records[1].warnings
+    assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), which is over: ")
+
+
 def test_a_file_that_cannot_be_read_is_recorded_with_why(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")

@@ -91,6 +91,7 @@ def test_a_search_that_failed_by_itself_problems_rates_and_merges_are_told():
         searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
         rates=["0 of 100 episodes"],
         merged=["merged: test_it.py::x\n  2 saved scenarios"],
+        warnings=["a: over"],
         problems=["no space"],
     )
     assert markdown(record).splitlines()[4:] == [
@@ -105,6 +106,10 @@ def test_a_search_that_failed_by_itself_problems_rates_and_merges_are_told():
         "**Merged**",
         "",
         "- merged: test\\_it.py::x 2 saved scenarios",
+        "",
+        "**Warnings**",
+        "",
+        "- a: over",
         "",
         "**Problems**",
         "",

@@ -47,6 +47,7 @@ RECORDS = st.builds(
     ),
     rates=st.lists(TEXTS, max_size=1),
     merged=st.lists(TEXTS, max_size=1),
+    warnings=st.lists(TEXTS, max_size=1),
     problems=st.lists(TEXTS, max_size=1),
 )
 
