@@ -88,8 +88,12 @@ class Pursuit:
     hz: int
     goes_on: bool = False
 
-    def is_avoided(self, since: int, response: Braking, emergency: Emergency | None = None) -> bool:
-        """Whether the responder keeps off the other by a response to what there is since a tick.
+    def avoided_from(self, since: int, response: Braking, emergency: Emergency | None = None) -> int | None:
+        """The tick from which on a response would have kept the responder off the other; None if it would not have.
+
+        That is the tick since which there is something to respond to, or, where the reference restores its headway, a
+        later one, up to which the responder has answered: the last, once the answer was due, at which it was no faster
+        than the other, and so far no faster than the reference.
 
         Until the impact the other moves as recorded, and the boxes are turned as they were; after it, it is ahead in
         one lane and keeps its speed, or its braking. The responder is followed until it is no faster, at most 12 s.
@@ -98,15 +102,23 @@ class Pursuit:
         """
         end = len(self.ahead) - 1
         if since >= end:
-            return False
+            return None
         speeds, lost = self._driven(since, response, emergency)
         recorded = end - since + 1
         is_alike = self.speeds[0][since:] <= speeds[:recorded] + ALIKE
         if is_alike.all() or (is_alike[-1] and lost[recorded - 1] <= MARGIN * self.speeds[0][-1]):
-            return False
-        if self._touches(slice(since, end + 1), lost[:recorded]):
-            return False
-        return bool((self._gaps[-1] + lost[recorded:] > 0).all())  # here lost also counts what the other gained
+            return None
+        mastered = self._mastered(since + round(response.delay * self.hz), since + int(is_alike.argmin()))
+        if response.headway > 0 and mastered is not None:
+            return self.avoided_from(mastered, response, emergency)
+        is_hit = self._touches(slice(since, end + 1), lost[:recorded])
+        is_hit = is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
+        return None if is_hit else since
+
+    def _mastered(self, first: int, end: int) -> int | None:
+        """The last tick of some, before an end, at which the recorded responder was no faster than the other."""
+        slow = np.flatnonzero(self.speeds[0][first:end] <= self.speeds[1][first:end])
+        return first + int(slow[-1]) if slow.size else None
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.

@@ -258,9 +258,9 @@ class Conflict:
         if self._leads(ego.tick) and self._gives_way(ego):
             return self._gave_way(ego)
         first, by_ego = (ego, False) if self._leads(self._onset) else (npc, True)
-        kept = self._lanes.kept_since(first.vehicle, max(ego.tick, npc.tick), self._end)
-        if kept is not None and self._pursuit(by_ego=by_ego).is_avoided(max(kept[1], self._before), FOLLOWING):
-            return self._duty_passed(first, kept)
+        passed = self._duty_passed(first, max(ego.tick, npc.tick), self._pursuit(by_ego=by_ego))
+        if passed is not None:
+            return passed
         when = f"at {self._at(ego.tick)} the ego and at {self._at(npc.tick)} {self._name} crossed a lane line"
         reason = f"{when} towards each other ({ego.drift:.1f} and {npc.drift:.1f} m/s sideways)"
         return self._attributed("both", ego.tick, reason, "entered-lane")
@@ -272,15 +272,16 @@ class Conflict:
         if self._gives_way(change):
             return self._gave_way(change)
         crossed, pursuit = self._without_room(change), self._pursuit(by_ego=False)
-        kept = self._lanes.kept_since(0, tick, self._end)
-        if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
-            return self._duty_passed(change, kept)
+        passed = self._duty_passed(change, tick, pursuit)
+        if passed is not None:
+            return passed
         entered = max(self._onset, tick)
         if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])) and self._gap(entered) > 0:
-            since = max(tick, self._before)  # there was room at first
-            if pursuit.is_avoided(since, FOLLOWING):
+            since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
+            if since is not None:
                 reason = f"{crossed}; {self._name}'s {self._would(since)}"
                 return self._attributed("both", tick, reason, "entered-lane")
+        kept = self._lanes.kept_since(0, tick, self._end)
         late = f", and {self._name} could not avoid it any more when the ego kept the lane" if kept is not None else ""
         chance = self._second_chance(tick, pursuit, by_ego=False)
         if chance is not None:
@@ -302,9 +303,16 @@ class Conflict:
         )
         return f"{crossed}, where giving way takes {room:.1f} m{slowed}"
 
-    def _duty_passed(self, change: LaneChange, kept: tuple[int, int]) -> Attribution:
-        """To the one behind, who could still have avoided it when the one ahead had kept the lane for long enough."""
-        since, who = max(kept[1], self._before), self._name if change.vehicle else "the ego"
+    def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
+        """To the one behind, who could still have avoided it when the one ahead had kept the lane since a tick.
+
+        None where that one did not keep it for long enough, or nothing could have avoided it any more.
+        """
+        kept = self._lanes.kept_since(change.vehicle, tick, self._end)
+        since = None if kept is None else pursuit.avoided_from(max(kept[1], self._before), FOLLOWING)
+        if kept is None or since is None:
+            return None
+        who = self._name if change.vehicle else "the ego"
         reason = f"from {self._at(kept[0])} on {who} kept the lane ahead"
         if change.vehicle == 0:
             return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
@@ -325,12 +333,13 @@ class Conflict:
             return self._excused_behind(tick, crossed, pursuit, change)
         if self._is_blocked(tick):
             return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
-        if not self._is_too_late(seen) and pursuit.is_avoided(seen, CUT_OFF, EMERGENCY):
-            would = f"{self._demanded(seen)}; {self._answer(seen)}"
+        since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY)
+        if since is not None:
+            would = f"{self._demanded(since)}; {self._answer(since)}"
             return self._unanswered(tick, (crossed, would), "cut-in-unanswered", change)
-        kept = self._lanes.kept_since(self._npc + 1, tick, self._end)
-        if kept is not None and pursuit.is_avoided(max(kept[1], self._before), FOLLOWING):
-            return self._duty_passed(change, kept)
+        passed = self._duty_passed(change, tick, pursuit)
+        if passed is not None:
+            return passed
         return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
@@ -395,8 +404,9 @@ class Conflict:
         if self._leads(self._start):
             reason = self._close_behind(self._name, "the ego")
             return self._npc_followed(0, self._start, reason)
-        since, close, pursuit = self._before, self._close_behind("the ego", self._name), self._pursuit(by_ego=True)
-        if pursuit.is_avoided(since, FOLLOWING):
+        close, pursuit = self._close_behind("the ego", self._name), self._pursuit(by_ego=True)
+        since = pursuit.avoided_from(self._before, FOLLOWING)
+        if since is not None:
             would = f"{self._would(since)}; {self._answer(since)}"
             return self._unanswered(self._start, (close, would), "leader-unanswered")
         began = " as the run began" if self._start == 0 else ""
@@ -438,13 +448,14 @@ class Conflict:
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
         ticks = [at for at in range(first, self._end) if self._gap(at) > 0 and self._leads(at) != by_ego]
         over = max((at for at in ticks if closing[at] <= 0), default=None)
-        if over is not None and pursuit.is_avoided(over, CUT_OFF, EMERGENCY):
-            answer = f"; {self._answer(over)}" if by_ego else ""
-            return f"until {self._at(over)} {who} was no faster, and {self._demanded(over)}{answer}"
+        since = None if over is None else pursuit.avoided_from(over, CUT_OFF, EMERGENCY)
+        if over is not None and since is not None:
+            answer = f"; {self._answer(since)}" if by_ego else ""
+            return f"until {self._at(over)} {who} was no faster, and {self._demanded(since)}{answer}"
         pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
         for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
             has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
-            if has_let_go and pursuit.is_avoided(at, HELD):
+            if has_let_go and pursuit.avoided_from(at, HELD) is not None:
                 held = f"braking on with {HELD.deceleration:.0f} m/s^2 would have avoided it"
                 return f"{who} let the brakes go at {self._at(at)}, where {held}"
         return None
@@ -503,8 +514,9 @@ class Conflict:
     def _needless(self, stop: Stop, since: int, reason: str, fault: Fault, *, moved_in: bool) -> Attribution:
         if moved_in:
             return self._attributed("both", stop.begin, f"{reason}, and {self._name} moved in behind it", fault)
-        if self._pursuit(by_ego=False).is_avoided(since, FOLLOWING):
-            return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(since)}", fault)
+        answer = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
+        if answer is not None:
+            return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(answer)}", fault)
         return self._attributed("ego", stop.begin, f"{reason}, and {self._name} behind could not avoid it", fault)
 
     # What the sentences are made of.

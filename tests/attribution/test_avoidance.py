@@ -36,6 +36,10 @@ def pursuit(gap, responder, leader, braking=0.0, *, seconds=30.0, right=0.0, ang
     )
 
 
+def is_avoided(run, since, response, emergency=None):
+    return run.avoided_from(since, response, emergency) is not None
+
+
 def stopping_gap(speed, response):
     """Room that a driver needs behind a wall [m]."""
     return speed * response.delay + speed**2 / (2 * response.deceleration)
@@ -44,59 +48,59 @@ def stopping_gap(speed, response):
 @pytest.mark.parametrize("speed", [5.0, 15.0, 25.0])
 def test_standing_leaders_are_avoided_from_the_stopping_distance_on(speed):
     needed = stopping_gap(speed, CALM)
-    assert pursuit(needed, speed, 0.0).is_avoided(0, CALM)
-    assert not pursuit(needed - speed / HZ - 0.1, speed, 0.0).is_avoided(0, CALM)
+    assert is_avoided(pursuit(needed, speed, 0.0), 0, CALM)
+    assert not is_avoided(pursuit(needed - speed / HZ - 0.1, speed, 0.0), 0, CALM)
 
 
 def test_time_lost_counts():
     run = pursuit(stopping_gap(20.0, CALM) + 5.0, 20.0, 0.0)
-    assert run.is_avoided(0, CALM)
-    assert not run.is_avoided(round(0.5 * HZ), CALM)
+    assert is_avoided(run, 0, CALM)
+    assert not is_avoided(run, round(0.5 * HZ), CALM)
 
 
 def test_an_answer_that_is_due_at_the_impact_or_later_avoids_nothing():
     run = pursuit(5.0, 20.0, 10.0)
     assert len(run.ahead) <= HZ
-    assert not run.is_avoided(0, CALM)
+    assert not is_avoided(run, 0, CALM)
 
 
 def test_boxes_that_pass_beside_each_other_do_not_touch_up_to_the_end_of_the_recording():
     beside = pursuit(5.0, 20.0, 10.0, right=3.0, seconds=1.0 + 2 / HZ)
     assert (np.abs(beside.right) > SIZE[1]).all()
-    assert not beside.is_avoided(0, CALM), "after the impact the other is in the responder's lane"
-    assert beside.is_avoided(0, Braking(delay=0.0, deceleration=15.0))
+    assert not is_avoided(beside, 0, CALM), "after the impact the other is in the responder's lane"
+    assert is_avoided(beside, 0, Braking(delay=0.0, deceleration=15.0))
 
 
 def test_boxes_are_as_they_were_turned():
     """A box across the road reaches a metre and a half less far along it, and further to the side."""
     along, across = (pursuit(20.0, 20.0, 10.0, angle=angle, seconds=2.0) for angle in (0.0, math.pi / 2))
     brakes = Braking(delay=1.0, deceleration=3.5)
-    assert not along.is_avoided(0, brakes)
-    assert replace(across, right=along.right + 3.4).is_avoided(0, replace(brakes, deceleration=9.0))
+    assert not is_avoided(along, 0, brakes)
+    assert is_avoided(replace(across, right=along.right + 3.4), 0, replace(brakes, deceleration=9.0))
 
 
 def test_a_leader_keeps_its_speed_after_the_recording():
     run = pursuit(25.0, 20.0, 20.0, 4.0)
-    assert run.is_avoided(0, CALM)
-    assert not pursuit(25.0, 20.0, run.speeds[1][-1]).is_avoided(0, CALM)
+    assert is_avoided(run, 0, CALM)
+    assert not is_avoided(pursuit(25.0, 20.0, run.speeds[1][-1]), 0, CALM)
 
 
 def test_an_emergency_is_met_by_harder_braking():
     run = pursuit(20.0, 20.0, 20.0, 6.5)
-    assert not run.is_avoided(0, CALM)
-    assert run.is_avoided(0, CALM, EMERGENCY)
+    assert not is_avoided(run, 0, CALM)
+    assert is_avoided(run, 0, CALM, EMERGENCY)
 
 
 def test_what_does_not_last_is_not_perceived():
     run, flash = pursuit(20.0, 20.0, 20.0, 6.5), replace(EMERGENCY, time_to_contact=0.0)
-    assert run.is_avoided(0, CALM, flash)
-    assert not run.is_avoided(0, CALM, replace(flash, perception=5.0))
+    assert is_avoided(run, 0, CALM, flash)
+    assert not is_avoided(run, 0, CALM, replace(flash, perception=5.0))
 
 
 def test_a_responder_that_speeds_up_in_the_delay_is_not_excused_by_it():
     speeding = np.minimum(20.0 + np.arange(30 * HZ + 1) / HZ, 30.0)
-    assert pursuit(60.0, 20.0, 0.0).is_avoided(0, HARD)
-    assert pursuit(60.0, speeding, 0.0).is_avoided(0, HARD)
+    assert is_avoided(pursuit(60.0, 20.0, 0.0), 0, HARD)
+    assert is_avoided(pursuit(60.0, speeding, 0.0), 0, HARD)
 
 
 def test_braking_after_the_impact_is_not_the_recorded_driver_s_merit():
@@ -104,7 +108,23 @@ def test_braking_after_the_impact_is_not_the_recorded_driver_s_merit():
     times = np.arange(30 * HZ + 1) / HZ
     braked = pursuit(16.0, np.maximum(20.0 - 9.0 * times, 0.0), 4.0)
     assert len(braked.ahead) > 1.4 * HZ
-    assert not braked.is_avoided(0, Braking(delay=1.4, deceleration=6.0))
+    assert not is_avoided(braked, 0, Braking(delay=1.4, deceleration=6.0))
+
+
+@pytest.mark.parametrize(("headway", "counted"), [(0.0, 0), (0.5, 4 * HZ)])
+def test_who_mastered_a_cut_in_answers_what_comes_after_from_then_on(headway, counted):
+    """It brakes to the leader's speed as the reference does, which restores a headway; then the leader brakes anew."""
+    times = np.arange(30 * HZ + 1) / HZ
+    own = np.where(times < 1.0, 20.0, np.maximum(20.0 - 6.0 * (times - 1.0 + 1 / HZ), 14.8))
+    leader = np.where(times < 4.0 + 1e-9, 15.0, np.maximum(15.0 - 4.5 * (times - 4.0), 0.0))
+    ahead = SIZE[0] + 18.0 + np.concatenate(([0.0], np.cumsum(leader - own)[:-1])) / HZ
+    end = int(np.argmax(ahead <= SIZE[0])) + 1
+    flat, still = np.zeros(end), (np.ones(end), np.zeros(end))
+    run = Pursuit(
+        ahead=ahead[:end], right=flat, directions=(still, still), speeds=(own[:end], leader[:end]),
+        sizes=(SIZE, SIZE), hz=HZ,
+    )  # fmt: skip
+    assert run.avoided_from(0, replace(HARD, headway=headway)) == counted
 
 
 speeds = st.floats(0, 35)
@@ -128,7 +148,7 @@ def test_whoever_is_at_most_as_fast_as_the_reference_from_when_its_answer_was_du
         speed = max(speed - 6.0 / HZ, 0.0) if tick + 1 >= HZ and speed > other else speed
     slower = pursuit(gap, np.maximum(driven, 0.0), leader, braking, seconds=10.0)
     assume(len(slower.ahead) <= 10 * HZ)
-    assert not slower.is_avoided(0, HARD)
+    assert not is_avoided(slower, 0, HARD)
 
 
 @given(
@@ -148,10 +168,10 @@ def test_it_agrees_with_stepping_through_time(gap, own, leader, braking, right, 
             break
         place, other = place + speed / HZ, other + leads / HZ
         speed = max(speed - 3.0 / HZ, 0.0) if tick + 1 >= HZ and speed > leads else speed
-    assert run.is_avoided(0, CALM) != touched
+    assert is_avoided(run, 0, CALM) != touched
 
 
 @given(gap=st.floats(1, 100), own=st.floats(1, 35), leader=speeds, braking=st.floats(0, 8))
 def test_more_braking_never_hurts(gap, own, leader, braking):
     run = pursuit(gap, own, leader, braking)
-    assert run.is_avoided(0, HARD) >= run.is_avoided(0, CALM, EMERGENCY) >= run.is_avoided(0, CALM)
+    assert is_avoided(run, 0, HARD) >= is_avoided(run, 0, CALM, EMERGENCY) >= is_avoided(run, 0, CALM)

@@ -186,6 +186,7 @@ class Crash:
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
         self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
+        self.counted = None  # the tick since which a response was counted last
         self.sides = {}
         self.ticks = {"danger": self.danger, "joined": self.joined}
 
@@ -296,7 +297,7 @@ class Crash:
         had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
         is_ahead = gap(self.ego, self.npc, self.joined) > 0
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
-            self.ticks["answer"] = due
+            self.ticks["answer"] = self.counted
             return self.opinion("both", "entered-lane", at)
         has_chance = self.has_second_chance(self.npc, self.ego, at)
         return self.opinion("both" if has_chance else "ego", "entered-lane", at)
@@ -320,7 +321,7 @@ class Crash:
         due = max(end, self.danger - 1)
         if not self.would_have_avoided(other, mover, due):
             return None
-        self.ticks["answer"] = due
+        self.ticks["answer"] = self.counted
         return Passed(kept, due)
 
     def keeps_its_lane(self, vehicle, since):
@@ -339,22 +340,23 @@ class Crash:
 
     def one_follows_the_other(self):
         if is_behind(self.ego, self.npc, self.danger):
-            due = self.ticks["answer"] = max(self.danger - 1, 0)
-            if self.would_have_avoided(self.ego, self.npc, due):
+            if self.would_have_avoided(self.ego, self.npc, max(self.danger - 1, 0)):
+                self.ticks["answer"] = self.counted
                 return self.opinion(self.ego_or_both(), "leader-unanswered")
             return self.npc_unless_second_chance(self.danger)
         return self.npc_follows(0, tick=self.danger)
 
     def npc_follows(self, since, *, tick, moved_in=None):
         """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
-        due = self.ticks["answer"] = max(since, self.danger - 1, 0)
+        due = max(since, self.danger - 1, 0)
         hard, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
         if hard is None and stop is None:
             return self.opinion("npc", None, tick)
         fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
         if hard is not None:
-            due = self.ticks["answer"] = max(since, min(due, hard))
+            due = max(since, min(due, hard))
         could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
+        self.ticks["answer"] = self.counted
         return self.opinion("both" if could else "ego", fault, began)
 
     # Rule 4c
@@ -369,7 +371,7 @@ class Crash:
         ]
         no_faster = [tick for tick in looked_at if behind.speed[tick] <= ahead.speed[tick]]
         if no_faster and self.would_have_avoided_a_cut_in(behind, ahead, no_faster[-1]):
-            self.ticks["no faster"] = self.ticks["answer"] = no_faster[-1]
+            self.ticks["no faster"], self.ticks["answer"] = no_faster[-1], self.counted
             return True
         for tick in looked_at:
             if self.lets_the_brakes_go(behind, ahead, tick) and self.could_have_braked_on(behind, ahead, tick):
@@ -404,10 +406,10 @@ class Crash:
         seen = at
         while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
             seen -= 1
-        self.ticks["answer"] = seen
         dv = self.ego.speed[seen] - self.npc.speed[seen]
         nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
         if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen):
+            self.ticks["answer"] = self.counted
             return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
         passed = self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
@@ -447,15 +449,20 @@ class Crash:
     def would_have_avoided(self, responder, other, due):
         """Following: 1.0 s, then 6 m/s^2."""
         drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
+        self.counted = due
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     def would_have_avoided_a_cut_in(self, responder, other, seen):
         drive = Response(self, responder, other, seen, delay=1.4, perceived=0.4, to_cut_in=True)
-        return drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
+        avoids, self.counted = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in), seen
+        if drive.mastered is not None:
+            return self.would_have_avoided_a_cut_in(responder, other, drive.mastered)
+        return avoids
 
     def could_have_braked_on(self, responder, other, since):
         """At once, 6 m/s^2."""
         drive = Response(self, responder, other, since, delay=0.0, perceived=0.0)
+        self.counted = since
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     # Rule 7
@@ -648,19 +655,22 @@ class Response:
         self.speeds = {since: responder.speed[since]}
         self.others_speeds = dict(enumerate(other.speed[: self.impact + 1]))
         self.lag = self.others_way = 0.0
+        self.mastered = None
 
     def avoids(self, deceleration, *, brakes_on=False):
         """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
         if self.since >= self.impact:
             return False
+        is_hit = False
         for tick in range(self.since, self.impact):
             self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
             self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
-            if self.is_contact(tick + 1):
-                return False
+            is_hit = is_hit or self.is_contact(tick + 1)
         if self.has_answered():
             return False
-        return self.is_free_after_the_impact(deceleration, brakes_on)
+        if self.to_cut_in:
+            self.mastered = self.last_mastered()
+        return not is_hit and self.is_free_after_the_impact(deceleration, brakes_on)
 
     def next_speed(self, tick, deceleration):
         """After a step that begins at a tick."""
@@ -682,6 +692,17 @@ class Response:
         was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
         is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
         return was_never_faster or (is_as_slow and self.lag <= 0.2 * self.responder.speed[self.impact])
+
+    def last_mastered(self):
+        """The last tick at which it had answered so far, or None."""
+        last = None
+        for tick in range(self.since, self.impact + 1):
+            own = self.responder.speed[tick]
+            if own > self.speeds[tick] + 0.1:
+                break
+            if tick >= self.due and own <= self.other.speed[tick]:
+                last = tick
+        return last
 
     def ahead_by(self, tick):
         """How far the other's centre is ahead of where the responder would be [m]."""

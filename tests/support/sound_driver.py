@@ -17,6 +17,8 @@ GENEROUS, SUFFICIENT = 1.5, 1.2
 """How much of what giving way asks for there must be to begin a lane change, and to go on with it."""
 SECONDS = {GENEROUS: 3.0, SUFFICIENT: 1.5}
 """How much longer it could close in on who is ahead there, before that is too near [s]."""
+LASTS = {GENEROUS: 4.0, SUFFICIENT: 3.0}
+"""How long it will still take until it has been in the other lane's track for a second [s]; that is 2 m to the side."""
 
 
 @dataclass(slots=True)
@@ -26,9 +28,11 @@ class SoundLaneChanger(CarefulHuman):
     It wants another lane where that promises 2 m/s more, and the one to the right where it loses nothing. It looks at
     whoever is in that lane or could come into it: from the lane beyond, or from its own. Nobody may move sideways into
     it, whoever is ahead must be farther than the safe distance even three seconds later, and whoever is behind farther
-    than the safe distance and than one and a half times what giving way asks for. All that must have held for half a
+    than the safe distance and than one and a half times what giving way asks for: now, and at the end of the lane
+    change, if it goes on slowing down, and the other speeding up, as they do now. All that must have held for half a
     second, in which it keeps to the middle of its lane. As long as its box can still be kept there it goes back where
-    the gaps no longer suffice. It follows without any delay, also whoever comes over.
+    the gaps no longer suffice. It follows without any delay, also whoever comes over, and whoever will be in its way
+    once it is in the middle of its lane.
 
     Attributes:
         path: the line that it steers to, moving sideways with 1 m/s at most [m].
@@ -76,7 +80,7 @@ class SoundLaneChanger(CarefulHuman):
         ego, wish = observation.ego, math.inf
         for index, other in enumerate(observation.others):
             leader, comes_over = self.ahead(observation, index), _comes_over(ego, other)
-            in_way = other.lane == self.lane or abs(other.y - ego.y) < (ego.width + other.width) / 2
+            in_way = other.lane == self.lane or _is_in_way(ego, other, self.lane * observation.lane_width)
             if leader is not None and (comes_over or in_way):
                 wish = min(wish, self.follow(ego.speed, leader))
             wish = min(wish, 0.0) if comes_over else wish
@@ -107,10 +111,22 @@ class SoundLaneChanger(CarefulHuman):
         ego, centre = observation.ego, lane * observation.lane_width
         leaving = self.lane if self.origin is None else self.origin
         return not any(
-            _moves_sideways(other, centre) or not (_is_far(ego, other, share) or _leads(ego, other, leaving))
-            for other in observation.others
+            _moves_sideways(other, centre)
+            or not (self._is_far(ego, other, braking, share) or _leads(ego, other, leaving))
+            for other, braking in zip(observation.others, self.brakings, strict=True)
             if abs(other.lane - lane) <= 1
         )
+
+    def _is_far(self, ego: VehicleState, other: VehicleState, braking: float, share: float) -> bool:
+        """Whether a vehicle in the lane to enter is far enough ahead or behind."""
+        gap = abs(other.x - ego.x) - (ego.length + other.length) / 2
+        if other.x > ego.x:
+            return gap > _safe(ego.speed, other.speed) + SECONDS[share] * max(ego.speed - other.speed, 0.0)
+        seconds = LASTS[share]
+        own = max(ego.speed + min(self.acceleration, 0.0) * seconds, 0.0)
+        others = other.speed + max(-braking, 0.0) * seconds
+        closed = (other.speed + others - ego.speed - own) / 2 * seconds
+        return gap > _asked(other.speed, ego.speed, share) and gap - closed > _asked(others, own, share)
 
     def _is_committed(self, ego: VehicleState, width: float) -> bool:
         """Whether its box will cross the line even if it turns back now."""
@@ -143,14 +159,22 @@ def _leads(ego: VehicleState, other: VehicleState, lane: int) -> bool:
     return other.lane == lane and other.x > ego.x
 
 
-def _is_far(ego: VehicleState, other: VehicleState, share: float) -> bool:
-    """Whether a vehicle in the lane to enter is far enough ahead or behind."""
-    gap = abs(other.x - ego.x) - (ego.length + other.length) / 2
-    if other.x > ego.x:
-        return gap > _safe(ego.speed, other.speed) + SECONDS[share] * max(ego.speed - other.speed, 0.0)
-    closing = max(other.speed - ego.speed, 0.0)
-    giving_way = closing * 0.4 + closing**2 / (2 * 3.0) + ego.speed * 1.0
-    return gap > max(share * giving_way, _safe(other.speed, ego.speed))
+def _is_in_way(ego: VehicleState, other: VehicleState, centre: float) -> bool:
+    """Whether a vehicle reaches into the ego's track, as it is or will be in the middle of a lane."""
+    left, right = sorted((ego.y, centre))
+    reach = _half_width(ego) + _half_width(other)
+    return left - reach < other.y < right + reach
+
+
+def _asked(behind: float, ahead: float, share: float) -> float:
+    """What is to be left before one behind, by the speeds of both [m]."""
+    closing = max(behind - ahead, 0.0)
+    giving_way = closing * 0.4 + closing**2 / (2 * 3.0) + ahead * 1.0
+    return max(share * giving_way, _safe(behind, ahead))
+
+
+def _half_width(vehicle: VehicleState) -> float:
+    return (vehicle.width * math.cos(vehicle.heading) + vehicle.length * abs(math.sin(vehicle.heading))) / 2
 
 
 def _safe(follower: float, leader: float) -> float:

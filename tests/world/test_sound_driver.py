@@ -8,16 +8,19 @@ from pytest_pafot.world import Observation, VehicleState
 from tests.support.sound_driver import SoundLaneChanger
 
 HZ, WIDTH = 15, 4.0
-SLOW_LEADER = (90.0, 3, 12.0)
-QUEUE = tuple((-30.0 * place, 2, 26.0) for place in range(1, 9))
+SLOW_LEADER = (90.0, 3, 12.0, 0.0)
+QUEUE = tuple((-30.0 * place, 2, 26.0, 0.0) for place in range(1, 9))
 
 
 def lanes(*others, speed=22.0, seconds=25.0):
-    """The lane at each tick, the rightmost first, among others who keep lane and speed: ahead [m], lane, speed."""
+    """The lane at each tick, the rightmost first, among others: ahead [m], lane, speed, and what they gain of it."""
     driver, x, y, heading, seen = SoundLaneChanger(), 0.0, 3 * WIDTH, 0.0, []
     for tick in range(round(seconds * HZ)):
         time = tick / HZ
-        states = [VehicleState(ahead + v * time, lane * WIDTH, 0.0, v, lane, 5.0, 2.0) for ahead, lane, v in others]
+        states = [
+            VehicleState(x + (v + gain * time / 2) * time, lane * WIDTH, 0.0, v + gain * time, lane, 5.0, 2.0)
+            for x, lane, v, gain in others
+        ]
         ego = VehicleState(x, y, heading, speed, round(y / WIDTH), 5.0, 2.0)
         acceleration, steering = driver(Observation(time, ego, tuple(states), 4, WIDTH, 26.8))
         slip = math.atan(math.tan(steering) / 2)
@@ -27,7 +30,7 @@ def lanes(*others, speed=22.0, seconds=25.0):
     return seen
 
 
-@pytest.mark.parametrize("beside", [(-250.0, 2, 22.0), (0.0, 0, 26.0)], ids=["far behind", "two lanes away"])
+@pytest.mark.parametrize("beside", [(-250.0, 2, 22.0, 0.0), (0.0, 0, 26.0, 0.0)], ids=["far behind", "two lanes away"])
 def test_it_overtakes_a_slow_leader_on_the_left_and_comes_back(beside):
     in_lane = lanes(SLOW_LEADER, beside)
     assert set(in_lane) == {2, 3}
@@ -36,3 +39,17 @@ def test_it_overtakes_a_slow_leader_on_the_left_and_comes_back(beside):
 
 def test_it_lets_pass_who_comes_from_behind():
     assert set(lanes(SLOW_LEADER, *QUEUE, seconds=15.0)) == {3}
+
+
+@pytest.mark.parametrize(("gain", "overtakes"), [(0.0, True), (1.0, False)])
+def test_it_reckons_with_one_behind_who_speeds_up(gain, overtakes):
+    assert (2 in lanes(SLOW_LEADER, (-60.0, 2, 15.0, gain), seconds=10.0)) == overtakes
+
+
+@pytest.mark.parametrize(("heading", "brakes"), [(0.0, False), (0.5, True)])
+def test_it_brakes_for_who_stands_in_the_way_that_it_will_take_to_the_middle_of_its_lane(heading, brakes):
+    """One turned on the line reaches 20 cm into the ego's track there, and not into the one that it is in now."""
+    driver, ego = SoundLaneChanger(), VehicleState(0.0, WIDTH + 0.5, -0.02, 8.0, 1, 5.0, 2.0)
+    standing = VehicleState(15.0, 1.1, heading, 0.0, 0, 5.0, 2.0)
+    acceleration, _ = driver(Observation(0.0, ego, (standing,), 4, WIDTH, 26.8))
+    assert (acceleration < 0) == brakes
