@@ -6,6 +6,7 @@ from importlib import metadata
 
 import pytest
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 
 pytest_plugins = ["pytester"]
 
@@ -21,6 +22,10 @@ settings.load_profile("project")
 def pytest_configure(config: pytest.Config) -> None:
     """From here on every warning is an error; of what other plugins warn while they are configured is their matter."""
     config.addinivalue_line("filterwarnings", "error")
+    # Hypothesis also tries constants of a project's modules, of those that happen to be imported by then: what a test
+    # is tried with would be a matter of the tests before it in its process.
+    if settings.default.derandomize:
+        providers.is_local_module_file = lambda path: False
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,6 +1,7 @@
 """What contributors are told to run exists, and is the same wherever it is told."""
 
 import ast
+import importlib.util
 import re
 import shlex
 import subprocess
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import pytest_pafot
 
@@ -101,3 +104,24 @@ def test_the_citation_is_of_this_version_and_of_the_paper_that_the_explanation_n
     address = f"https://doi.org/{paper['doi']}"
     assert PROJECT["urls"]["Paper"] == address
     assert address in (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+
+
+def test_the_examples_of_hypothesis_are_the_same_whatever_is_imported(tmp_path, monkeypatch):
+    if not settings.default.derandomize:
+        pytest.skip("another profile, which is to try others")
+
+    def drawn():
+        examples = []
+
+        @given(st.integers(), st.text())
+        def drawing(number, text):
+            examples.append((number, text))
+
+        drawing()
+        return examples
+
+    before = drawn()
+    (tmp_path / "own.py").write_text("VALUES = [" + ", ".join(f"{n}, 'no. {n}'" for n in range(1000, 1100)) + "]\n")
+    spec = importlib.util.spec_from_file_location("own", tmp_path / "own.py")
+    monkeypatch.setitem(sys.modules, "own", importlib.util.module_from_spec(spec))
+    assert drawn() == before

@@ -1,6 +1,7 @@
 """The kit that checks a world: this package's pass, and one that breaks a promise is refused with the promise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,17 @@ import pytest
 from pytest_pafot import Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.testing import check_world
 from pytest_pafot.trace import ACCELERATION, LANE, SPEED, X
+from tests.support.stopped_clock import StoppedClock
 
 SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
 ROAD = Highway(duration=4.0, hang_limit=0.3)
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    """Time passes only where the check has an ADS wait for its end, and there at once."""
+    clock = StoppedClock(monkeypatch)
+    monkeypatch.setattr("pytest_pafot.testing.time", SimpleNamespace(sleep=clock.sleep))
 
 
 class Own:
@@ -208,5 +217,5 @@ def test_an_ads_that_does_not_drive_in_the_world_is_told_from_a_fault_of_the_wor
 
 
 def test_hanging_is_not_tried_where_it_would_take_long(monkeypatch):
-    monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("tried"))
+    monkeypatch.setattr("pytest_pafot.testing.time.sleep", lambda seconds: pytest.fail("tried"))
     check_world(Highway(duration=4.0), runs=1, **SHORT)

@@ -1,6 +1,5 @@
 import contextlib
 import os
-import time
 from datetime import date
 
 import pytest
@@ -17,6 +16,7 @@ from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.sight import Sight
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
+from tests.support.work import calls_in
 
 NAME = "front-2-1f3a9c.pafot.yaml"
 TEXT = text_of(plain_finding())
@@ -312,17 +312,16 @@ def test_an_alias_is_refused_where_it_stands(path):
 
 def test_a_billion_laughs_are_refused_before_they_are_told(path):
     laughs = ["a0: &a0 [lol]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
-    before = time.perf_counter()
-    assert fault(path, "pafot: 1\n" + "\n".join(laughs)).expected == "plain values"
-    assert time.perf_counter() - before < 1
+    text = "pafot: 1\n" + "\n".join(laughs)
+    assert fault(path, text).expected == "plain values"
+    assert calls_in(fault, path, text) < 10_000
 
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])
 def test_nesting_without_end_is_refused(path, opening):
-    before = time.perf_counter()
-    error = fault(path, "pafot: 1\nworld: \n  " + opening * (100_000 // len(opening)))
-    assert error.expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
-    assert time.perf_counter() - before < 3
+    text = "pafot: 1\nworld: \n  " + opening * (100_000 // len(opening))
+    assert fault(path, text).expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
+    assert calls_in(fault, path, text) < 100_000
 
 
 @pytest.mark.parametrize("levels", range(14, 20))

@@ -21,6 +21,7 @@ from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.driving import hang_guard
 from pytest_pafot.world.driving.hang_guard import HangGuard
+from tests.support.stopped_clock import StoppedClock
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 HIGHWAY, GYM = Highway(), World("highway-v0")
@@ -207,50 +208,65 @@ def spinning_deaf():
         spinning()
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of all limits, which shows more only where a test says so: no healthy decision is ever too slow."""
+    return StoppedClock(monkeypatch)
+
+
 @worlds
 @pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf])
-def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang):
-    impatient = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
-    trace = impatient.rollout(SCENARIO, failing_after(1, hang, idle))
+def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang, clock):
+    def hangs():
+        clock.now += 1.0
+        hang()
+
+    world = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
+    trace = world.rollout(SCENARIO, failing_after(1, hangs, idle))
     assert trace.outcome is Outcome.HANG
     assert trace.error.kind == "Hang"
     assert "hang limit" in trace.error.message
     assert hang.__name__ in trace.error.traceback
     assert "pytest_pafot" not in trace.error.traceback
     assert trace.ticks == trace.error.tick > 0
-    assert impatient.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
 
 
-def test_a_busy_hang_is_interrupted_outside_the_main_thread_too():
+def test_a_busy_hang_is_interrupted_outside_the_main_thread_too(clock):
     received = []
     world = Highway(hang_limit=0.2)
+
+    def hangs():
+        clock.now += 1.0
+        spinning()
+
     thread = threading.Thread(
         target=lambda: received.extend(
-            world.rollout(SCENARIO, ads) for ads in (failing_after(1, spinning, (0, 0)), always((0, 0)))
+            world.rollout(SCENARIO, ads) for ads in (failing_after(1, hangs, (0, 0)), always((0, 0)))
         )
     )
     thread.start()
-    thread.join(10)
+    thread.join(60)
     assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
     assert "spinning" in received[0].error.traceback
 
 
 def test_an_ads_inside_another_run_may_hang_without_the_outer_one():
-    world = Highway(hang_limit=0.2)
-
     def nesting(observation):
-        inner = world.rollout(SCENARIO, always((0.0, 0.0)))
+        inner = HIGHWAY.rollout(SCENARIO, always((0.0, 0.0)))
         return (0.0, 0.0) if inner.outcome is Outcome.SAFE else None
 
-    assert world.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
+    assert HIGHWAY.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
 
 
 def test_time_between_decisions_is_not_counted_as_a_hang():
-    with HangGuard(0.05) as guard:
+    now = [0.0]
+    with HangGuard(0.05, clock=lambda: now[0]) as guard:
         for _ in range(3):
             guard.decision_starts()
             guard.decision_ends()
-            time.sleep(0.08)
+            now[0] += 0.08
+            assert guard.look() == 0.0
 
 
 @pytest.mark.parametrize("inside_thread", [False, True])

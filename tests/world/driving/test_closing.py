@@ -1,6 +1,6 @@
 """An ADS with a method ``close`` is closed once when its run is over, however that ends and whatever stepped it."""
 
-import time
+import functools
 
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
@@ -8,6 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
+from tests.support.stopped_clock import StoppedClock
 
 BRAKED = Scenario(npcs=[[PositionInstruction(2, 0.0)]], gene_seconds=8.0)
 BESIDE = Scenario(npcs=[[PositionInstruction(4, 22.0)]], gene_seconds=2.0)
@@ -40,14 +41,15 @@ def raises(error=LookupError):
         (BRAKED, lambda: (0.0, 0.0), Outcome.COLLISION),
         (BESIDE, raises, Outcome.ADS_ERROR),
         (BESIDE, lambda: "left", Outcome.ADS_ERROR),
-        (BESIDE, lambda: time.sleep(30), Outcome.HANG),
+        (BESIDE, None, Outcome.HANG),
     ],
     ids=["safe", "collision", "raises", "bad action", "hangs"],
 )
 @pytest.mark.parametrize("drive", ["kernel", "highway-env", "rollout_in_gym"])
-def test_it_is_closed_once_however_its_run_ends(scenario, then, outcome, drive):
-    world, log = Highway(hang_limit=0.05, engine="auto" if drive == "rollout_in_gym" else drive), []
+def test_it_is_closed_once_however_its_run_ends(scenario, then, outcome, drive, monkeypatch):
+    world, log = Highway(engine="auto" if drive == "rollout_in_gym" else drive), []
     run = getattr(world, drive, world.rollout)
+    then = then or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
     assert (run(scenario, lambda: Program(log, then)).outcome, log) == (outcome, ["closed"])
 
 
@@ -95,11 +97,11 @@ def test_one_that_drives_many_runs_is_closed_after_the_last_of_them():
 
 @pytest.mark.parametrize(
     ("end", "said"),
-    [(raises, "no exception, received LookupError: lost"), (lambda: time.sleep(30), "at most the hang limit, 0.05 s")],
+    [(raises, "no exception, received LookupError: lost"), (None, "at most the hang limit, 30 s")],
     ids=["raises", "hangs"],
 )
-def test_what_goes_wrong_in_closing_is_a_warning_and_leaves_the_run_as_it_was(end, said):
-    world = Highway(hang_limit=0.05)
+def test_what_goes_wrong_in_closing_is_a_warning_and_leaves_the_run_as_it_was(end, said, monkeypatch):
+    world, end = Highway(), end or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
     with pytest.warns(RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*; the run before it counts as it was"):
         trace = world.rollout(BRAKED, lambda: Program([], end=end))
     assert trace.outcome is Outcome.COLLISION

@@ -10,6 +10,7 @@ from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.engines.lock_step import batching_ads
+from tests.support.stopped_clock import StoppedClock
 
 HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
 ENVIRONMENT = World("highway-v0", duration=12.0)
@@ -169,16 +170,16 @@ class Panic(BaseException):
     [
         (raises, Outcome.ADS_ERROR, "LookupError"),
         (panics, Outcome.ADS_ERROR, "Panic"),
-        (lambda: time.sleep(30), Outcome.HANG, "Hang"),
+        (None, Outcome.HANG, "Hang"),
         (lambda: (np.nan, 0.0), Outcome.ADS_ERROR, "BadAction"),
         (lambda: "left", Outcome.ADS_ERROR, "BadAction"),
     ],
     ids=["raises", "panics", "hangs", "not finite", "no action"],
 )
 @pytest.mark.parametrize("engine", ["kernel", "highway-env"])
-def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, kind):
-    world = Highway(duration=4.0, hang_limit=0.05, engine=engine)
-    traces = world.rollout_batch(scenarios(4), lambda: Failing(how))
+def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, kind, monkeypatch):
+    world, clock = Highway(duration=4.0, engine=engine), StoppedClock(monkeypatch)
+    traces = world.rollout_batch(scenarios(4), lambda: Failing(how or (lambda: clock.sleep(1000.0))))
     healthy = [world.rollout(scenario, Planner) for scenario in scenarios(4)]
     assert [(trace.outcome, trace.error.kind) for trace in traces[:1]] == [(outcome, kind)]
     assert traces[0].error.tick == 18
