@@ -155,7 +155,8 @@ def hidden(states: FloatArray) -> BoolArray:
     start = np.einsum("bij,bj->bi", turns, eye - centres)[:, None, None]
     way = np.einsum("bij,tpj->btpi", turns, lines)
     half = half[:, None, None]
-    with np.errstate(divide="ignore", invalid="ignore"):  # along a side of a box: beside it, or between its ends
+    # Along a side of a box, or as good as along it: beside it, or between its ends.
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         ends = np.stack([(-half - start) / way, (half - start) / way])
     enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
     blocked = (enter < leave) & (enter < 1.0) & (leave > 0.0)
