@@ -11,6 +11,7 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.execution import prefetching
 from pytest_pafot.trace import Outcome
 
 pytestmark = [
@@ -95,7 +96,8 @@ def test_a_search_that_ends_early_ends_at_the_same_run(dear):
     assert summary(several) == summary(alone)
 
 
-def test_cheap_runs_stay_in_one_process_and_the_summary_says_so(project):
+def test_cheap_runs_stay_in_one_process_and_the_summary_says_so(project, monkeypatch):
+    monkeypatch.setattr(prefetching, "DEAR", 60.0)  # cheap is any run then, also on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
     result = project.run("--pafot-workers=2", generations=3)
     result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
