@@ -142,6 +142,11 @@ def gene_of(target: Any, speed: Any) -> Gene:
     return kind(target, speed)
 
 
+@lru_cache(maxsize=1 << 14, typed=True)
+def _known_gene(target: Any, speed: Any) -> Gene:
+    return gene_of(target, speed)
+
+
 Chromosome = tuple[Gene, ...]
 """One NPC's chain of instructions, executed one after the other."""
 
@@ -249,7 +254,7 @@ class Scenario:
             ScenarioError, TypeError, ValueError: for anything else.
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds = fields
-        chains = tuple(tuple(gene_of(target, speed) for target, speed in chain) for chain in npcs)
+        chains = tuple(tuple(_known_gene(target, speed) for target, speed in chain) for chain in npcs)
         return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
 
     def truncated(self, genes: int) -> Scenario:

@@ -39,6 +39,7 @@ class Kept:
     origin: str  # how it was found, in one line
     file: Path | None = None
     content: str = ""  # of the file that could not be written, or empty
+    number: int = 0  # of its run in the search, from 1; 0 where it was none of its runs
 
     @property
     def is_firm(self) -> bool:

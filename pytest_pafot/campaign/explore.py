@@ -162,6 +162,7 @@ def _searched(
         versions=installed_versions(),
         against=reference_of(settings.against, fixture),
         executor=executor,
+        states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
     now = time.monotonic()
     return Search(

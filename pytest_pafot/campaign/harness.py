@@ -43,6 +43,7 @@ class Harness:
     versions: dict[str, str]  # of the packages that a run depends on
     against: Reference | None = None  # that must pass where a failure shall count
     executor: Executor | None = None  # that makes the runs of a search, where the user has one
+    states: Path | None = None  # folder of the states of searches that go on in other sessions, where there is one
 
     def job(self, world: Any = None, owner: str = "") -> Job:
         """What any process needs to run scenarios: of this test, in the world of new ones, unless others are given.

@@ -119,7 +119,8 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "seed",
         "integer",
-        "Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci.",
+        "Base seed; each search derives its own from it and its node id. Fresh, or 0 in the profile ci "
+        "and with --pafot-resume.",
     ),
     Option(
         "algorithm",
@@ -150,6 +151,13 @@ OPTIONS: tuple[Option, ...] = (
         "End the searches of the session so many seconds of wall-clock time after its start; each gets an equal "
         "share of what is left when it begins. Shrinking comes on top. A search that this cuts is not reproducible.",
         is_argument=False,
+    ),
+    Option(
+        "resume",
+        "text",
+        "Folder of the states of searches. A search whose state is there goes on where it stopped, with its runs, "
+        "generations and time counted anew, and what it finds in several sessions is what one long one finds. With "
+        "distinct, random, random-manoeuvre, or an algorithm of your own that can.",
     ),
     Option("stop_after", "integer", "End each search after so many distinct findings that are new.", least=1),
     Option(
@@ -265,6 +273,7 @@ class Settings:
     against: str | Callable[..., Any] | None
     max_time: float | None
     total_time: float | None
+    resume: str | None
     stop_after: int | None
     shrink_rollouts: int | None  # by the kind of ADS where it is None
     max_saved: int

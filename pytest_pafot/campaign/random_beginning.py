@@ -35,6 +35,15 @@ class RandomBeginning:
         """Whether all of them were run."""
         return self._evaluated >= self.most
 
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Scenarios that were evaluated, as far as it counts, ``runs`` and ``failing``."""
+        return self._evaluated, self.runs, self.failing
+
+    def restore(self, evaluated: int, runs: int, failing: int) -> None:
+        """Go on from the counts of an earlier session."""
+        self._evaluated, self.runs, self.failing = evaluated, runs, failing
+
     def __call__(self, event: SearchEvent) -> None:
         """Told what happens; a run is judged, and perhaps judged again, before its scenario is evaluated."""
         self.listener(event)

@@ -80,7 +80,8 @@ class Recorder:
             self.unsaved.append(finding.id)
             self.first = self.first or verdict.exception
             return finding.id
-        kept = self._saved(finding, headline(run, verdict), self._origin(generation, number), verdict.is_timed)
+        origin = self._origin(generation, number)
+        kept = replace(self._saved(finding, headline(run, verdict), origin, verdict.is_timed), number=number)
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirm(run)

@@ -58,6 +58,7 @@ class SearchArguments(TypedDict, total=False):
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any]
     max_time: float
+    resume: str
     stop_after: int
     shrink_rollouts: int
     max_saved: int

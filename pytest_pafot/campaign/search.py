@@ -25,6 +25,7 @@ from pytest_pafot.campaign.read_ahead import read_ahead
 from pytest_pafot.campaign.recorder import Recorder
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError, build_space
+from pytest_pafot.campaign.resuming import Sessions
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
 from pytest_pafot.campaign.summary import Progress, SearchSummary
@@ -37,6 +38,7 @@ from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
+from pytest_pafot.searching.search_loop import CheckpointError
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.sight import Sight
 from pytest_pafot.world import WorldError, codec, protocol
@@ -101,7 +103,7 @@ class Search:
     _beginning: RandomBeginning = field(init=False)
     _space: SearchSpace | None = field(init=False, default=None)  # None for replays alone
     _shrink_runs: int = field(init=False, default=0)
-    _started: float = field(init=False)
+    _sessions: Sessions = field(init=False)
     _told_at: float = field(init=False)
 
     @property
@@ -116,7 +118,7 @@ class Search:
             RequestError: where the search cannot be run as it is asked for.
         """
         __tracebackhide__ = True
-        self._started = self._told_at = self.clock()
+        self._told_at = self.clock()
         harness = self.harness
         self._space = build_space(harness.request, harness.world) if harness.request.settings.is_search else None
         with ExitStack() as stack:
@@ -177,20 +179,22 @@ class Search:
             listener=self._beginning,
             is_steered_by_checks=request.fitness == "default",
         )
+        self._sessions = Sessions(
+            harness=harness, seed=self.seed, loop=self._loop, beginning=self._beginning, clock=self.clock
+        )
 
     def _conducted(self, pending: Sequence[Leftover]) -> tuple[SearchSummary, SetupFaultError | None]:
         """Search and simplify; whatever ends that, all is told that was found until then."""
         __tracebackhide__ = True
         loop, recorder, simulation = self._loop, self._loop.recorder, self._loop.simulation
         reason, fault = "interrupted", None
-        saved = saved_in(self.harness.folder)
-        recorder.replayed = frozenset(each.path for each in saved)
-        loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         try:
             with simulation.runner:
-                reason = self._searched(saved)
+                reason = self._searched(saved_in(self.harness.folder))
             recorder.release()
+            self._sessions.store()
             self._simplify()
+            self._sessions.store(is_simplified=True)
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()
@@ -205,6 +209,7 @@ class Search:
             self.notes += simulation.runner.notes
             if simulation.record.error:
                 self.notes += [str(simulation.record.error)]
+            self.notes += self._sessions.notes
             summary = self._summary(reason)
             self.listener(summary)
         return summary, fault
@@ -237,7 +242,6 @@ class Search:
             return "replay only"
         space, loop, runner = self._space, self._loop, self._loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
-        loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
         limit = 1 if self.stops_at_first else settings.stop_after
         try:
             algorithm = request.algorithm.make(space, **_population(settings.population))
@@ -248,36 +252,51 @@ class Search:
         except ValueError as error:
             raise RequestError(str(error)) from None
         self._beginning.most = getattr(algorithm, "random_at_first", 0.0)
+        resumed = self._sessions.resume(algorithm, space, saved)
+        self._know([each for each in saved if not self._sessions.is_own(each)])
+        self._sessions.find_again()
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
             if reads_near_misses:
                 loop.floors = floors_of(algorithm, state)
-            return for_batches if state.generation and runner.decides_for_many else algorithm
+            return for_batches if state.generation and self._sessions.decides_for_many else algorithm
 
-        events = run_campaign(
-            algorithm,
-            loop.evaluate,
-            generations=settings.generations,
-            runs=settings.runs,
-            seed=self.seed,
-            max_seconds=max(0.0, self.limit.until - self.clock()),
-            clock=self.clock,
-            stop=lambda: limit is not None and loop.recorder.count >= limit,
-            seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
-            foresee=lambda scenarios: runner.announce(
-                [each for each in scenarios if each not in loop.fatal], loop.floors
-            ),
-            adapted=adapted,
-        )
         try:
+            events = run_campaign(
+                algorithm,
+                loop.evaluate,
+                generations=settings.generations,
+                runs=settings.runs,
+                seed=self.seed,
+                max_seconds=max(0.0, self.limit.until - self.clock()),
+                clock=self.clock,
+                stop=lambda: limit is not None and loop.recorder.count >= limit,
+                seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
+                foresee=lambda scenarios: runner.announce(
+                    [each for each in scenarios if each not in loop.fatal], loop.floors
+                ),
+                adapted=adapted,
+                resumed=resumed,
+                border=self._sessions.at_border,
+            )
             loop.follow(events, self._tell_progress)
+        except CheckpointError as error:
+            raise self._sessions.refused(error) from None
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
             raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
+
+    def _know(self, saved: Sequence[Saved]) -> None:
+        """Replay saved scenarios, whose failures are not new then."""
+        __tracebackhide__ = True
+        loop = self._loop
+        loop.recorder.replayed = frozenset(each.path for each in saved)
+        loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
+        loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
 
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
@@ -292,24 +311,26 @@ class Search:
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
-        settings = self.harness.request.settings
+        budget, generations = self._sessions.budget
         self.listener(
             Progress(
                 node_id=self.node_id,
-                generation=min(loop.generation + 1, settings.generations or loop.generation + 1),
-                generations=settings.generations,
+                generation=min(loop.generation + 1, generations or loop.generation + 1),
+                generations=generations,
                 runs=loop.runs,
-                budget=settings.runs,
+                budget=budget,
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
-                seconds=now - self._started,
+                seconds=self._sessions.seconds,
                 phase=phase,
             )
         )
 
     def _summary(self, reason: str) -> SearchSummary:
         settings, loop, health = self.harness.request.settings, self._loop, self._loop.health
-        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason == self.limit.flag)
+        budget, generations = self._sessions.budget
+        is_cut = reason == self.limit.flag and not self._sessions.go_on
+        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
         is_cut_short = reason == "error" or (reason == "enough findings" and not self._beginning.is_whole)
@@ -320,10 +341,10 @@ class Search:
             base_seed=settings.seed,
             seed=self.seed,
             generations=loop.generation if loop.finished is None else loop.finished.generations,
-            asked=settings.generations,
-            budget=settings.runs,
+            asked=generations,
+            budget=budget,
             reason=reason,
-            seconds=self.clock() - self._started,
+            seconds=self._sessions.seconds,
             runs=loop.runs,
             known_runs=health.reused,
             **{
@@ -336,7 +357,7 @@ class Search:
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
-            known=dict(loop.known),
+            known=dict(loop.known + self._sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
@@ -349,7 +370,7 @@ class Search:
         """What a longer search would do besides, and how to have it."""
         settings, recorder = self.harness.request.settings, self._loop.recorder
         left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
-        if left and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
+        if left and not self._sessions.go_on and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"

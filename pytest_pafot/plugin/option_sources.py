@@ -104,7 +104,7 @@ def resolve(
     }
     values |= sources.budget(named, automatic)
     if values["seed"] is None:
-        values["seed"] = fresh_seed
+        values["seed"] = fresh_seed if values["resume"] is None else 0  # a search that goes on has one seed
     return Settings(profile=named or automatic, **values)
 
 

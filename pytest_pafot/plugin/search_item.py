@@ -58,7 +58,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     remove_unfinished(folder)
-    ads, against = request.ads, request.settings.against
+    ads, against, resume = request.ads, request.settings.against, request.settings.resume
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
@@ -76,6 +76,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         versions=installed_versions(),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
+        states=None if resume is None else item.config.invocation_params.dir / resume,
     )
 
 

@@ -6,15 +6,16 @@ Nothing here simulates. How a scenario becomes an evaluation is given to :func:`
 from __future__ import annotations
 
 from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
-from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, SearchState
+from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, ResumableSearch, SearchState
 from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.distinct import DistinctSearch
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health_check import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
 from pytest_pafot.searching.pafot import PafotSearch
+from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.search_loop import Evaluate, run_campaign
+from pytest_pafot.searching.search_loop import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Algorithm",
     "AlgorithmClass",
     "AvFuzzerSearch",
+    "Checkpoint",
     "DistinctSearch",
     "Evaluate",
     "Evaluation",
@@ -31,10 +33,13 @@ __all__ = [
     "PafotSearch",
     "RandomManoeuvreSearch",
     "RandomSearch",
+    "ResumableSearch",
     "SearchSpace",
     "SearchState",
     "crossover",
+    "from_plain",
     "mutate",
+    "plain",
     "resolve_algorithm",
     "run_campaign",
     "sample",

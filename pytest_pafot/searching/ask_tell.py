@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 from numpy.random import Generator
 
@@ -67,6 +67,21 @@ class Algorithm(Protocol[StateT]):
         Raises:
             RuntimeError: without an ask before.
             ValueError: when the evaluations are not those of the scenarios asked for.
+        """
+
+
+@runtime_checkable
+class ResumableSearch(Protocol):
+    """What an algorithm can do besides whose search can go on in another session, as ``--pafot-resume`` asks for."""
+
+    def stored(self, state: Any) -> Any:
+        """A state between two generations as plain data; see :func:`~pytest_pafot.searching.plain.plain`."""
+
+    def restored(self, data: Any) -> Any:
+        """The inverse: the state from which the search goes on as if it had never stopped.
+
+        Raises:
+            ValueError: for data that is none of this algorithm.
         """
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from numpy.random import Generator
 
@@ -23,6 +23,7 @@ from pytest_pafot.searching.ask_tell import GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.niche_search import NicheSearch
 from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
+from pytest_pafot.searching.plain import from_plain, plain
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last one, which has no upper end
@@ -82,6 +83,14 @@ class DistinctSearch(NicheSearch[DistinctState]):
     def start(self, rng: Generator) -> DistinctState:
         """The state before the first generation; it needs no draw."""
         return DistinctState()
+
+    def stored(self, state: DistinctState) -> Any:
+        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        return plain(state)
+
+    def restored(self, data: Any) -> DistinctState:
+        """The inverse of :meth:`stored`."""
+        return from_plain(DistinctState, data)
 
     def floors(self, state: DistinctState) -> Mapping[Mistake, float]:
         """Of each mistake that is not known, the severity up to which a near-miss cannot become one of the worst."""

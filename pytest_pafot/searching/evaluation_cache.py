@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 
 from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
@@ -12,6 +13,10 @@ from pytest_pafot.searching.space import repaired
 
 Chains = tuple[tuple[float, ...], ...]  # one number for each gene
 _Key = tuple[object, ...]
+_Place = tuple[_Key, int | None]  # a key, and the seed where it matters
+
+Remembered = tuple[Evaluation | None, tuple[int, ...]]
+"""A run, and which of its keys lead to it, from 0; None where an earlier run has all of them."""
 
 EVALUATIONS = 10_000
 """Runs remembered at most, in about 25 MB; one that was forgotten is simulated again."""
@@ -34,31 +39,61 @@ class EvaluationCache:
         self._seeds_matter = seeds_matter
         self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key and the seed, where it matters
         self._depths: list[int] = []
-        self._places: deque[list[tuple[_Key, int | None]]] = deque()  # of each run, the oldest first
+        # each run, the oldest first, with the places that are its own
+        self._runs: deque[tuple[Remembered, list[_Place]]] = deque()
         for evaluation in evaluations:
             self.add(evaluation)
 
     def add(self, evaluation: Evaluation) -> None:
         """Remember a run; of several with the same key the first stays."""
+        own = [
+            (number, (key, needed))
+            for number, (key, needed) in enumerate(self._places(evaluation))
+            if needed not in self._evaluations.get(key, {})
+        ]
+        numbers, places = tuple(number for number, _ in own), [place for _, place in own]
+        self._put((evaluation if own else None, numbers), places)
+
+    def restore(self, remembered: Iterable[Remembered]) -> None:
+        """Remember runs as another cache did, from :meth:`remembered`.
+
+        Raises:
+            ValueError: for a run that has no key of that number.
+        """
+        for evaluation, numbers in remembered:
+            places = [] if evaluation is None else self._places(evaluation)
+            if any(not 0 <= number < len(places) for number in numbers):
+                raise ValueError(f"expected numbers of {len(places)} keys, received {numbers} of {evaluation!r:.60}")
+            self._put((evaluation, numbers), [places[number] for number in numbers])
+
+    def remembered(self, but: int = 0) -> tuple[Remembered, ...]:
+        """What is remembered, the oldest first, without the last so many runs."""
+        return tuple(run for run, _ in islice(self._runs, len(self._runs) - but))
+
+    def _put(self, run: Remembered, places: list[_Place]) -> None:
+        evaluation = run[0]
+        if evaluation is not None:
+            if evaluation.depth not in self._depths:
+                self._depths = sorted([*self._depths, evaluation.depth])
+            for key, needed in places:
+                self._evaluations.setdefault(key, {})[needed] = evaluation
+        self._runs.append((run, places))
+
+    def _places(self, evaluation: Evaluation) -> list[_Place]:
+        """Where a run can be found: by the chains as driven, and as asked for where these differ."""
         depth = evaluation.depth
-        if depth not in self._depths:
-            self._depths = sorted([*self._depths, depth])
         asked = driven = plain_chains(evaluation.scenario)
         if evaluation.executed is not evaluation.scenario:
             driven = plain_chains(evaluation.executed)
         # Where NPCs with Lane-Instructions start is repaired by the seed, which no chain as driven tells.
         seed = None if evaluation.scenario.positions and not self._seeds_matter else evaluation.scenario.seed
         keys = [(driven, seed)] if asked == driven else [(driven, seed), (asked, evaluation.scenario.seed)]
-        places = [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
-        places = [(key, needed) for key, needed in places if needed not in self._evaluations.get(key, {})]
-        for key, needed in places:
-            self._evaluations.setdefault(key, {})[needed] = evaluation
-        self._places.append(places)
+        return [(_key(evaluation.scenario, chains, depth), needed) for chains, needed in keys]
 
     def forget(self, room: int = EVALUATIONS) -> None:
         """Forget the oldest runs, down to so many."""
-        while len(self._places) > room:
-            for key, needed in self._places.popleft():
+        while len(self._runs) > room:
+            for key, needed in self._runs.popleft()[1]:
                 del self._evaluations[key][needed]
                 if not self._evaluations[key]:
                     del self._evaluations[key]

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from numpy.random import Generator
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
+from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 
@@ -28,6 +29,14 @@ class RandomSearch(GenerationalSearch[GenerationState]):
     def start(self, rng: Generator) -> GenerationState:
         """The state before the first generation; it needs no draw."""
         return GenerationState()
+
+    def stored(self, state: GenerationState) -> Any:
+        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        return plain(state)
+
+    def restored(self, data: Any) -> GenerationState:
+        """The inverse of :meth:`stored`."""
+        return from_plain(GenerationState, data)
 
     def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Sequence[Scenario]]:
         """A generation of random scenarios."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Generic
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, StateT, check_order
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     CampaignFinished,
@@ -28,6 +30,27 @@ Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
 """Simulates scenarios and judges them; the results are in the order of the scenarios."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint(Generic[StateT]):
+    """Where a campaign is: all that decides how it goes on, beside its arguments.
+
+    Attributes:
+        state: of the algorithm at the last border of two generations.
+        sums: over all evaluations so far.
+        remembered: runs that were known at that border, in whose place nothing is simulated.
+        begun: evaluations since then, of the generation that has begun, each with whether an earlier run was used.
+    """
+
+    state: StateT
+    sums: CampaignFinished
+    remembered: tuple[Remembered, ...] = ()
+    begun: tuple[tuple[Evaluation, bool], ...] = ()
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that is not of the campaign that was to go on from it."""
+
+
 def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     algorithm: Algorithm[StateT],
     evaluate: Evaluate,
@@ -42,6 +65,8 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     seeds_matter: bool = False,
     foresee: Callable[[Sequence[Scenario]], None] | None = None,
     adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
+    resumed: Checkpoint[StateT] | None = None,
+    border: Callable[[Callable[[], Checkpoint[StateT]]], None] = lambda checkpoint: None,
 ) -> Generator[Event, None, None]:
     """Search, and yield what happens as it happens.
 
@@ -71,9 +96,15 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
             them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
         adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
             ``evaluate`` may know what need not be measured.
+        resumed: from which an earlier campaign with the same arguments goes on. Generations and runs count from
+            there. The events of both, one after the other, are those of one campaign that was not cut, but for its
+            beginning and its end; a generation that was cut is told as finished by both where the runs decided.
+        border: told at the beginning, after each generation, once its events are through, and at the end, how to make
+            the checkpoint; that can be done until the next event is asked for.
 
     Raises:
         ValueError: for an argument out of range, before anything runs.
+        CheckpointError: for a checkpoint of another campaign, before anything runs.
     """
     if generations is None and runs is None:
         raise ValueError("generations, runs: expected a number of either, received none")
@@ -91,16 +122,32 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
     now = clock or (lambda: 0.0)
 
-    def exceeded(simulated: int, seconds: float) -> EndReason | None:
+    def exceeded(left: int, seconds: float) -> EndReason | None:
         if stop is not None and stop():
             return "stopped"
-        if runs is not None and simulated >= runs:
+        if left <= 0:
             return "runs"
         return "time" if max_seconds is not None and seconds >= max_seconds else None
 
-    begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
     evaluator = _Evaluator(evaluate, foresee, EvaluationCache(seeds_matter=seeds_matter))
-    return _campaign(algorithm, adapted, evaluator, exceeded, now, begun, runs or sys.maxsize, batch)
+    if resumed is None:
+        sums = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
+        resumed = Checkpoint(state=algorithm.start(generation_rng(seed)), sums=sums)
+        border(partial(evaluator.remembering, resumed))
+    evaluator.restore(resumed)
+    campaign = _Campaign(
+        adapted=adapted,
+        evaluator=evaluator,
+        exceeded=exceeded,
+        now=now,
+        border=border,
+        seed=seed,
+        generations=resumed.state.generation + (generations or (runs or 0) + bool(resumed.begun)),
+        runs=sys.maxsize if runs is None else resumed.sums.simulated + runs,
+        batch=batch,
+    )
+    begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+    return campaign.events(algorithm, begun, resumed)
 
 
 def generation_rng(seed: int, *generation: int) -> np.random.Generator:
@@ -108,61 +155,89 @@ def generation_rng(seed: int, *generation: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
 
 
-def _campaign(
-    algorithm: Algorithm[StateT],
-    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]],
-    evaluator: _Evaluator,
-    exceeded: Callable[[int, float], EndReason | None],
-    now: Callable[[], float],
-    begun: CampaignStarted,
-    runs: int,
-    batch: int,
-) -> Generator[Event, None, None]:
-    started, seed, generations = now(), begun.seed, begun.generations or runs
-    end = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
-    yield begun
-    state = algorithm.start(generation_rng(seed))
-    reason: EndReason | None = None
-    while reason is None and state.generation < generations:
-        rng = generation_rng(seed, state.generation, state.local_generation)
-        algorithm = adapted(algorithm, state)
-        state, scenarios = algorithm.ask(state, rng)
-        evaluations: list[Evaluation] = []
-        evaluator.foresee(scenarios, runs - end.simulated)
-        while len(evaluations) < len(scenarios):
-            reason = exceeded(end.simulated, now() - started) if end.evaluated else None
-            if reason is not None:
-                break
-            to_come = scenarios[len(evaluations) :][: min(batch, runs - end.simulated)]
-            for evaluation, reused in evaluator.evaluated(to_come):
-                event = Evaluated(
-                    generation=state.generation,
-                    local_generation=state.local_generation,
-                    index=len(evaluations),
-                    evaluation=evaluation,
-                    reused=reused,
-                )
-                evaluations.append(evaluation)
-                end = _with_one_more(end, event)
-                yield event
-        events: tuple[AlgorithmEvent, ...] = ()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Campaign(Generic[StateT]):
+    """The loop, with the totals at which it ends."""
+
+    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]]
+    evaluator: _Evaluator
+    exceeded: Callable[[int, float], EndReason | None]  # by the runs that are left, and the seconds
+    now: Callable[[], float]
+    border: Callable[[Callable[[], Checkpoint[StateT]]], None]
+    seed: int
+    generations: int
+    runs: int
+    batch: int
+
+    def events(
+        self, algorithm: Algorithm[StateT], begun: CampaignStarted, resumed: Checkpoint[StateT]
+    ) -> Generator[Event, None, None]:
+        started, state, end, told = self.now(), resumed.state, resumed.sums, list(resumed.begun)
+        yield begun
+        reason: EndReason | None = None
+        while reason is None and state.generation < self.generations:
+            rng = generation_rng(self.seed, state.generation, state.local_generation)
+            algorithm = self.adapted(algorithm, state)
+            last = state
+            state, scenarios = algorithm.ask(state, rng)
+            _check_begun(told, scenarios)
+            self.evaluator.foresee(scenarios, len(told), self.runs - end.simulated)
+            while len(told) < len(scenarios):
+                if end.evaluated > resumed.sums.evaluated:
+                    reason = self.exceeded(self.runs - end.simulated, self.now() - started)
+                if reason is not None:
+                    break
+                to_come = scenarios[len(told) :][: min(self.batch, self.runs - end.simulated)]
+                for evaluation, reused in self.evaluator.evaluated(to_come):
+                    event = Evaluated(
+                        generation=state.generation,
+                        local_generation=state.local_generation,
+                        index=len(told),
+                        evaluation=evaluation,
+                        reused=reused,
+                    )
+                    told.append((evaluation, reused))
+                    end = _with_one_more(end, event)
+                    yield event
+            here = Checkpoint(state=last, sums=end, begun=tuple(told))
+            state, events = self._finished(algorithm, state, told, rng, reason)
+            for tell in events:
+                # A restart that no generation follows does not take place.
+                if not (isinstance(tell, Restarted) and tell.generation >= self.generations):
+                    if isinstance(tell, GenerationFinished) and tell.local_generation == 0:
+                        end = replace(end, generations=end.generations + 1)
+                    yield tell
+            if reason is None:
+                here, told = Checkpoint(state=state, sums=end), []
+            self.border(partial(self.evaluator.remembering, here))
+        yield replace(end, reason=reason or "generations", seconds=self.now() - started)
+
+    def _finished(
+        self,
+        algorithm: Algorithm[StateT],
+        state: StateT,
+        told: Sequence[tuple[Evaluation, bool]],
+        rng: np.random.Generator,
+        reason: EndReason | None,
+    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+        evaluations = tuple(evaluation for evaluation, _ in told)
         if reason is None:
-            state, events = algorithm.tell(state, evaluations, rng)
-        elif reason == "runs" and evaluations:  # The algorithm need not know: no other generation follows.
-            finished = GenerationFinished(
-                generation=state.generation,
-                local_generation=state.local_generation,
-                population=tuple(evaluations),
-                elites=0,
-            )
-            events = (finished,)
-        for told in events:
-            # A restart that no generation follows does not take place.
-            if not (isinstance(told, Restarted) and told.generation >= generations):
-                if isinstance(told, GenerationFinished) and told.local_generation == 0:
-                    end = replace(end, generations=end.generations + 1)
-                yield told
-    yield replace(end, reason=reason or "generations", seconds=now() - started)
+            return algorithm.tell(state, evaluations, rng)
+        if reason != "runs" or not evaluations:
+            return state, ()
+        # The algorithm need not know: no other generation follows.
+        finished = GenerationFinished(
+            generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
+        )
+        return state, (finished,)
+
+
+def _check_begun(begun: Sequence[tuple[Evaluation, bool]], scenarios: Sequence[Scenario]) -> None:
+    """Refuse evaluations of a generation that the algorithm asks otherwise for."""
+    try:
+        check_order("begun", scenarios[: len(begun)], [evaluation for evaluation, _ in begun])
+    except ValueError as error:
+        raise CheckpointError(str(error)) from None
 
 
 def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
@@ -185,14 +260,35 @@ class _Evaluator:
         self._foresee = foresee
         self._cache = cache
 
-    def foresee(self, scenarios: Sequence[Scenario], most: int) -> None:
+    def restore(self, checkpoint: Checkpoint[Any]) -> None:
+        """Know what another campaign knew.
+
+        Raises:
+            CheckpointError: where that is not of one.
+        """
+        try:
+            self._cache.restore(checkpoint.remembered)
+        except ValueError as error:
+            raise CheckpointError(f"remembered: {error}") from None
+        for evaluation, reused in checkpoint.begun:
+            if not reused:
+                self._cache.add(evaluation)
+
+    def remembering(self, checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
+        """A checkpoint with what is known, but for what it tells itself of the generation that has begun."""
+        new = sum(not reused for _, reused in checkpoint.begun)
+        return replace(checkpoint, remembered=self._cache.remembered(but=new))
+
+    def foresee(self, scenarios: Sequence[Scenario], told: int, most: int) -> None:
         """Tell what is going to be evaluated, unless one scenario of a generation shows what another does.
 
         Only between two generations are old runs forgotten, so that no batch makes a difference.
         """
-        self._cache.forget()
+        if not told:
+            self._cache.forget()
         if self._foresee is not None:
-            self._foresee(_distinct([each for each in scenarios if self._cache.recall(each) is None])[:most])
+            to_come = [each for each in scenarios[told:] if self._cache.recall(each) is None]
+            self._foresee(_distinct(to_come)[:most])
 
     def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
         """The evaluation of each scenario, and whether it is reused.

@@ -180,9 +180,15 @@ def changes(data: Mapping[str, Any], world: Any) -> list[str]:
     """What differs between the world of a file, where it is code, and the one that the test names."""
     if not is_code(data):
         return []
-    then, now = dict(_leaves("world", data)), dict(_leaves("world", described(world)))
+    now = described(world)
     if "class" not in data:  # version 1 of the format did not tell it
-        now.pop("world.class", None)
+        now.pop("class", None)
+    return differences("world", data, now)
+
+
+def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:
+    """What differs between data of a file and of this session, each with its place; a few, and how many more."""
+    then, now = dict(_leaves(place, file)), dict(_leaves(place, session))
     differ = [key for key in {**then, **now} if key not in then or key not in now or then[key] != now[key]]
     told = [f"{key} {_shown(then, key)} in the file, {_shown(now, key)} now" for key in differ[:MAX_TOLD]]
     return told + ([f"{len(differ) - MAX_TOLD} more"] if len(differ) > MAX_TOLD else [])
@@ -204,7 +210,7 @@ def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
         yield place, data
         return
     for key, inner in data.items():
-        yield from _leaves(f"{place}.{key}", inner)
+        yield from _leaves(f"{place}.{key}".lstrip("."), inner)
 
 
 def _shown(leaves: Mapping[str, Any], key: str) -> str:

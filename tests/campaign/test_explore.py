@@ -80,7 +80,7 @@ def test_no_more_than_eight_frames_lie_between_the_loop_of_a_search_and_the_engi
 
     pafot.explore(Planner, holds=lambda run: None, seed=5, **SHORT)
     assert Planner.stacks[0] == "run_planner"
-    assert Planner.stacks.index("_campaign") < 8
+    assert Planner.stacks.index("_Campaign.events") < 8
 
 
 class Batched:

@@ -1,0 +1,222 @@
+"""A search that goes on in other sessions: what it has from earlier ones, and leaves for later ones."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any
+
+from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.loop import SearchLoop
+from pytest_pafot.campaign.random_beginning import RandomBeginning
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.campaign.state_file import FLAG, Counts, EarlierFind, StateFile, state_path
+from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.search_loop import Checkpoint
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.text import plural
+from pytest_pafot.world import codec
+from pytest_pafot.world.driving.ads import weights_digest
+from pytest_pafot.world.driving.perception import sight_of
+
+
+@dataclass(slots=True, kw_only=True)
+class Sessions:
+    """The sessions of one search, of which this is one; without a folder of states it is the only one."""
+
+    harness: Harness
+    seed: int  # of the search
+    loop: SearchLoop
+    beginning: RandomBeginning
+    clock: Callable[[], float]  # seconds since any moment
+    _began: float = field(init=False)
+    _file: StateFile | None = field(init=False, default=None)
+    _last: Callable[[], Checkpoint[Any]] | None = field(init=False, default=None)  # the checkpoint at the last border
+    _before: tuple[str, ...] = field(init=False, default=())  # ids of what was saved when the first one began
+    _earlier: Counts | None = field(init=False, default=None)
+    _runs: int = field(init=False, default=0)  # of earlier ones, as the generations
+    _generations: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self._began = self.clock()
+
+    @property
+    def go_on(self) -> bool:
+        """Whether there are others."""
+        return self._file is not None
+
+    @property
+    def seconds(self) -> float:
+        """That the search has taken."""
+        return self.clock() - self._began + (0.0 if self._earlier is None else self._earlier.seconds)
+
+    @property
+    def budget(self) -> tuple[int | None, int | None]:
+        """Runs and generations after which this session ends, counted from the beginning of the search."""
+        settings = self.harness.request.settings
+        return (
+            None if settings.runs is None else self._runs + settings.runs,
+            None if settings.generations is None else self._generations + settings.generations,
+        )
+
+    @property
+    def decides_for_many(self) -> bool:
+        """Whether the ADS has shown, in any session, that it decides for many runs at once."""
+        earlier = self._earlier is not None and self._earlier.decides_for_many
+        return earlier or self.loop.simulation.runner.decides_for_many
+
+    @property
+    def found_before(self) -> Counter[str]:
+        """Failing runs by the id of the find of an earlier session that they show."""
+        loop = self.loop
+        told = {*loop.recorder.kept, *loop.recorder.unsaved}
+        return Counter({id_: 1 + loop.repeats[id_] for id_ in loop.finds.values() if id_ not in told})
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader must know."""
+        went_on = f"went on after {plural(self._runs, 'run')} of earlier sessions"
+        problem = "" if self._file is None else self._file.problem
+        return [*([] if self._earlier is None else [went_on]), *filter(None, [problem])]
+
+    def resume(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
+        """Where the search goes on, with all that was counted; None where it begins.
+
+        Raises:
+            RequestError: for an algorithm that cannot go on, and for a state that is not of this search.
+        """
+        self._before = tuple(each.id for each in saved)
+        if self.harness.states is None:
+            return None
+        name = self.harness.request.algorithm.name
+        if not isinstance(algorithm, ResumableSearch):
+            raise RequestError(
+                f"{FLAG}: expected an algorithm that can go on in another session, such as distinct or random, "
+                f"received {name!r}; search without {FLAG}, or give an algorithm of your own the methods stored and "
+                "restored (pytest_pafot.searching.ResumableSearch)"
+            )
+        path = state_path(self.harness.states, self.harness.node_id)
+        settings = agreed(self.harness, algorithm, space)
+        self._file = StateFile(path=path, settings=settings, algorithm=algorithm, clock=self.clock)
+        state = self._file.read()
+        if state is None:
+            return None
+        self._earlier, checkpoint = state
+        self._before = self._earlier.before
+        self._runs, self._generations = checkpoint.sums.simulated, checkpoint.state.generation
+        restore(self._earlier, self.loop, self.beginning)
+        self.loop.generation = self._generations
+        if checkpoint.sums.evaluated:  # What began before was no fault of the set-up, or the search had ended by it.
+            self.loop.first.is_alike = False
+            self.loop.recorder.release()
+        return checkpoint
+
+    def refused(self, error: ValueError) -> RequestError:
+        """What was resumed turns out not to be of this search."""
+        return RequestError(str(error)) if self._file is None else self._file.refused(error)
+
+    def is_own(self, saved: Saved) -> bool:
+        """Whether a saved scenario is a find of an earlier session, of which the state knows or will know."""
+        found = None if saved.finding is None else saved.finding.found
+        algorithm = self.harness.request.algorithm.name
+        is_of_search = found is not None and (found.seed, found.algorithm) == (self.seed, algorithm)
+        return self.go_on and is_of_search and saved.id not in self._before
+
+    def find_again(self) -> None:
+        """Take up finds of a session that ended before it could simplify and tell them."""
+        __tracebackhide__ = True
+        for find in () if self._earlier is None else self._earlier.finds:
+            if find.due is None:
+                continue
+            scenario, generation, number = find.due
+            try:
+                run = self.loop.simulation.run(scenario, afresh=True)
+            except ProcessLostError as error:
+                self.loop.lose(error)
+                continue
+            verdict = self.loop.simulation.judge(run)
+            failure = verdict.failure if verdict.failed else None
+            if failure is not None and of_failure(run, failure) == find.signature:
+                self.loop.recorder.keep(run, verdict, generation, number)
+
+    def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
+        """Told after each generation, and at the end, how to make the checkpoint."""
+        self._last = checkpoint
+        if self._file is not None:
+            self._file.offer(checkpoint, self._counts)
+
+    def store(self, *, is_simplified: bool = False) -> None:
+        """Write where the search has ended, unless something has broken it off."""
+        if self._file is not None and self._last is not None and self.loop.finished is not None:
+            self._file.write(self._last(), self._counts(is_simplified=is_simplified))
+
+    def _counts(self, *, is_simplified: bool = False) -> Counts:
+        loop = self.loop
+        due = {
+            id_: (kept.finding.scenario, kept.finding.found.generation, kept.number)
+            for id_, kept in loop.recorder.kept.items()
+            if kept.is_firm and not is_simplified
+        }
+        return Counts(
+            before=self._before,
+            seconds=self.seconds,
+            decides_for_many=self.decides_for_many,
+            finds=tuple(
+                EarlierFind(id=id_, signature=signature, repeats=loop.repeats[id_], due=due.get(id_))
+                for signature, id_ in loop.finds.items()
+            ),
+            known=loop.known,
+            verdicts=loop.verdicts,
+            caught=loop.caught,
+            doubt=loop.doubt,
+            broken=loop.broken,
+            fatal=tuple(sorted(loop.fatal, key=Scenario.canonical)),
+            random=self.beginning.counts,
+            health=loop.health,
+        )
+
+
+def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> None:
+    """Let a search that has not begun know what an earlier session has counted."""
+    loop.finds = {each.signature: each.id for each in counts.finds}
+    loop.repeats = Counter({each.id: each.repeats for each in counts.finds})
+    loop.known, loop.verdicts, loop.caught = map(Counter, (counts.known, counts.verdicts, counts.caught))
+    loop.doubt, loop.broken, loop.health = counts.doubt, counts.broken, counts.health
+    loop.fatal |= set(counts.fatal)
+    beginning.restore(*counts.random)
+
+
+def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> dict[str, Any]:
+    """What a state and a search must have in common, as plain data: whatever decides what the search draws and finds.
+
+    The code of the test, of the ADS and of an algorithm of the user's own is not part of it.
+    """
+    request, sight = harness.request, sight_of(harness.ads)
+    names: list[str] = [each.name for each in fields(algorithm)] if is_dataclass(algorithm) else []
+    values = {
+        "test": harness.node_id,
+        "seed": request.settings.seed,
+        "algorithm": {"name": algorithm.name, **{name: getattr(algorithm, name) for name in names if name != "space"}},
+        "space": asdict(space),
+        "world": codec.described(harness.world),
+        "blame": request.blame,
+        "fitness": _named(request.fitness),
+        "decision_limit": request.decision_limit,
+        "against": None if harness.against is None else harness.against.shown,
+        "sight": None if sight is None else asdict(sight),
+        "weights": weights_digest(harness.ads),
+        "versions": harness.versions,
+    }
+    data: dict[str, Any] = json.loads(json.dumps(values, default=repr))
+    return data
+
+
+def _named(fitness: object) -> str:
+    name = getattr(fitness, "__qualname__", None)
+    return str(fitness) if name is None else f"{getattr(fitness, '__module__', '')}:{name}"

@@ -1,0 +1,232 @@
+"""The state of a search in one JSON file: all that decides what comes next.
+
+The random numbers of a generation follow from the seed and its number, so that none are stored. The file is data: it is
+limited and checked, and says at most how a search goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.corpus.layout import safe_name
+from pytest_pafot.errors import FieldError
+from pytest_pafot.files import way_out, write_whole
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching.ask_tell import ResumableSearch
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import Remembered
+from pytest_pafot.searching.events import CampaignFinished
+from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.plain import from_plain, plain
+from pytest_pafot.searching.search_loop import Checkpoint
+from pytest_pafot.world import codec
+
+VERSION = 1
+"""Of the format; a file of another one is refused."""
+
+MAX_BYTES = 1 << 28
+"""A larger file is neither written nor read; ten thousand runs of four NPCs take some 10 MB."""
+
+SHARE = 50
+"""Between two generations the file is written when so many times as long has passed as writing it took last time."""
+
+FLAG = BY_NAME["resume"].flag
+ANEW = f"delete the file to begin the search anew, or give another folder with {FLAG}"
+PARTS = ("version", "settings", "algorithm", "sums", "begun", "counts", "remembered")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierFind:
+    """A find of a search.
+
+    Attributes:
+        id: of its file.
+        signature: by which it is told from others.
+        repeats: further runs that failed in the same way.
+        due: the scenario as found, its generation and the number of its run, where it is yet to be simplified.
+    """
+
+    id: str
+    signature: Signature
+    repeats: int
+    due: tuple[Scenario, int, int] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counts:
+    """What a search knows and has counted, beside its algorithm.
+
+    Attributes:
+        before: ids of the saved scenarios that were there when it began; others with its seed are its own finds.
+        seconds: of all its sessions so far.
+        decides_for_many: whether the ADS has shown that it decides for many runs at once.
+        finds: in the order in which they were found.
+        known: see :class:`~pytest_pafot.campaign.loop.SearchLoop`, as the next five.
+        random: see :class:`~pytest_pafot.campaign.random_beginning.RandomBeginning`: evaluated, runs, failing.
+        health: counts over all evaluations.
+    """
+
+    before: tuple[str, ...]
+    seconds: float
+    decides_for_many: bool
+    finds: tuple[EarlierFind, ...]
+    known: Counter[str]
+    verdicts: Counter[str]
+    caught: Counter[str]
+    doubt: str
+    broken: str | None
+    fatal: tuple[Scenario, ...]
+    random: tuple[int, int, int]
+    health: Health
+
+
+def state_path(folder: Path, node_id: str) -> Path:
+    """The file of a test's search in the folder of all states."""
+    return folder / f"{safe_name(node_id)}.json"
+
+
+@dataclass(slots=True, kw_only=True)
+class StateFile:
+    """The state of one search on disk.
+
+    Attributes:
+        path: of the file.
+        settings: that the state must agree in, as plain data.
+        algorithm: of the search.
+        clock: seconds since any moment.
+        problem: why it could not be written last time; empty where it could.
+    """
+
+    path: Path
+    settings: Mapping[str, Any]
+    algorithm: ResumableSearch
+    clock: Callable[[], float]
+    problem: str = ""
+    _texts: dict[int, tuple[Evaluation, str]] = field(default_factory=dict)  # of what is remembered, by identity
+    _written_at: float = -math.inf
+    _cost: float = 0.0
+
+    def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
+        """The state; None where there is none yet.
+
+        Raises:
+            RequestError: for a file that is none, is of another search, or cannot be read.
+        """
+        data = self._data()
+        if data is None:
+            return None
+        version = data.get("version")
+        if version != VERSION:
+            self._refuse(f"a state of version {VERSION}", f"version {version!r:.40}")
+        if set(data) != set(PARTS):
+            self._refuse(f"the keys {', '.join(PARTS)}", f"{', '.join(data)!s:.200}")
+        if not isinstance(data["settings"], dict):
+            self._refuse("settings: a mapping", f"{data['settings']!r:.60}")
+        differ = codec.differences("", data["settings"], self.settings)
+        if differ:
+            self._refuse("the state of this search", f"one that differs: {'; '.join(differ)}")
+        checkpoint = Checkpoint(
+            state=self._part(data, "algorithm", self.algorithm.restored),
+            sums=self._part(data, "sums", partial(from_plain, CampaignFinished)),
+            begun=self._part(data, "begun", partial(from_plain, tuple[tuple[Evaluation, bool], ...])),
+            remembered=self._part(data, "remembered", partial(from_plain, tuple[Remembered, ...])),
+        )
+        return self._part(data, "counts", partial(from_plain, Counts)), checkpoint
+
+    def offer(self, checkpoint: Callable[[], Checkpoint[Any]], counts: Callable[[], Counts]) -> None:
+        """Write the state at a border of two generations, unless that would take too large a share of the time."""
+        if self.clock() - self._written_at >= SHARE * self._cost:
+            self.write(checkpoint(), counts())
+
+    def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
+        """Write the state, as a whole or not at all; what keeps it from being written is told, and ends no search."""
+        began = self.clock()
+        content = self._text(checkpoint, counts).encode()
+        try:
+            if len(content) > MAX_BYTES:
+                self.problem = f"{self.path}: expected a state of at most {MAX_BYTES} bytes, received {len(content)}"
+            else:
+                write_whole(self.path, content)
+                self.problem = ""
+        except OSError as error:
+            reason, fix = error.strerror or error, way_out(error, f"or give another folder with {FLAG}")
+            self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
+        self._written_at = self.clock()
+        self._cost = self._written_at - began
+
+    def _text(self, checkpoint: Checkpoint[Any], counts: Counts) -> str:
+        parts = {
+            "version": VERSION,
+            "settings": self.settings,
+            "algorithm": self.algorithm.stored(checkpoint.state),
+            "sums": plain(replace(checkpoint.sums, seconds=0.0)),
+            "begun": plain(checkpoint.begun),
+            "counts": plain(counts),
+        }
+        lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]
+        known, self._texts = self._texts, {}
+        runs = []
+        for evaluation, numbers in checkpoint.remembered:
+            if evaluation is None:
+                runs.append("[null,[]]")
+                continue
+            # Each run is put into words once: there may be ten thousand, of which few are new.
+            text = known.get(id(evaluation)) or (evaluation, _json(plain(evaluation)))
+            self._texts[id(evaluation)] = text
+            runs.append(f"[{text[1]},{_json(numbers)}]")
+        lines.append('"remembered": [' + ",\n".join(runs) + "]")
+        return "{" + ",\n".join(lines) + "}\n"
+
+    def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
+        try:
+            return read(data[name])
+        except FieldError as error:
+            self._refuse(f"{name}{error.field}: {error.expected}", error.received)
+        except (ValueError, TypeError, LookupError) as error:  # of an algorithm of the user's own
+            self._refuse(f"{name}: data that can be restored", f"{type(error).__name__}: {error!s:.100}")
+
+    def _data(self) -> dict[str, Any] | None:
+        try:
+            with self.path.open("rb") as file:
+                content = file.read(MAX_BYTES + 1)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            fix = way_out(error, f"or give another folder with {FLAG}")
+            raise RequestError(
+                f"{self.path}: expected a file that can be read, received: {error.strerror or error}; {fix}"
+            ) from None
+        if len(content) > MAX_BYTES:
+            self._refuse(f"at most {MAX_BYTES} bytes", "more")
+        try:
+            data = json.loads(content, parse_constant=_no_constant)
+        except (ValueError, RecursionError) as error:
+            self._refuse("the JSON of a search's state", f"{type(error).__name__}: {error!s:.100}")
+        if not isinstance(data, dict):
+            self._refuse("a mapping", f"{data!r:.60}")
+        return data
+
+    def _refuse(self, expected: str, received: str) -> NoReturn:
+        raise self.refused(f"expected {expected}, received {received}")
+
+    def refused(self, why: object) -> RequestError:
+        """The state cannot be used, with the way out."""
+        return RequestError(f"{self.path}: {why}; {ANEW}")
+
+
+def _json(data: Any) -> str:
+    return json.dumps(data, separators=(",", ":"), allow_nan=False)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number of JSON")

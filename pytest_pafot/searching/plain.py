@@ -1,0 +1,236 @@
+"""Values as plain data that JSON can hold, and back: what a search stores of itself between two sessions.
+
+What is written follows from a value: a frozen dataclass is the list of its fields, in their order; a mapping the list
+of its pairs; a set a sorted list; a number that JSON has no word for a text. What is read follows from a type, and
+nothing is taken that does not fit it, since a file is data of whoever wrote it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import types
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import lru_cache, partial
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from pytest_pafot.errors import FieldError
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.scenario import Scenario, ScenarioError
+
+T = TypeVar("T")
+
+Read = Callable[[Any], Any]
+"""From plain data to a value; raises a FieldError for what does not fit."""
+
+_AS_THEY_ARE = frozenset({type(None), bool, int, str})
+_NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+
+
+class PlainError(FieldError):
+    """Plain data that is not of a type, with the place of what does not fit, as ``[2][0]``."""
+
+
+def plain(value: Any) -> Any:
+    """A value as lists, texts, numbers, truth values and None.
+
+    It is made of dataclasses, tuples, lists, mappings, sets, enumerations, scenarios and these. Fields of the type Any
+    are left out.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    kind = type(value)
+    if kind in _AS_THEY_ARE:
+        return value
+    if kind is tuple or kind is list:
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if isinstance(value, Enum):
+        return value.value
+    try:
+        return _composed(value)
+    except TypeError:
+        raise ValueError(
+            f"expected a value that JSON can hold, or a dataclass of such values, received {value!r:.100}; convert it"
+        ) from None
+
+
+def _composed(value: Any) -> Any:
+    if isinstance(value, Scenario):
+        npcs = [[[gene.target, gene.speed] for gene in chain] for chain in value.npcs]
+        return [npcs, value.seed, value.ego_lane, value.ego_speed, value.gene_seconds]
+    if is_dataclass(value) and not isinstance(value, type):
+        return [plain(getattr(value, name)) for name in _hints(type(value))]
+    if isinstance(value, Mapping):
+        return [[plain(key), plain(each)] for key, each in value.items()]
+    if isinstance(value, AbstractSet):
+        return sorted(map(plain, value), key=json.dumps)  # the order of a set differs from process to process
+    return operator.index(value)
+
+
+def from_plain(kind: type[T], data: Any) -> T:
+    """The value of a type that :func:`plain` has made data of.
+
+    Raises:
+        PlainError: for data that is not of that type.
+        TypeError: for a type that this cannot read.
+    """
+    return cast("T", _reader(cast("Hashable", kind))(data))
+
+
+@lru_cache(maxsize=256)
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of the fields of a dataclass that are stored, by name."""
+    hints = get_type_hints(kind)
+    return {each.name: hints[each.name] for each in fields(kind) if each.init and hints[each.name] is not Any}
+
+
+@lru_cache(maxsize=256)
+def _reader(kind: Any) -> Read:
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in _READERS:
+        return _READERS[origin](inner)
+    if kind in _SIMPLE:
+        return _SIMPLE[kind]
+    if kind is Hashable:  # what tells kinds of failures apart
+        return _reader(Signature)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = _hints(kind)
+        make: Callable[..., Any] = kind
+        return _read_parts(
+            lambda parts: make(**dict(zip(hints, parts, strict=True))), list(map(_reader, hints.values()))
+        )
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return _read_choice({each.value: each for each in kind})
+    raise TypeError(f"expected a type whose values can be stored, received {kind!r}; see pytest_pafot.searching.plain")
+
+
+def _reader_of_tuple(inner: tuple[Any, ...]) -> Read:
+    if inner[-1] is Ellipsis:
+        return _read_each(tuple, _reader(inner[0]))
+    return _read_parts(tuple, [_reader(each) for each in inner])
+
+
+def _reader_of_pairs(kind: Callable[[Any], Any], inner: tuple[Any, ...]) -> Read:
+    return _read_each(kind, _read_parts(tuple, [_reader(inner[0]), _reader(inner[1] if len(inner) > 1 else int)]))
+
+
+def _refuse(expected: str, data: Any, field: str = "") -> PlainError:
+    return PlainError(field=field, expected=expected, received=f"{data!r:.60}")
+
+
+def _read_float(data: Any) -> float:
+    if type(data) is float or type(data) is int:
+        return float(data)
+    if isinstance(data, str) and data in _NO_NUMBERS:
+        return _NO_NUMBERS[data]
+    raise _refuse("a number", data)
+
+
+def _read_exactly(kind: type) -> Read:
+    def read(data: Any) -> Any:
+        if type(data) is not kind:
+            raise _refuse({int: "a whole number", str: "a text", bool: "true or false"}[kind], data)
+        return data
+
+    return read
+
+
+def _read_choice(known: Mapping[Any, Any]) -> Read:
+    def read(data: Any) -> Any:
+        if type(data) not in (str, int) or data not in known:
+            raise _refuse(f"one of {', '.join(map(str, known))}", data)
+        return known[data]
+
+    return read
+
+
+def _read_scenario(data: Any) -> Scenario:
+    try:
+        return Scenario.from_canonical(data)
+    except ScenarioError as error:
+        raise PlainError(field=error.field, expected=error.expected, received=error.received) from None
+    except (TypeError, ValueError):
+        raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
+
+
+def _read_union(inner: tuple[Any, ...]) -> Read:
+    takes_none, readers = type(None) in inner, [_reader(each) for each in inner if each is not type(None)]
+
+    def read(data: Any) -> Any:
+        if data is None and takes_none:
+            return None
+        for reader in readers[:-1]:
+            try:
+                return reader(data)
+            except FieldError:
+                continue  # the last one tells what is wrong
+        return readers[-1](data)
+
+    return read
+
+
+def _read_each(kind: Callable[[list[Any]], Any], reader: Read) -> Read:
+    def read(data: Any) -> Any:
+        if type(data) is not list:
+            raise _refuse("a list", data)
+        parts: list[Any] = []
+        try:
+            for each in data:
+                parts.append(reader(each))  # noqa: PERF401  (their number says where one does not fit)
+        except FieldError as error:
+            raise _placed(len(parts), error) from None
+        return kind(parts)
+
+    return read
+
+
+def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
+    def read(data: Any) -> Any:
+        if type(data) is not list or len(data) != len(readers):
+            raise _refuse(f"a list of {len(readers)}", data)
+        parts: list[Any] = []
+        try:
+            for reader, each in zip(readers, data, strict=True):
+                parts.append(reader(each))
+        except FieldError as error:
+            raise _placed(len(parts), error) from None
+        try:
+            return kind(parts)
+        except (TypeError, ValueError) as error:
+            raise _refuse(f"values that fit together ({error!s:.100})", data) from None
+
+    return read
+
+
+def _placed(index: int, error: FieldError) -> PlainError:
+    separator = "." if error.field and not error.field.startswith("[") else ""
+    return PlainError(
+        field=f"[{index}]{separator}{error.field}", expected=error.expected, received=error.received, fix=error.fix
+    )
+
+
+_SIMPLE: Mapping[Any, Read] = {
+    float: _read_float,
+    int: _read_exactly(int),
+    str: _read_exactly(str),
+    bool: _read_exactly(bool),
+    Scenario: _read_scenario,
+}
+_READERS: Mapping[Any, Callable[[tuple[Any, ...]], Read]] = {
+    Union: _read_union,
+    types.UnionType: _read_union,
+    Literal: lambda inner: _read_choice({each: each for each in inner}),
+    tuple: _reader_of_tuple,
+    frozenset: lambda inner: _read_each(frozenset, _reader(inner[0])),
+    Mapping: partial(_reader_of_pairs, dict),
+    Counter: partial(_reader_of_pairs, lambda pairs: Counter(dict(pairs))),
+}
+"""By the origin of a type, from its arguments."""

@@ -1,0 +1,288 @@
+"""A search that goes on in another session finds, tells and saves what one long session does."""
+
+import errno
+import json
+from itertools import pairwise
+
+import pytest
+
+import pytest_pafot as pafot
+from example_ads import constant_speed
+from pytest_pafot.campaign import state_file
+from pytest_pafot.campaign.events import FindTold
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.searching import Checkpoint, GenerationalSearch, GenerationState, from_plain, plain, sample
+from pytest_pafot.searching.events import CampaignFinished, Evaluated, GenerationFinished, NewBest
+
+SHORT = {
+    "population": 4,
+    "genes": 2,
+    "gene_seconds": 5,
+    "npcs": 2,
+    "shrink_rollouts": 4,
+    "node_id": "test_it.py::test_it",
+}
+
+
+def never_collides(run):
+    pafot.check(run.npcs[0].gap, name="keeps off", at_least=0.2)
+    assert not run.collision, run.explain()
+
+
+@pytest.fixture
+def search(tmp_path, monkeypatch):
+    """Searches in a folder of its own, with the states of all searches in one of it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(state_file, "SHARE", 0)  # a state at each border, however long it takes to write
+
+    def searched(corpus="corpus", resume="states", **options):
+        given = {**SHORT, "ads": constant_speed.make, "holds": never_collides, "corpus": corpus, "resume": resume}
+        return pafot.explore(**(given | options))
+
+    return searched
+
+
+def files(folder):
+    return {path.name: path.read_text() for path in sorted(folder.rglob("*.pafot.yaml"))}
+
+
+def body(*explorations):
+    """What was told, by generation and place: the later telling where something was told twice."""
+    told = {}
+    for event in (event for each in explorations for event in each):
+        if isinstance(event, Evaluated):
+            told[event.generation, 0, event.index] = event
+        elif isinstance(event, GenerationFinished):
+            told[event.generation, 1] = event
+        elif isinstance(event, NewBest):
+            told[event.generation, 2] = event
+    return told
+
+
+def state_of(folder):
+    (path,) = (folder / "states").iterdir()
+    return path
+
+
+@pytest.mark.parametrize("algorithm", ["distinct", "random"])
+def test_four_sessions_are_one_long_one(search, tmp_path, algorithm):
+    whole = search("whole", resume=None, runs=32, algorithm=algorithm)
+    parts = [search(runs=8, algorithm=algorithm) for _ in range(4)]
+    assert files(tmp_path / "corpus") == files(tmp_path / "whole") != {}
+    assert body(*[part.events for part in parts]) == body(whole.events)
+    evaluated = [event for part in parts for event in part.events if isinstance(event, Evaluated)]
+    assert len(evaluated) == len(body(*[part.events for part in parts]).keys() & {
+        (event.generation, 0, event.index) for event in evaluated
+    })  # fmt: skip
+    assert [finding for part in parts for finding in part.findings] == list(whole.findings)
+
+
+def test_the_summary_is_of_the_whole_search_and_its_new_finds_are_of_the_session(search):
+    whole = search("whole", resume=None, runs=32).summary
+    parts = [search(runs=8).summary for _ in range(4)]
+    last = parts[-1]
+    for name in ("runs", "known_runs", "failing", "generations", "coverage", "random", "reached", "warnings", "drawn"):
+        assert getattr(last, name) == getattr(whole, name)
+    assert (last.budget, last.seed) == (32, whole.seed)
+    counted = {find.id: 1 + find.repeats for part in parts[-1:] for find in part.finds}
+    assert counted | dict(last.known) == {find.id: 1 + find.repeats for find in whole.finds}
+    assert [part.runs for part in parts] == [8, 16, 24, 32]
+    assert last.notes[0] == "went on after 24 runs of earlier sessions"
+    assert not parts[0].notes
+
+
+@pytest.mark.parametrize("share", [0, 10**9], ids=["each border is written", "few are"])
+def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(search, tmp_path, monkeypatch, share):
+    monkeypatch.setattr(state_file, "SHARE", share)
+    whole = search("whole", resume=None, runs=24)
+    heard = []
+
+    def killed_at(number, what):
+        def listen(event):
+            heard.append(event)
+            if isinstance(event, what):
+                counted.append(event)
+                if len(counted) > number:
+                    raise KeyboardInterrupt
+
+        counted = []
+        return listen
+
+    for number in (2, 5, 6, 3, 4):
+        with pytest.raises(KeyboardInterrupt):
+            search(runs=24, on_event=killed_at(number, Evaluated))
+    with pytest.raises(KeyboardInterrupt):  # while its finds are simplified
+        search(generations=1, on_event=killed_at(0, FindTold))
+    done = json.loads(state_of(tmp_path).read_text())["sums"][3]
+    last = search(runs=24 - done, on_event=heard.append)
+    assert files(tmp_path / "corpus") == files(tmp_path / "whole") != {}
+    assert body(heard) == body(whole.events)
+    assert {each.id for each in last.findings} <= {each.id for each in whole.findings}
+
+
+def test_a_find_that_was_told_is_told_once_and_one_that_was_cut_off_again(search, tmp_path):
+    first = search(runs=30)
+    assert first.findings
+    again = search(runs=4)
+    assert not {each.id for each in again.findings} & {each.id for each in first.findings}
+
+
+def test_what_was_saved_before_the_search_began_stays_known(search, tmp_path):
+    other = search(resume=None, runs=30, seed=3)
+    first, second = search(runs=8), search(runs=8)
+    ids = {each.id for each in other.findings}
+    assert not search(resume=None, runs=30).findings  # The corpus has all by now.
+    assert sum(second.summary.known.values()) == second.summary.failing - sum(
+        1 + f.repeats for f in second.summary.finds
+    )
+    assert ids & set(second.summary.known)
+    assert not ids & {each.id for each in (*first.findings, *second.findings)}
+
+
+def refused(search, match, **options):
+    with pytest.raises(RequestError, match=match) as caught:
+        search(runs=4, **options)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"seed": 7}, "seed 0 in the file, 7 now"),
+        ({"population": 5}, "algorithm.population 4 in the file, 5 now"),
+        ({"algorithm": "random"}, "algorithm.name 'distinct' in the file, 'random' now"),
+        ({"npcs": 3}, "space.npcs 2 in the file, 3 now"),
+        ({"lanes": 3}, "world.*4 in the file, 3 now"),
+        ({"blame": "ego"}, "blame 'any' in the file, 'ego' now"),
+        ({"fitness": pafot.Weights(ttc=2)}, "fitness 'default' in the file, 'Weights.*ttc=2"),
+        ({"decision_limit": 60.0}, "decision_limit None in the file, 60.0 now"),
+    ],
+)
+def test_a_state_of_other_settings_is_refused_with_both_named(search, tmp_path, options, match):
+    search(runs=4)
+    before = state_of(tmp_path).read_text()
+    text = refused(search, match, **options)
+    assert text.startswith(str(state_of(tmp_path)))
+    assert "delete the file to begin the search anew" in text
+    assert state_of(tmp_path).read_text() == before
+
+
+def changed(change):
+    """A fault in the data of a state."""
+
+    def fault(text):
+        data = json.loads(text)
+        change(data)
+        return json.dumps(data)
+
+    return fault
+
+
+FAULTS = {
+    "truncated": (lambda text: text[: len(text) // 2], "expected the JSON of a search's state, received JSON"),
+    "empty": (lambda text: "", "expected the JSON of a search's state"),
+    "no text": (lambda text: b"\xff\xfe\x00", "expected the JSON of a search's state, received UnicodeDecodeError"),
+    "another kind": (lambda text: "[1, 2]", "expected a mapping, received"),
+    "deep": (lambda text: "[" * 100_000, "expected the JSON of a search's state, received RecursionError"),
+    "NaN": (lambda text: text.replace('"doubt"', "NaN").replace('"version": 1', '"version": NaN'), "NaN is no number"),
+    "version": (changed(lambda data: data.update(version=2)), "expected a state of version 1, received version 2"),
+    "extra key": (changed(lambda data: data.update(run="rm")), "expected the keys version, settings"),
+    "missing key": (changed(lambda data: data.pop("begun")), "expected the keys version, settings"),
+    "other versions": (
+        changed(lambda data: data["settings"]["versions"].update(numpy="1.0")),
+        "versions.numpy '1.0' in the file",
+    ),
+    "settings": (changed(lambda data: data.update(settings=3)), "expected settings: a mapping, received 3"),
+    "sums": (changed(lambda data: data["sums"].__setitem__(2, "many")), r"expected sums\[2\]: a whole number, rec"),
+    "algorithm": (changed(lambda data: data.update(algorithm={})), "expected algorithm: a list of 10, received"),
+    "scenario": (
+        changed(lambda data: data["remembered"][0][0][0][0][0][0].__setitem__(0, 12)),
+        r"expected remembered\[0\]\[0\]\[0\].*cell: a whole number from 1",
+    ),
+    "other runs": (changed(lambda data: data["begun"].pop(0)), "begun: expected the evaluation of"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, tmp_path, fault):
+    search(runs=7)
+    path, (change, expected) = state_of(tmp_path), FAULTS[fault]
+    content = change(path.read_text())
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    before = path.read_bytes()
+    assert "delete the file" in refused(search, expected)
+    assert path.read_bytes() == before
+
+
+def test_a_file_that_is_too_large_is_refused_unread(search, tmp_path, monkeypatch):
+    search(runs=4)
+    monkeypatch.setattr(state_file, "MAX_BYTES", 1000)
+    refused(search, "expected at most 1000 bytes, received more")
+
+
+def test_a_folder_that_is_none_is_refused_with_the_way_out(search, tmp_path):
+    (tmp_path / "states").write_text("a file in the place of the folder")
+    assert "a file lies where a folder should be: rename or delete it" in refused(search, "expected a file that can be")
+
+
+def test_a_state_that_cannot_be_written_is_told_and_ends_no_search(search, monkeypatch):
+    def full(path, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(state_file, "write_whole", full)
+    summary = search(runs=4).summary
+    assert summary.runs == 4
+    assert "expected to write the state of the search, received: No space left on device; free" in summary.notes[0]
+
+
+def test_a_state_that_is_too_large_is_not_written(search, tmp_path, monkeypatch):
+    monkeypatch.setattr(state_file, "MAX_BYTES", 100)
+    assert "expected a state of at most 100 bytes" in search(runs=4).summary.notes[0]
+    assert not (tmp_path / "states").exists()
+
+
+def test_an_algorithm_that_cannot_go_on_is_refused(search):
+    text = refused(search, "--pafot-resume: expected an algorithm that can go on", algorithm="pafot")
+    assert "received 'pafot'" in text
+
+
+class Climbing(GenerationalSearch):
+    """An algorithm of one's own, which can go on."""
+
+    name = "climbing"
+
+    def start(self, rng):
+        return GenerationState()
+
+    def propose(self, state, rng):
+        return state, [sample(self.space, rng) for _ in range(self.population)]
+
+    def stored(self, state):
+        return plain(state)
+
+    def restored(self, data):
+        return from_plain(GenerationState, data)
+
+
+def test_an_algorithm_of_ones_own_goes_on(search):
+    whole = search("whole", resume=None, runs=20, algorithm=Climbing)
+    parts = [search(runs=10, algorithm=Climbing) for _ in range(2)]
+    assert body(*[part.events for part in parts]) == body(whole.events)
+
+
+def test_the_state_is_written_only_when_that_takes_a_small_share_of_the_time(tmp_path):
+    class Stored:
+        def stored(self, state):
+            nonlocal now
+            now += 1.0  # that writing takes
+            written.append(now)
+
+    now, written = 0.0, []
+    file = state_file.StateFile(path=tmp_path / "it.json", settings={}, algorithm=Stored(), clock=lambda: now)
+    sums = CampaignFinished(reason="runs", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
+    checkpoint = Checkpoint(state=None, sums=sums)
+    for _ in range(1000):
+        file.offer(lambda: checkpoint, lambda: None)
+        now += 0.5
+    assert written[0] == 1.0
+    assert {b - a for a, b in pairwise(written)} == {state_file.SHARE + 1.0}

@@ -1,0 +1,157 @@
+"""The option --pafot-resume: sessions of one long search."""
+
+import os
+import sys
+
+import pytest
+
+SOURCE = """
+@pafot.search(SHORT, shrink_rollouts=10, ads=lambda: lambda observation: (0.0, 0.0))
+def test_it(run):
+    assert not run.collision
+"""
+
+ONLY, OTHER = "test_it.py::test_it[search]", "test_it.py::test_other[search]"
+
+KILLED = """
+import os, signal
+import pytest_pafot as pafot
+
+SEEN = []
+
+def ads():
+    def drive(observation):
+        SEEN.append(observation)
+        if len(SEEN) == int(os.environ.get("KILL_AT", -1)):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 0.0, 0.0
+    return drive
+
+@pafot.search(SHORT, shrink_rollouts=10, ads=ads)
+def test_it(run):
+    assert not run.collision
+"""
+
+
+def night(project, *args, runs, **options):
+    return project.run("--pafot-resume=states", f"--pafot-runs={runs}", *args, generations=None, **options)
+
+
+def forget(project):
+    found = project.contents
+    project.forget()
+    for path in project.path.glob("states/*"):
+        path.unlink()
+    return found
+
+
+def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
+    project.write(SOURCE)
+    project.run("--pafot-runs=40", generations=None)
+    whole = forget(project)
+    assert whole
+    for _ in range(4):
+        result = night(project, runs=10)
+    assert project.contents == whole
+    result.stdout.fnmatch_lines(["*went on after 30 runs of earlier sessions*"])
+    (state,) = project.path.glob("states/*.json")
+    assert state.name.startswith("test_it.py.test_it~")
+
+
+def test_a_session_without_a_new_find_passes_though_earlier_ones_had_some(project):
+    project.write(SOURCE.replace("not run.collision", "run.duration < 1"))
+    first = night(project, runs=4)
+    first.assert_outcomes(failed=1 + len(project.files))
+    again = night(project, ONLY, runs=1)
+    again.assert_outcomes(passed=1)
+
+
+def test_the_base_seed_is_the_same_in_each_session_unless_one_is_given(project):
+    project.write(SOURCE)
+    for _ in range(2):
+        night(project, ONLY, runs=5, seed=None).stdout.fnmatch_lines(["*base seed 0*"])
+    refused = night(project, ONLY, runs=5, seed=4)
+    refused.assert_outcomes(failed=1)
+    refused.stdout.fnmatch_lines(["*seed 0 in the file, 4 now*"])
+
+
+def test_a_state_that_is_refused_fails_its_own_search_alone(project):
+    project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
+    night(project, ONLY, OTHER, runs=4)
+    (state,) = project.path.glob("states/*test_it~*")
+    state.write_text("{")
+    result = night(project, ONLY, OTHER, "-v", runs=4)
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines([f"*{state.name}: expected the JSON of a search's state*delete the file*"])
+    assert state.read_text() == "{"
+
+
+def test_a_session_that_only_replays_leaves_the_state_alone(project):
+    project.write(SOURCE)
+    night(project, runs=4)
+    (state,) = project.path.glob("states/*")
+    before = state.read_bytes()
+    project.run("--pafot-resume=states", generations=0)
+    assert state.read_bytes() == before
+
+
+def test_the_folder_may_be_a_setting_or_an_argument(project):
+    project.pytester.makeini("[pytest]\npafot_resume = kept\n")
+    project.write(SOURCE + SOURCE.replace("SHORT", 'SHORT, resume="other"').replace("test_it", "test_other"))
+    project.run("--pafot-runs=4", generations=None)
+    assert len(list(project.path.glob("kept/*.json"))) == len(list(project.path.glob("other/*.json"))) == 1
+
+
+def test_an_algorithm_that_cannot_go_on_is_refused(project):
+    project.write(SOURCE)
+    result = night(project, "--pafot-algorithm=pafot", runs=4)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*expected an algorithm that can go on in another session*received 'pafot'*"])
+
+
+@pytest.mark.processes
+def test_workers_leave_the_state_of_each_search_and_its_files(project):
+    project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
+    project.run("--pafot-runs=24", generations=None)
+    whole = forget(project)
+    for _ in range(2):
+        night(project, "-n2", runs=12)
+    assert project.contents == whole
+    assert len(list(project.path.glob("states/*.json"))) == 2
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+@pytest.mark.parametrize("kill_at", [3, 300, 900])
+def test_a_session_that_is_killed_goes_on_and_leaves_the_same_files(project, monkeypatch, kill_at):
+    project.write(KILLED)
+    project.run("--pafot-runs=24", generations=None)
+    whole = forget(project)
+    assert whole
+    monkeypatch.setenv("KILL_AT", str(kill_at))
+    assert night(project, runs=24, apart=True).ret == -9
+    (state,) = project.path.glob("states/*.json")
+    monkeypatch.delenv("KILL_AT")
+    done = simulated(state)
+    night(project, runs=24 - done)
+    assert simulated(state) == 24
+    assert project.contents == whole
+    assert os.listdir(project.path / "states") == [state.name]  # noqa: PTH208
+
+
+def simulated(state):
+    """Runs that a state tells of."""
+    import json
+
+    return json.loads(state.read_text())["sums"][3]
+
+
+@pytest.mark.processes
+def test_four_times_a_hundred_runs_are_four_hundred(project):
+    source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=30")
+    project.write(source)
+    project.run("--pafot-runs=400", generations=None)
+    whole = forget(project)
+    for _ in range(4):
+        night(project, runs=100)
+    assert project.contents == whole

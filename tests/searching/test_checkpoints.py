@@ -1,0 +1,183 @@
+"""A campaign that is cut and goes on is the one that was not cut, event by event."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.searching import (
+    Checkpoint,
+    DistinctSearch,
+    PafotSearch,
+    RandomManoeuvreSearch,
+    RandomSearch,
+    ResumableSearch,
+    from_plain,
+    plain,
+    run_campaign,
+)
+from pytest_pafot.searching.algorithms import CATALOGUE
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
+from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
+from pytest_pafot.searching.operators import mutate
+from pytest_pafot.searching.search_loop import CheckpointError
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.trace import Outcome
+
+ALGORITHMS = [DistinctSearch(SearchSpace(genes=3), population=5, random_runs=10), RandomSearch(population=3)]
+
+
+class Telling:
+    """A cheap world whose runs have kinds of failures, mistakes, near-misses and margins."""
+
+    def __init__(self, world):
+        self.world = world
+
+    def __call__(self, scenarios):
+        return [self._told(evaluation) for evaluation in self.world(scenarios)]
+
+    def _told(self, run):
+        speed = run.executed.npcs[0][0].speed
+        margins = (("near", 20.0 - speed), ("slow", speed))
+        if not run.failing:
+            near = NearMiss(mistake="kept-no-distance", npc=0, tick=int(speed), severity=speed / 30)
+            return replace(run, margins=margins, near_misses=(near,))
+        mistake = "moved-into-side" if speed > 15 else "moved-in-front"
+        kind = Signature(
+            failure="AssertionError",
+            assertion=f"speed {int(speed)}",
+            outcome=Outcome.COLLISION,
+            responsibility="ego",
+            mistake=mistake,
+            fault="entered-lane",
+        )
+        return replace(run, kind=kind, mistake=mistake, margins=margins)
+
+
+def through_json(algorithm, checkpoint):
+    """As a file has it."""
+    parts = [
+        algorithm.stored(checkpoint.state),
+        *map(plain, (checkpoint.sums, checkpoint.remembered, checkpoint.begun)),
+    ]
+    state, sums, remembered, begun = json.loads(json.dumps(parts, allow_nan=False))
+    return Checkpoint(
+        state=algorithm.restored(state),
+        sums=from_plain(CampaignFinished, sums),
+        remembered=from_plain(tuple[Remembered, ...], remembered),
+        begun=from_plain(tuple[tuple[Evaluation, bool], ...], begun),
+    )
+
+
+def campaign(algorithm, world, checkpoints=None, generations=None, **options):
+    """The events, with the checkpoint at each border and at the end by the number of events before."""
+    events, kept = [], {} if checkpoints is None else checkpoints
+    told = run_campaign(
+        algorithm,
+        Telling(world),
+        generations=generations,
+        seed=5,
+        border=lambda checkpoint: kept.update({len(events): through_json(algorithm, checkpoint())}),
+        **options,
+    )
+    for event in told:
+        events.append(event)  # noqa: PERF402  (what is told at a border comes after the events before)
+    return events
+
+
+def body(events):
+    """Without the frame of a session, and of a generation that two told as finished the later telling."""
+    last = {each.generation: index for index, each in enumerate(events) if isinstance(each, GenerationFinished)}
+    return [
+        each
+        for index, each in enumerate(events)
+        if not isinstance(each, (CampaignStarted, CampaignFinished))
+        and (not isinstance(each, GenerationFinished) or last[each.generation] == index)
+    ]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
+def test_from_every_border_on_it_tells_the_rest(cheap_world, algorithm):
+    checkpoints = {}
+    whole = campaign(algorithm, cheap_world(), checkpoints, generations=12)
+    assert len(checkpoints) == 13
+    for told, checkpoint in checkpoints.items():
+        left = 12 - checkpoint.state.generation
+        if left:
+            world = cheap_world()
+            rest = campaign(algorithm, world, resumed=checkpoint, generations=left)
+            assert rest[1:] == whole[max(told, 1) :]
+            assert len(world.simulated) == whole[-1].simulated - checkpoint.sums.simulated
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
+@pytest.mark.parametrize("runs", [1, 7, 14])
+def test_cut_after_so_many_runs_and_again_it_is_one_of_all_runs(cheap_world, algorithm, runs):
+    whole = campaign(algorithm, cheap_world(), runs=28)
+    parts, checkpoint, world = [], None, cheap_world()
+    for _ in range(28 // runs):
+        checkpoints = {}
+        parts += campaign(algorithm, world, checkpoints, resumed=checkpoint, runs=runs)
+        checkpoint = checkpoints[max(checkpoints)]
+    assert body(parts) == body(whole)
+    assert parts[-1] == whole[-1]
+    assert len(world.simulated) == 28  # none of them twice
+
+
+def test_it_goes_on_with_other_limits_and_batches(cheap_world):
+    algorithm, checkpoints = ALGORITHMS[0], {}
+    first = campaign(algorithm, cheap_world(), checkpoints, runs=13, batch=4)
+    rest = campaign(algorithm, cheap_world(), resumed=checkpoints[max(checkpoints)], generations=4, batch=3)
+    whole = campaign(algorithm, cheap_world(), generations=rest[-1].generations)
+    assert body(first + rest) == body(whole)
+
+
+def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
+    checkpoints, algorithm = {}, ALGORITHMS[1]
+    campaign(algorithm, cheap_world(), checkpoints, runs=4)
+    checkpoint = checkpoints[max(checkpoints)]
+    assert len(checkpoint.begun) == 1
+    with pytest.raises(CheckpointError, match="begun: expected the evaluation of"):
+        list(run_campaign(algorithm, cheap_world(), resumed=checkpoint, generations=None, runs=4, seed=6))
+    wrong = replace(checkpoint, remembered=((checkpoint.begun[0][0], (7,)),))
+    with pytest.raises(CheckpointError, match="remembered: expected numbers of 2 keys"):
+        run_campaign(algorithm, cheap_world(), resumed=wrong, generations=None, runs=4, seed=5)
+
+
+def test_which_algorithms_can_go_on():
+    able = {name for name, made_by in CATALOGUE.items() if issubclass(made_by, ResumableSearch)}
+    assert able == {"distinct", "random", "random-manoeuvre"}
+    assert not isinstance(PafotSearch(), ResumableSearch)
+    assert isinstance(RandomManoeuvreSearch(), ResumableSearch)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32), st.integers(1, 12), st.integers(0, 30))
+def test_a_cache_that_was_stored_recalls_and_forgets_as_the_one_that_went_on(cheap_world, seed, room, cut):
+    rng, world, space = (
+        np.random.default_rng(seed),
+        cheap_world(crash_speed=15.0, genes=2),
+        SearchSpace(npcs=2, genes=2),
+    )
+    whole = resumed = EvaluationCache()
+    scenario = sample(space, rng)
+    for number in range(40):
+        if number == cut:
+            remembered = from_plain(tuple[Remembered, ...], json.loads(json.dumps(plain(whole.remembered()))))
+            resumed = EvaluationCache()
+            resumed.restore(remembered)
+        for cache in {id(each): each for each in (whole, resumed)}.values():
+            cache.add(world.run(scenario))
+            cache.forget(room)
+        other = mutate(scenario, space, rng)
+        assert resumed.recall(other) == whole.recall(other)
+        assert resumed.recall(scenario) == whole.recall(scenario)
+        scenario = other if rng.random() < 0.6 else Scenario.repaired(scenario.npcs, seed=int(rng.integers(3)))
+    assert resumed.remembered() == whole.remembered()

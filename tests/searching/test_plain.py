@@ -1,0 +1,172 @@
+"""What a search stores of itself comes back as it was, and nothing else comes in."""
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.attribution.manoeuvres import Manoeuvre
+from pytest_pafot.attribution.mistakes import Mistake
+from pytest_pafot.attribution.near_misses import NearMiss
+from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.grid import Cell
+from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
+from pytest_pafot.searching.distinct import DistinctState
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.plain import PlainError, from_plain, plain
+from pytest_pafot.strategies import scenarios
+from pytest_pafot.trace import Collision, Outcome, Side
+
+texts, counts = st.text(max_size=8), st.integers(0, 2**40)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def one_of(literal):
+    return st.sampled_from(get_args(literal))
+
+
+def maybe(strategy):
+    return st.none() | strategy
+
+
+signatures = st.builds(
+    Signature,
+    failure=texts,
+    assertion=texts,
+    outcome=st.sampled_from(Outcome),
+    responsibility=one_of(Responsibility),
+    mistake=maybe(one_of(Mistake)),
+    fault=maybe(one_of(Fault)),
+    side=maybe(one_of(Side)),
+    cell=maybe(st.sampled_from(Cell)),
+    npc_manoeuvre=maybe(one_of(Manoeuvre)),
+    ego_manoeuvre=maybe(one_of(Manoeuvre)),
+)
+near_misses = st.builds(NearMiss, mistake=one_of(Mistake), npc=counts, tick=counts, severity=finite)
+collisions = st.builds(
+    Collision,
+    tick=counts,
+    time=finite,
+    npc=counts,
+    side=one_of(Side),
+    cell=st.sampled_from(Cell),
+    ego_speed=finite,
+    npc_speed=finite,
+    closing_speed=finite,
+)
+
+
+def tuples(strategy, most=2):
+    return st.lists(strategy, max_size=most).map(tuple)
+
+
+evaluations = st.builds(
+    Evaluation,
+    scenario=scenarios(),
+    executed=scenarios(),
+    fitness=st.floats(),
+    failing=st.booleans(),
+    outcome=st.sampled_from(Outcome),
+    duration=finite,
+    genes_started=counts,
+    genes_reached=counts,
+    interaction=st.booleans(),
+    discarded=st.booleans(),
+    kind=maybe(signatures),
+    mistake=maybe(texts),
+    near_misses=tuples(near_misses),
+    margins=tuples(st.tuples(texts, st.floats(allow_nan=False))),
+    arrived=tuples(tuples(st.booleans())),
+    driven=tuples(tuples(st.sampled_from(Cell))),
+    collision=maybe(collisions),
+)
+elites = tuples(st.tuples(st.tuples(counts, counts), evaluations))
+states = st.builds(
+    DistinctState,
+    generation=counts,
+    best=maybe(evaluations),
+    proposed=counts,
+    kinds=st.frozensets(signatures, max_size=3),
+    mistakes=st.frozensets(texts, max_size=3),
+    elites=elites,
+    near=tuples(tuples(st.tuples(near_misses, evaluations))),
+    strained=st.dictionaries(texts, elites, max_size=2),
+)
+keys = st.sampled_from((*CELLS, *STEPS, *speed_bins(30)))
+counters = st.dictionaries(keys, counts).map(Counter)
+coverages = st.builds(Coverage, requested=counters, driven=counters, reached=counters)
+healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, coverage=coverages)
+
+
+@given(states | evaluations | healths)
+def test_what_is_stored_comes_back_equal_from_json_without_names_for_numbers(value):
+    text = json.dumps(plain(value), allow_nan=False)
+    back = from_plain(type(value), json.loads(text))
+    assert back == value
+    assert json.dumps(plain(back)) == text  # also what is not compared, such as faults
+
+
+def test_a_set_is_stored_in_one_order_whatever_the_hashes_of_its_values():
+    assert plain(frozenset("dbca")) == ["a", "b", "c", "d"]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Of an algorithm of one's own."""
+
+    size: float
+    number: int
+    found: Mapping[str, tuple[Cell, ...]]
+    model: Any = None
+
+
+def test_a_dataclass_of_ones_own_is_stored_but_for_what_is_of_any_type():
+    assert from_plain(Steps, plain(Steps(0.5, 3, {"a": (Cell.FRONT,)}, model=object()))) == Steps(
+        0.5, 3, {"a": (Cell.FRONT,)}
+    )
+
+
+def test_what_json_cannot_hold_is_refused():
+    with pytest.raises(ValueError, match=r"expected a value that JSON can hold.*received <object"):
+        plain([object()])
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "place", "expected"),
+    [
+        (float, "fast", "", "a number"),
+        (float, True, "", "a number"),
+        (int, 1.0, "", "a whole number"),
+        (int, True, "", "a whole number"),
+        (bool, 1, "", "true or false"),
+        (Outcome, "flew", "", "one of safe"),
+        (Outcome, ["safe"], "", "one of safe"),
+        (tuple[int, ...], {"0": 1}, "", "a list"),
+        (tuple[int, ...], [1, None], "[1]", "a whole number"),
+        (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
+        (Steps, [0.5, 3], "", "a list of 3"),
+        (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
+        (Evaluation, plain([None]) * 19, "[0]", "a scenario"),
+        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 19, "[0].speed", "m/s"),
+        (NearMiss | None, [], "", "a list of 4"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected):
+    with pytest.raises(PlainError) as caught:
+        from_plain(kind, data)
+    assert caught.value.field == place
+    assert caught.value.expected.startswith(expected)
+
+
+@pytest.mark.parametrize(("text", "number"), [("inf", math.inf), ("-inf", -math.inf), ("nan", math.nan)])
+def test_numbers_that_json_has_no_word_for_are_texts(text, number):
+    assert plain(number) == text
+    assert repr(from_plain(float, text)) == repr(number)
