@@ -181,8 +181,9 @@ class SearchMessages:
     def __call__(self, event: SearchEvent) -> None:
         """Send a message, for those events that the terminal tells."""
         if isinstance(event, SearchStarted):
-            set_properties(self.item.user_properties, seed=event.seed, base_seed=self.settings.seed)
-            messages.send(self.item, "start", {})
+            seeds = {"seed": event.seed, "base_seed": self.settings.seed}
+            set_properties(self.item.user_properties, **seeds)
+            messages.send(self.item, "start", seeds)
         elif isinstance(event, Progress):
             messages.send(self.item, "progress", asdict(event))
         elif isinstance(event, FindTold):

@@ -21,7 +21,6 @@ from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.summary import SearchSummary
     from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
 
 JSON = BY_NAME["json"]
@@ -42,7 +41,7 @@ class Records:
         self._config = config
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
-        self._summaries: dict[str, SearchSummary | None] = {}  # by node id; None of one that has not ended
+        self._searches: dict[str, SearchRecord] = {}  # by node id, as findings
         self._findings: dict[str, FindingRecord] = {}
         self._runs: dict[str, int] = {}
         self._results: dict[str, list[str]] = {}
@@ -72,18 +71,19 @@ class Records:
 
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.summary import SearchSummary  # noqa: PLC0415
-        from pytest_pafot.report.session_record import FindingRecord  # noqa: PLC0415
+        from pytest_pafot.report.session_record import FindingRecord, SearchRecord  # noqa: PLC0415
 
         data = message.data
         match message.kind:
             case "start":
-                self._summaries[node_id] = None
+                self._searches[node_id] = SearchRecord(node_id=node_id, **data)
             case "record":
                 finding = self._findings[data["node_id"]] = FindingRecord(**data)
                 if finding.is_new:
                     self._write_json(None)
             case "search":
-                summary = self._summaries[node_id] = SearchSummary.from_plain(data)
+                summary = SearchSummary.from_plain(data)
+                self._searches[node_id] = SearchRecord.of(summary)
                 self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
                 self._write_json(None)
             case kind:
@@ -98,11 +98,15 @@ class Records:
             self._reasons.setdefault(report.nodeid, _reason(report))
         if report.nodeid in self._findings:
             return
-        if SAVED_MARK not in report.keywords:
-            if report.failed:
-                self._summaries.setdefault(report.nodeid, None)
-        elif report.failed:
+        if report.failed and SAVED_MARK in report.keywords:
             self._findings[report.nodeid] = self._unreadable(report)
+        elif report.failed:
+            self._take_failed_search(report.nodeid)
+
+    def _take_failed_search(self, node_id: str) -> None:
+        from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
+
+        self._searches.setdefault(node_id, SearchRecord(node_id=node_id))
 
     def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
         from pytest_pafot.report.session_record import ERROR, FindingRecord, replay_command  # noqa: PLC0415
@@ -125,23 +129,19 @@ class Records:
         return SessionRecord(
             exit=code,
             versions=installed_versions(),
-            searches=[self._search(node_id, results.get(node_id, "")) for node_id in sorted(self._summaries)],
+            searches=[
+                replace(search, result=results.get(node_id, ""), message=self._reasons.get(node_id, ""))
+                for node_id, search in sorted(self._searches.items())
+            ],
             findings=[
-                replace(self._findings[node_id], result=results.get(node_id, ""), runs=self._runs.get(node_id, 0))
-                for node_id in sorted(self._findings)
+                replace(finding, result=results.get(node_id, ""), runs=self._runs.get(node_id, 0))
+                for node_id, finding in sorted(self._findings.items())
             ],
             rates=sorted(self._texts["rate"]),
             merged=sorted(self._texts["merge"]),
             warnings=sorted(self._texts["warning"]),
             problems=list(self._lines.problems),
         )
-
-    def _search(self, node_id: str, result: str) -> SearchRecord:
-        from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
-
-        summary = self._summaries[node_id]
-        search = SearchRecord(node_id=node_id) if summary is None else SearchRecord.of(summary)
-        return replace(search, result=result, message=self._reasons.get(node_id, ""))
 
     def _write_json(self, code: int | None) -> None:
         if self._file is None:
@@ -163,7 +163,7 @@ class Records:
     def _append_summary(self, code: int) -> None:
         """Nothing is imported for it in a session that has nothing to tell."""
         path = os.environ.get(SUMMARY)
-        if not path or not any((self._summaries, self._findings, *self._texts.values(), self._lines.problems)):
+        if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
             return
         from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
 

@@ -121,6 +121,7 @@ def test_a_session_that_is_killed_leaves_what_it_found_and_no_exit_code(project)
     project.run("--pafot-json=pafot.json", apart=True)
     record = record_of(project)
     assert (record.exit, record.searches[0].reason, len(record.findings)) == (None, "", 2)
+    assert (record.searches[0].base_seed, record.findings[0].seed) == (1, record.searches[0].seed)
 
 
 @pytest.mark.processes
