@@ -118,6 +118,7 @@ def test_the_states_of_a_night_are_saved_even_when_it_found_something():
     restore, save = (cached[f"actions/cache/{what}@v4"] for what in ("restore", "save"))
     assert save["if"] == "always()"
     assert save["with"]["key"] == restore["with"]["key"]
+    assert save["with"]["key"].startswith(restore["with"]["restore-keys"])
     assert save["with"]["path"] == restore["with"]["path"] == action()["inputs"]["state"]["default"]
 
 

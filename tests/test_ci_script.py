@@ -189,6 +189,26 @@ def test_a_fleet_searches_with_seeds_of_its_own_and_merges_into_a_branch(reposit
     assert kept == [f"pafot_corpus/{name}" for name in saved(repository / "pafot_corpus")]
 
 
+def test_a_night_goes_on_in_a_fresh_clone_from_the_states_that_a_cache_brings(repository, tmp_path):
+    commit(repository, {"test_it.py": FAILS}, "A test")
+    git(repository, "push", "-q", "origin", "main")
+    git(tmp_path, "clone", "-q", "origin.git", "next")
+    inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": "--pafot-shrink-rollouts=0 -q"}
+    found = []
+    for folder in (repository, tmp_path / "next"):
+        code, printed = run_action(inputs, folder)
+        assert code == 1, printed
+        found.append([finding.file for finding in record_of(folder).findings if finding.is_new])
+        if folder is repository:
+            shutil.copytree(repository / "pafot_state", tmp_path / "next" / "pafot_state")
+    assert "went on after 4 runs of earlier sessions" in printed
+    assert found[0]
+    assert found[1]
+    git(repository, "fetch", "-q", "origin", "pafot-finds")
+    kept = git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines()
+    assert kept == sorted(found[0] + found[1]) == saved(tmp_path / "next")
+
+
 @pytest.fixture
 def fake(tmp_path):
     """The folder of a Python that searches nothing; variables that put it first, and what it was asked for."""
