@@ -8,6 +8,8 @@ import pytest
 
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import RATE_ARG, RATE_MARK
+from pytest_pafot.plugin.option_sources import resolve
+from pytest_pafot.plugin.xdist import is_worker
 
 
 class Rates:
@@ -25,7 +27,9 @@ class Rates:
         if mark is None:
             return None
         from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+        from pytest_pafot.campaign.options import OptionError  # noqa: PLC0415
         from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
         from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.rating.rate_request import checked_rate  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
@@ -35,8 +39,8 @@ class Rates:
             ads = request.ads
             factory = checked_factory(pyfuncitem.funcargs[ads], ads) if isinstance(ads, str) else ads
             with session_ends_if_stuck(pyfuncitem):
-                rate = request.measured(factory)
-        except (RequestError, WorldError, AdsFactoryError) as error:
+                rate = request.measured(factory, workers_of(pyfuncitem.config))
+        except (RequestError, OptionError, WorldError, AdsFactoryError, ProcessLostError) as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         messages.send(pyfuncitem, "rate", {"text": f"{pyfuncitem.nodeid}: {rate.sentence}"})
         pyfuncitem.user_properties.append(("pafot_rate", rate.sentence))
@@ -47,3 +51,12 @@ class Rates:
         given = {name: pyfuncitem.funcargs[name] for name in names if name in pyfuncitem.funcargs}
         pyfuncitem.obj(**(given | ({RATE_ARG: rate} if RATE_ARG in names else {})))
         return True
+
+
+def workers_of(config: pytest.Config) -> int:
+    """How many processes drive episodes: as ``--pafot-workers`` says, one under pytest-xdist.
+
+    Raises:
+        OptionError: naming the source, what was expected and received.
+    """
+    return 1 if is_worker(config) else resolve(config, {}, fresh_seed=0).workers

@@ -6,13 +6,17 @@ import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Required, TypedDict
 
 from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.execution.pool import GRACE, WorkerPool
+from pytest_pafot.execution.scenario_pool import METHOD
 from pytest_pafot.proportions import percent
-from pytest_pafot.rating.rate import Rate
+from pytest_pafot.rating.rate import EpisodeRow, Rate
 from pytest_pafot.rating.rate_plan import driven
 from pytest_pafot.world import World
+from pytest_pafot.world.driving.ads import preload
 
 EPISODES = 300
 """Unless the mark says how many."""
@@ -51,14 +55,21 @@ class RateRequest:
     confidence: float | None = None
     planner: bool = False
 
-    def measured(self, factory: Callable[..., Any]) -> Rate:
-        """Drive the episodes."""
+    def measured(self, factory: Callable[..., Any], workers: int = 1) -> Rate:
+        """Drive the episodes, in so many processes where they can be forked.
+
+        Raises:
+            ProcessLostError: where one of them does not come back.
+        """
         name = self.ads if isinstance(self.ads, str) else getattr(factory, "__name__", repr(factory))
-        seeds = range(self.seed, self.seed + self.episodes)
-        return Rate(
-            ads=name,
-            rows=tuple(driven(self.world, name, factory, seed, is_planner=self.planner) for seed in seeds),
-        )
+        seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
+        if workers == 1 or METHOD != "fork":
+            return Rate(ads=name, rows=tuple(map(work, seeds)))
+        preload(factory)
+        patience = self.world.hang_limit + GRACE
+        with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:
+            pool.expect(seeds)
+            return Rate(ads=name, rows=tuple(_answered(pool.fetch(seed)) for seed in seeds))
 
     def objection(self, rate: Rate) -> str:
         """Why the rate is too high, in lines; empty where it is not."""
@@ -76,6 +87,17 @@ class RateRequest:
     def _lines(self, how: str, received: str, told: str) -> str:
         expected = f"crashes in at most {percent(self.at_most)} of the episodes"
         return f"expected {expected}{f', {how}' if how else ''}, received: {received}\n{told}"
+
+
+def _row(request: RateRequest, name: str, factory: Callable[..., Any], seed: int, *_: object) -> EpisodeRow:
+    """One episode; the pool tells more than is asked for."""
+    return driven(request.world, name, factory, seed, is_planner=request.planner)
+
+
+def _answered(answer: EpisodeRow | Exception) -> EpisodeRow:
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
 
 
 def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:

@@ -104,3 +104,25 @@ def test_a_mark_with_an_argument_by_position_fails_the_test_with_its_name(projec
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["@pafot.rate: expected keyword arguments only, received ('highway-fast-v0',); *"])
+
+
+@pytest.mark.processes
+def test_several_processes_give_the_same_rate(project):
+    project.write(
+        "made = []\n\n"
+        + rated(
+            f"at_most=0.9, episodes=10, ads=make, planner=True, {WORLD}",
+            'assert (rate.crashed, rate.notes[0]) == ((2, 4, 5, 7), "seeds of the crashes: 2, 4, 5, 7")\n'
+            "    assert not made",
+            "rate",
+        ).replace("@pafot", "def make():\n    made.append(1)\n    return lambda seen: (0.0, 0.0)\n\n\n@pafot")
+    )
+    project.run("--pafot-workers=2").assert_outcomes(passed=1)
+
+
+@pytest.mark.processes
+def test_a_process_that_does_not_come_back_is_told_with_its_seed(project):
+    project.write("import os\n\n" + rated(f"at_most=0.9, episodes=2, ads=lambda: os._exit(3), planner=True, {WORLD}"))
+    result = project.run("--pafot-workers=2")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["the process (pid *) that ran 0 ended with exit code 3"])

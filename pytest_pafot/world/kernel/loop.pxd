@@ -30,6 +30,7 @@ cdef class GivenPilot(Pilot):
     cdef int _lane
     cdef double _dt, _wanted, _speed
 
+    @cython.locals(acceleration=double, steering=double)
     cpdef take(self, action, double seconds)
 
     @cython.locals(ego=Body)

@@ -93,8 +93,9 @@ class GivenPilot(Pilot):
         self.slowest = max(self.slowest, seconds)
         self._lane, self._speed = -1, -1.0
         if type(checked) is tuple:  # quicker than isinstance
-            self._wanted = possible_acceleration(checked[0])
-            self._ego.steering = possible_steering(checked[1])
+            acceleration, steering = checked  # quicker than two indices
+            self._wanted = possible_acceleration(acceleration)
+            self._ego.steering = possible_steering(steering)
             return
         drive = cast("Drive", checked)
         self._lane = drive.lane
