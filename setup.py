@@ -14,7 +14,7 @@ DIRECTIVES = {
 }
 FLAGS = [
     *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add: the same numbers as interpreted
-    *("-O1", "-g0"),  # compiles in half the time of -O2 -g, and runs within two percent of it
+    *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run is a tenth more instructions, and 5 % more time
 ]
 
 
