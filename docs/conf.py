@@ -8,8 +8,13 @@ links that lead out of this folder.
 from __future__ import annotations
 
 import inspect
+import os
 import re
+import shlex
 import shutil
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +22,7 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.errors import ExtensionError
 
 import pytest_pafot
 
@@ -34,9 +40,11 @@ html_title = f"{project} {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_copyright = False
 html_theme_options = {"navigation_with_keys": False}
 
 myst_heading_anchors = 4
+smartquotes = False  # two hyphens begin an option
 myst_links_external_new_tab = False
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
@@ -49,6 +57,8 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries; what a doc
 _PICTURE = re.compile(
     r'<picture>\n<source media="[^"]*dark[^"]*" srcset="([^"]*)">\n<img src="([^"]*)" (.*)>\n</picture>'
 )
+_LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
+_FIRST_FIND = DOCS / "start" / "five-minutes.md"
 _LISTED = re.compile(r"^- \[[^\]]*\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
 
@@ -63,7 +73,8 @@ def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
 
 
 def themed(app: Sphinx, docname: str, content: list[str]) -> None:
-    """Let pictures follow the page's own switch between light and dark, not only the browser's."""
+    """Let pictures follow the page's own switch between light and dark, and put the report page itself for its own."""
+    content[0] = _LIVE.sub('<iframe class="report" src="finding.html" title="A report page"></iframe>', content[0])
     content[0] = _PICTURE.sub(r'<img class="only-light" src="\2" \3><img class="only-dark" src="\1" \3>', content[0])
 
 
@@ -71,7 +82,7 @@ def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
     """Put the file of the repository's root where its page is."""
     if docname == "maintain/contributing":
         text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/tutorial.md)")
+        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/five-minutes.md)")
 
 
 def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:
@@ -113,6 +124,31 @@ def copied(app: Sphinx, exception: Exception | None) -> None:
         shutil.copyfile(path, place)
 
 
+def found(app: Sphinx, exception: Exception | None) -> None:
+    """Make the report page that the page of the first find shows, by the files and the command on that page.
+
+    Raises:
+        ExtensionError: where the command makes none.
+    """
+    if exception is not None:
+        return
+    text = _FIRST_FIND.read_text(encoding="utf-8")
+    (command, *_) = re.findall(r"^\$ pytest (.*)$", text, re.MULTILINE)
+    python = [sys.executable, "-m", "pytest", *shlex.split(command)]
+    plugins = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "PYTEST_ADDOPTS": ""}
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), **plugins}
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch, "my-planner")  # the page tells its name
+        folder.mkdir()
+        for name, content in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+            Path(folder, name).write_text(content, encoding="utf-8")
+        done = subprocess.run(python, cwd=folder, env=variables, capture_output=True, text=True, check=False)  # noqa: S603
+        page = Path(folder, "finding.html")
+        if not page.is_file():
+            raise ExtensionError(f"{_FIRST_FIND}: expected {page.name} of `pytest {command}`, received {done.stdout}")
+        shutil.copyfile(page, Path(app.outdir) / _FIRST_FIND.relative_to(DOCS).with_name(page.name))
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     for change in (contributing, navigated, themed):
@@ -121,3 +157,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", linked, priority=400)  # before napoleon
     app.connect("missing-reference", closest)
     app.connect("build-finished", copied)
+    app.connect("build-finished", found)

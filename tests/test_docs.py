@@ -12,7 +12,8 @@ output a line ``...`` stands for anything; all else is compared, but for white s
 its summary line (``1 failed, 2 passed in 0.4s``), which tells the exit status, too; ``$ python`` exits with 0.
 
 Seconds of wall clock vary, as in that line and in ``20 runs in 1.0 s``. For other numbers that vary, a comment before
-the block names the texts that they stand in: ``<!-- varies: 3 of 4 workers | pid 17 -->``.
+the block names the texts that they stand in: ``<!-- varies: 3 of 4 workers | pid 17 -->``. What stands in one folder
+with ``<!-- needs: library -->`` is run where that is installed.
 
 Where the output has changed on purpose, this brings samples whose words are the same up to it, for a look at the diff:
 
@@ -61,6 +62,7 @@ COMMANDS = {
 NEW_FOLDER = "<!-- new folder -->"
 GENERATED = re.compile(r"<!-- generated: ([a-z-]+) -->\n(.*?)<!-- end of generated -->", re.DOTALL)
 FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
 WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\d runs? in [\d.]+ s", re.MULTILINE)
 SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")
@@ -99,7 +101,9 @@ def stories():
     for document in DOCUMENTS:
         for number, part in enumerate(GENERATED.sub("", text_of(document)).split(NEW_FOLDER)):
             if any(block.language in RUN for block in blocks_of(part)):
-                yield pytest.param(document, part, id=f"{place(document)}-{number}")
+                absent = [name for name in NEEDS.findall(part) if importlib.util.find_spec(name) is None]
+                marks = [pytest.mark.skip(reason=f"needs {name}") for name in absent]
+                yield pytest.param(document, part, id=f"{place(document)}-{number}", marks=marks)
 
 
 def pattern(text, varying):
@@ -414,6 +418,15 @@ def test_every_tool_of_the_documents_finds_what_it_imports(tool):
     code = f"import runpy; runpy.run_path({str(tool.relative_to(ROOT))!r})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_every_page_is_in_one_list_of_an_index_from_which_the_site_has_its_navigation():
+    listed = []
+    for index in (ROOT / "docs").rglob("index.md"):
+        links = re.findall(r"^- \[[^\]]*\]\(([\w/.-]+)\)", text_of(index), re.MULTILINE)
+        listed += [place((index.parent / link).resolve()) for link in links]
+    pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.rst")]
+    assert sorted([*listed, "docs/index"]) == sorted(map(place, pages))
 
 
 def test_the_site_has_every_public_name_and_every_package_that_lists_some():

@@ -250,7 +250,7 @@ def _first_paragraph(docstring: str | None) -> str:
 
 
 def _options_table() -> str:
-    header = ["Command line", "ini / toml key", "Variable", "Marker argument", "Default", "Meaning"]
+    header = ["Command line, ini or toml key, variable, argument of the mark", "Default", "Meaning"]
     return _table(header, map(_option_row, OPTIONS))
 
 
@@ -260,7 +260,7 @@ def _option_row(option: Option) -> list[str]:
     elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
     choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
     return [
-        *(f"`{name}`" if name else "-" for name in (flag, *elsewhere)),
+        "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
         _option_default(option),
         option.help + choices,
     ]
