@@ -40,6 +40,7 @@ html_title = f"{project} {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_search_scorer = str(DOCS / "_static" / "scorer.js")
 html_show_copyright = False
 html_theme_options = {"navigation_with_keys": False}
 
