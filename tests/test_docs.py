@@ -420,6 +420,13 @@ def test_every_tool_of_the_documents_finds_what_it_imports(tool):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_every_page_that_code_names_exists():
+    code = [path for room in ("pytest_pafot", "tests", "docs", "example_ads") for path in (ROOT / room).rglob("*.py")]
+    named = {name for path in code for name in re.findall(r"\bdocs/[\w/-]+\.md\b", text_of(path))}
+    assert named
+    assert {name for name in named if not (ROOT / name).is_file()} == set()
+
+
 def test_every_page_is_in_one_list_of_an_index_from_which_the_site_has_its_navigation():
     listed = []
     for index in (ROOT / "docs").rglob("index.md"):
