@@ -18,6 +18,13 @@ settings.register_profile("fresh", settings.get_profile("project"), derandomize=
 settings.load_profile("project")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """The same order of tests in every session, where pytest-randomly is; with --randomly-seed=N another."""
+    if config.getoption("randomly_seed", None) == "default":
+        config.option.randomly_seed = 1
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
     """From here on every warning is an error; of what other plugins warn while they are configured is their matter."""
