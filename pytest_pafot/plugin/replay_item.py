@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from datetime import date
 from functools import partial
 from typing import NoReturn
@@ -25,7 +24,7 @@ from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.report.session_record import FindingRecord, replay_command
+from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report.wrapping import fitted_lines
 from pytest_pafot.run import Run
 from pytest_pafot.text import ascii_text
@@ -99,8 +98,8 @@ def _tell(item: pytest.Function, replays: Replays, saved: Saved, label: str, *, 
                 f"{path}: accepted ({finding.accepted}), which is over: mend it, write a later day, or remove the line"
             )
             messages.send(item, "warning", {"text": over})
-        told = {"file": path, "replay": replay_command(path), "headline": headline, "detail": detail}
-        messages.send(item, "record", asdict(FindingRecord.of(finding, node_id=item.nodeid, status=label, **told)))
+        told = {"headline": headline, "detail": detail}
+        tell_finding(item, finding, node_id=item.nodeid, status=label, file=path, **told)
     against = "" if replays.harness.against is None else replays.harness.against.shown
     messages.send(item, "replay", {"label": label, "detail": detail, "against": against})
     item.user_properties.append(("pafot", label))

@@ -35,9 +35,9 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED, records_folder
+from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
-from pytest_pafot.report.session_record import NEW, FindingRecord, replay_command, search_command
 from pytest_pafot.versions import installed_versions
 
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
@@ -219,20 +219,15 @@ class SearchMessages:
         lines = terminal.found_lines(kept.find, width) if told.is_new else []
         report = _report(self.item, kept, told.exception, section)
         messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
-        messages.send(self.item, "record", asdict(self._record(kept)))
-
-    def _record(self, kept: Kept) -> FindingRecord:
-        """A find for programs. One that lies in no file is found again by its search."""
-        find, settings = kept.find, self.settings
-        options = [*settings.budget.split(), f"--pafot-seed={settings.seed}"]
-        return FindingRecord.of(
+        tell_finding(
+            self.item,
             kept.finding,
-            node_id=find.node_id,
-            status=NEW,
-            file=find.path or None,
-            replay=replay_command(find.path) if find.path else search_command(self.item.nodeid, *options),
-            headline=find.headline,
-            detail=find.problem,
+            node_id=kept.find.node_id,
+            status="new",
+            file=kept.find.path or None,
+            again=[*self.settings.budget.split(), f"--pafot-seed={self.settings.seed}"],
+            headline=kept.find.headline,
+            detail=kept.find.problem,
         )
 
 

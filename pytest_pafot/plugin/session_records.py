@@ -7,10 +7,10 @@ leaves what it has found, and no file of an earlier one.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -21,6 +21,7 @@ from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
 
 if TYPE_CHECKING:
+    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
 
 JSON = BY_NAME["json"]
@@ -32,6 +33,22 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
     """Whether anybody reads what a session comes to; of one that only replays a file for another one nobody does."""
     is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
     return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
+
+
+def tell_finding(
+    item: pytest.Item, finding: Finding, *, file: str | None, again: Sequence[str] = (), **told: Any
+) -> None:
+    """Tell the controller of a finding, where anybody reads it.
+
+    What is told are attributes of its record. One that lies in no file is found again by its search, which ``again``
+    gives the options of.
+    """
+    if not is_asked_for(item.config, os.environ):
+        return
+    from pytest_pafot.report.session_record import FindingRecord, replay_command, search_command  # noqa: PLC0415
+
+    replay = search_command(item.nodeid, *again) if file is None else replay_command(file)
+    messages.send(item, "record", asdict(FindingRecord.of(finding, file=file, replay=replay, **told)))
 
 
 class Records:
