@@ -24,6 +24,9 @@ WHO = {
     "check": "failed check",
 }
 
+SAVE_RUN = '<p class="save"><button type="button" class="save-run" hidden>Save the run as CSV</button></p>'
+"""Shown by a script that can do it."""
+
 
 def finding_keys(findings: Iterable[FindingView]) -> tuple[str, ...]:
     """By which links and files name findings: their ids, numbered where several tests share one."""
@@ -111,10 +114,10 @@ def _test(finding: FindingView) -> str:
 
 
 def _keep_section(finding: FindingView) -> str:
-    """The command that runs it again, where there is one, and its file."""
+    """The command that runs it again, where there is one, its run as a table, and its file."""
     command = f"<h3>Run it again</h3>{copyable('Command', finding.command)}" if finding.command else ""
     return (
-        f'<section class="keep">{command}'
+        f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'

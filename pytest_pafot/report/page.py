@@ -18,7 +18,7 @@ from pytest_pafot.report.page_data import Report
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
-SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "campaign.js", "main.js")
+SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "table.js", "campaign.js", "main.js")
 """In this order; each adds to what the ones before it define."""
 
 FRAME_HEIGHT = 1010
@@ -37,6 +37,8 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}"
     kind = "embedded" if embedded else "whole"
     is_open = len(report.campaigns) == 1 and not embedded
+    if embedded:  # A frame may not save files.
+        report = replace(report, findings=tuple(replace(finding, drive=None) for finding in report.findings))
     campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
     searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(

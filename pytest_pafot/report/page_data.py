@@ -143,6 +143,19 @@ class CheckView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DriveView:
+    """Where all vehicles were at each tick, with all digits.
+
+    Attributes:
+        physics_hz: ticks per second.
+        states: as :func:`~pytest_pafot.report.finding_view.drive_view` packs them.
+    """
+
+    physics_hz: int
+    states: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ChanceView:
     """When a reference driver in the ego's place would last have stayed free of fault, with the sentence on it."""
 
@@ -187,6 +200,7 @@ class FindingView:
         prevention: which reference drivers would have prevented it, and which not; empty where none was tried.
         perception: which imperfections of its sight it needs; empty where that is perfect.
         last_chance: None where there is no such moment.
+        drive: from which the page writes its run as a table; None where nobody saw one, or it is in no file.
         grid: of a road that is not straight, where the eight cells are at each frame; None for one without a lane.
     """
 
@@ -213,6 +227,7 @@ class FindingView:
     perception: str = ""
     last_chance: ChanceView | None = None
     shrink: ShrinkView | None = None
+    drive: DriveView | None = None
     grid: tuple[tuple[Pose | None, ...], ...] = ()
 
     @property

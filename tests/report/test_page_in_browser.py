@@ -3,16 +3,25 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import pytest_pafot as pafot
+from pytest_pafot.__main__ import main
+from pytest_pafot.comparison.plan import ads_factory
+from pytest_pafot.export.exporter import exporter
+from pytest_pafot.report.finding_view import drive_view, finding_view
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import ChanceView, CheckView, Report
 from pytest_pafot.report.picture import picture_at
-from tests.report.builders import HOSTILE, bend_report, real_report
+from pytest_pafot.trace import LANE, SPEED
+from tests.report.builders import HOSTILE, bend_report, cut_in_trace, finding_of, real_report
 from tests.support.browser import Browser, find_chromium
 
 CHROMIUM = find_chromium()
+FILES = Path(__file__).parents[1] / "corpus" / "format_1"
 
 pytestmark = [
     pytest.mark.processes,
@@ -550,6 +559,59 @@ def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
     assert page.evaluate(TIME) > 0
     page.press("k")
     assert page.complaints == []
+    page.close()
+
+
+def saved_by(browser, page, folder):
+    """The file that the button of the finding shown saves, which is pressed by the keyboard."""
+    since = len(browser.events)
+    browser.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), eventsEnabled=True)
+    page.evaluate("document.querySelector('article.current .save-run').focus()")
+    page.press("Enter")
+    browser.until_told("Browser.downloadProgress", since, state="completed")
+    (file,) = folder.iterdir()
+    page.until(f"document.getElementById('status').textContent === 'Saved as {file.name}'")
+    return file
+
+
+def test_the_run_is_saved_as_the_command_exports_it(browser, tmp_path):
+    given = FILES / "collision-xfail.pafot.yaml"
+    assert main(["export", str(given), "--to", "csv", "--ads", "constant_speed", "--out", str(tmp_path / "told")]) == 0
+    saved = pafot.load(given)
+    view = finding_view(saved.replay(ads_factory("constant_speed")).trace, saved.finding, node_id="t.py::test")
+    path = tmp_path / "page.html"
+    path.write_text(render_page(Report.of(view)), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    file, (told,) = saved_by(browser, page, tmp_path / "saved"), (tmp_path / "told").iterdir()
+    assert (file.name, file.read_bytes()) == (told.name, told.read_bytes())
+    assert page.complaints == []
+    page.close()
+
+
+def test_numbers_of_any_size_are_saved_as_python_writes_them(browser, tmp_path):
+    trace = cut_in_trace()
+    states = trace.states.copy()
+    states[:, :, :LANE] *= 10.0 ** np.random.default_rng(1).integers(-30, 30, states[:, :, :LANE].shape)
+    odd = [0.0, -0.0, 1e-4, 9.999e-5, 1e-5, 1e-7, 5e-324, 1e15, 1e16, 1e21, 1e22, 1.7e308, 123456789.125, 2.0**53]
+    states[: len(odd), 0, SPEED] = odd
+    strange = replace(trace, states=states)
+    finding = finding_of(trace)
+    view = replace(finding_view(trace, finding, node_id="t.py::test"), drive=drive_view(strange))
+    path = tmp_path / "page.html"
+    path.write_text(render_page(Report.of(view)), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    file = saved_by(browser, page, tmp_path / "saved")
+    assert {file.name: file.read_bytes()} == exporter("csv")(finding, strange)
+    page.close()
+
+
+def test_a_frame_inside_another_page_has_no_button_that_it_may_not_use(browser, tmp_path):
+    finding = real_report().findings[0]
+    path = tmp_path / "frame.html"
+    path.write_text(render_page(Report.of(finding), embedded=True), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    assert page.evaluate("document.querySelectorAll('.save-run').length") == 0
+    assert finding.drive.states not in path.read_text(encoding="utf-8")
     page.close()
 
 
