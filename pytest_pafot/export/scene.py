@@ -15,9 +15,18 @@ def states_of(trace: Trace) -> FloatArray:
 
 
 def centre_line(lane: Lane) -> FloatArray:
-    """Points of the centre line of a lane, in that frame [m], shape [points, 2]: two of a straight lane."""
+    """Points of the centre line of a lane, in that frame [m], shape [points, 2]: two of a straight lane.
+
+    A lane of a closed track, which a run may follow for several laps, is one lap, since tools take a line that passes
+    the same place twice for a loop to cut off.
+    """
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
-    return np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
+    line = np.array(lane.points or [(lane.x, lane.y), end]) * (1, -1)
+    pieces, to_start = np.diff(line, axis=0), line[0] - line[:-1]
+    share = (to_start * pieces).sum(axis=1) / (pieces**2).sum(axis=1)
+    beside = np.hypot(*(to_start - share[:, None] * pieces).T)
+    passes = (share > 0) & (share <= 1) & (beside < lane.width / 2) & (pieces @ pieces[0] > 0)
+    return line[: passes.argmax() + 1] if passes.any() else line
 
 
 def tangents(line: FloatArray) -> FloatArray:

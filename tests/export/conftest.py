@@ -15,9 +15,11 @@ POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-
 
 @pytest.fixture(scope="session", params=POLICIES)
 def exported(request):
-    """A finding, and the trace of a run of it."""
-    saved = pafot.load(FILES / f"{request.param}.pafot.yaml")
-    return saved.finding, saved.replay(ads_factory(POLICIES[request.param])).trace
+    """A finding, and the trace of a run of it; or of a file with a policy, which ``tests.benchmarks.exports`` gives."""
+    name = request.param
+    file, policy = (FILES / f"{name}.pafot.yaml", POLICIES[name]) if isinstance(name, str) else name
+    saved = pafot.load(file)
+    return saved.finding, saved.replay(ads_factory(policy)).trace
 
 
 @pytest.fixture

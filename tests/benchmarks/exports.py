@@ -1,0 +1,142 @@
+"""Do other tools read an exported run, and where it was? Ten finds on six roads, through every format and reader.
+
+    python -m tests.benchmarks.exports [--finds DIR]
+
+Searches for collisions of an ego that keeps its lane and its speed, and has ``tests/export/test_exports.py`` read all
+of them. Prints a row for each reader: its version, how many finds it read as they were driven, and the largest
+difference in lengths [m] and speeds [m/s]. Ends with 1 where one is read otherwise. A reader that is not installed is
+told as absent; all of them are there, in a virtual environment of their own, after
+
+    python -m pip install ".[export,commonroad]" asam-qc-openscenarioxml asam-qc-opendrive eclipse-sumo mcap \\
+        commonroad-drivability-checker
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import defaultdict
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from highway_env.vehicle.controller import ControlledVehicle
+
+import pytest_pafot as pafot
+
+ROADS = {"highway-v0": 3, "merge-v0": 2, "exit-v0": 2, "roundabout-v0": 1, "racetrack-v0": 1, "u-turn-v0": 1}
+"""How many finds are taken of each."""
+RUNS, SEED = 150, 1
+POLICY = f"{__name__ if __name__ != '__main__' else 'tests.benchmarks.exports'}:keeps_its_lane"
+TESTS = "tests/export/test_exports.py"
+READERS = {
+    "test_a_table_read_back_is_what_was_driven": ("csv", "csv", None),
+    "test_openscenario_has_every_vehicle_where_it_was_at_every_tick": ("xosc", "xml.etree", None),
+    "test_asams_checkers_report_no_issue-.xosc": ("xosc", "asam-qc-openscenarioxml", "asam-qc-openscenarioxml"),
+    "test_asams_checkers_report_no_issue-.xodr": ("xosc", "asam-qc-opendrive", "asam-qc-opendrive"),
+    "test_sumos_netconvert_reads_the_lanes_where_they_are": ("xosc", "netconvert", "eclipse-sumo"),
+    "test_foxglove_has_the_same_numbers_at_the_same_times": ("mcap", "mcap", "mcap"),
+    "test_commonroad_reads_the_same_vehicles_and_lanes": ("commonroad", "commonroad-io", "commonroad-io"),
+    "test_commonroads_checker_sees_the_collision_at_the_tick_at_which_it_was": (
+        "commonroad",
+        "drivability checker",
+        "commonroad-drivability-checker",
+    ),
+}
+"""By test: the format, what reads it, and the distribution that has it."""
+
+
+def keeps_its_lane() -> type[ControlledVehicle]:
+    """An ego that keeps its lane and its speed, on roads that bend as well."""
+    return ControlledVehicle
+
+
+def holds(run: pafot.Run) -> None:
+    """Any collision is a find."""
+    assert not run.collision, run.explain()
+
+
+def finds(folder: Path) -> list[Path]:
+    """The files of the finds, of each road those with the first ids."""
+    taken = []
+    for road, count in ROADS.items():
+        pafot.explore(
+            keeps_its_lane(),
+            holds=holds,
+            world=pafot.World(road, duration=20.0),
+            runs=RUNS,
+            seed=SEED,
+            corpus=folder / road,
+        )
+        found = sorted((folder / road).rglob("*.pafot.yaml"))
+        sys.stderr.write(f"{road}: {len(found)} finds, {min(count, len(found))} taken\n")
+        taken += found[:count]
+    return taken
+
+
+@dataclass
+class Readings:
+    """A plugin of pytest that has the tests read some finds, and keeps how they end.
+
+    Attributes:
+        files: of the finds.
+        ends: outcomes by test.
+        differences: that tests told, by test.
+        why: of what failed.
+    """
+
+    files: list[Path]
+    ends: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    differences: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    why: list[str] = field(default_factory=list)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """Every test that reads gets these, by a mark, which replaces the files of its fixture."""
+        if any(test.startswith(metafunc.function.__name__) for test in READERS):
+            given = [(str(file), POLICY) for file in self.files]
+            metafunc.definition.add_marker(pytest.mark.parametrize("exported", given, indirect=True))
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take an end: of the call, or of what never came to it."""
+        name, _, parameters = report.nodeid.rpartition("::")[2].partition("[")
+        suffix = next((f"-{each}" for each in (".xosc", ".xodr") if each in parameters), "")
+        if report.when == "call" or report.outcome != "passed":
+            self.ends[name + suffix].append(report.outcome)
+        if report.when == "call":
+            self.differences[name + suffix] += [float(value) for _, value in report.user_properties]
+        if report.failed:
+            self.why.append(f"{report.nodeid}\n{report.longreprtext}\n")
+
+
+def version(distribution: str | None) -> str:
+    """Of what is installed; Python's own for none."""
+    try:
+        return metadata.version(distribution) if distribution else f"Python {sys.version.partition(' ')[0]}"
+    except metadata.PackageNotFoundError:
+        return "absent"
+
+
+def main() -> int:
+    """Find, export, read, and print the table; the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--finds", type=Path, metavar="DIR", help="where the finds go, or are (default: nowhere)")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        readings = Readings(finds(given.finds or Path(scratch)))
+        chosen = " or ".join({name.partition("-.")[0] for name in READERS})
+        pytest.main(["-q", "-p", "no:cacheprovider", "--no-header", "-k", chosen, TESTS], plugins=[readings])
+    print("| Format | Read by | Version | Finds as driven | Largest difference |\n| --- | --- | --- | --- | --- |")
+    for test, (form, reader, distribution) in READERS.items():
+        ends, apart = readings.ends[test], readings.differences[test]
+        difference = f"{max(apart):.1e}" if apart else "none" if "passed" in ends else "-"
+        count = f"{ends.count('passed')} of {len(ends)}"
+        print(f"| {form} | {reader} | {version(distribution)} | {count} | {difference} |")
+    print("\n".join(readings.why), file=sys.stderr)
+    return 1 if readings.why else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
