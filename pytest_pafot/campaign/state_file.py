@@ -38,7 +38,8 @@ MAX_BYTES = 1 << 28
 """A larger file is neither written nor read; ten thousand runs of four NPCs take some 10 MB."""
 
 SHARE = 50
-"""Between two generations the file is written when so many times as long has passed as writing it took last time."""
+"""Between two generations the file is written when so many times as long has passed as that took last time, new runs
+aside, which have to be put into words once however seldom it is written."""
 
 FLAG = BY_NAME["resume"].flag
 ANEW = f"delete the file to begin the search anew, or give another folder with {FLAG}"
@@ -112,7 +113,7 @@ class StateFile:
     algorithm: ResumableSearch
     clock: Callable[[], float]
     problem: str = ""
-    _texts: dict[int, tuple[Evaluation, str]] = field(default_factory=dict)  # of what is remembered, by identity
+    _texts: dict[int, tuple[Remembered, str]] = field(default_factory=dict)  # of what is remembered, by identity
     _written_at: float = -math.inf
     _cost: float = 0.0
 
@@ -150,6 +151,10 @@ class StateFile:
 
     def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
         """Write the state, as a whole or not at all; what keeps it from being written is told, and ends no search."""
+        known, self._texts = self._texts, {}
+        for run in checkpoint.remembered:
+            # Each is put into words once: there may be ten thousand, of which few are new.
+            self._texts[id(run)] = known.get(id(run)) or (run, _json(plain(run)))
         began = self.clock()
         content = self._text(checkpoint, counts).encode()
         try:
@@ -174,17 +179,8 @@ class StateFile:
             "counts": plain(counts),
         }
         lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]
-        known, self._texts = self._texts, {}
-        runs = []
-        for evaluation, numbers in checkpoint.remembered:
-            if evaluation is None:
-                runs.append("[null,[]]")
-                continue
-            # Each run is put into words once: there may be ten thousand, of which few are new.
-            text = known.get(id(evaluation)) or (evaluation, _json(plain(evaluation)))
-            self._texts[id(evaluation)] = text
-            runs.append(f"[{text[1]},{_json(numbers)}]")
-        lines.append('"remembered": [' + ",\n".join(runs) + "]")
+        remembered = ",\n".join(text for _, text in self._texts.values())
+        lines.append(f'"remembered": [{remembered}]')
         return "{" + ",\n".join(lines) + "}\n"
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:

@@ -270,19 +270,26 @@ def test_an_algorithm_of_ones_own_goes_on(search):
     assert body(*[part.events for part in parts]) == body(whole.events)
 
 
-def test_the_state_is_written_only_when_that_takes_a_small_share_of_the_time(tmp_path):
+@pytest.mark.parametrize("seconds", [0.0, 0.25])  # that a run takes to be put into words, which is done once
+def test_the_state_is_written_only_when_that_takes_a_small_share_of_the_time(tmp_path, monkeypatch, seconds):
     class Stored:
         def stored(self, state):
             nonlocal now
             now += 1.0  # that writing takes
             written.append(now)
 
-    now, written = 0.0, []
+    def slowly(value):
+        nonlocal now
+        now += seconds if value in runs else 0.0
+        return plain(value)
+
+    now, written, runs = 0.0, [], []
+    monkeypatch.setattr(state_file, "plain", slowly)
     file = state_file.StateFile(path=tmp_path / "it.json", settings={}, algorithm=Stored(), clock=lambda: now)
     sums = CampaignFinished(reason="runs", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
-    checkpoint = Checkpoint(state=None, sums=sums)
-    for _ in range(1000):
-        file.offer(lambda: checkpoint, lambda: None)
+    for number in range(1000):
+        runs.append((None, (number,)))
+        file.offer(lambda: Checkpoint(state=None, sums=sums, remembered=tuple(runs)), lambda: None)
         now += 0.5
-    assert written[0] == 1.0
-    assert {b - a for a, b in pairwise(written)} == {state_file.SHARE + 1.0}
+    assert written[0] == 1.0 + seconds
+    assert {b - a for a, b in pairwise(written)} == {state_file.SHARE * (1 + 2 * seconds) + 1.0}
