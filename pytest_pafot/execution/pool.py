@@ -105,6 +105,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._wanted: set[TaskT] = set()
         self._answers: dict[TaskT, ResultT | Exception] = {}
         self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
+        self._has_frozen = False
 
     def __enter__(self) -> Self:
         return self
@@ -165,7 +166,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
         for worker in list(self._workers):
             self._remove(worker)
         self._pending, self._wanted = deque(), set()
-        gc.unfreeze()
+        if self._has_frozen:
+            self._has_frozen = False
+            gc.unfreeze()
 
     @property
     def _busy(self) -> list[_Worker[TaskT]]:
@@ -197,12 +200,18 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                if self.method == "fork":  # A process with a copy of what is here should not look through it.
-                    gc.freeze()
+                if self.method == "fork":
+                    self._freeze()
                 idle = _Worker(self._context, self.work, others, self.grace, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
+
+    def _freeze(self) -> None:
+        """Let no process look for garbage in its copy of what is here, unless others have seen to that."""
+        self._has_frozen = self._has_frozen or not gc.get_freeze_count()
+        if self._has_frozen:
+            gc.freeze()
 
     def _fail(self, task: TaskT, reason: str) -> None:
         """Without processes, whoever asks must see to the tasks."""

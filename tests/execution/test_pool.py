@@ -1,6 +1,7 @@
 """A pool of processes for any task: what it answers, and what is told of processes that do not come back."""
 
 import faulthandler
+import gc
 import multiprocessing
 import os
 import signal
@@ -41,6 +42,20 @@ def pool_of():
 
 def fetched(pool, tasks=TASKS):
     return [pool.fetch(task) for task in tasks]
+
+
+def test_what_others_keep_from_the_search_for_garbage_stays_so_and_what_the_pool_keeps_comes_back(pool_of):
+    is_frozen = gc.get_freeze_count() > 0
+    try:
+        for freezes in (gc.unfreeze, gc.freeze):
+            freezes()
+            pool = pool_of(lambda number: None)
+            pool.fetch(1)
+            assert gc.get_freeze_count()
+            pool.close()
+            assert bool(gc.get_freeze_count()) is (freezes is gc.freeze)
+    finally:
+        (gc.freeze if is_frozen else gc.unfreeze)()
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
