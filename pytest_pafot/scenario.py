@@ -242,13 +242,16 @@ class Scenario:
 
     def canonical(self) -> str:
         """A text that is equal for equal scenarios, on any machine."""
+        return json.dumps(self.plain(), separators=(",", ":"))
+
+    def plain(self) -> list[Any]:
+        """All fields as lists and numbers, of which :meth:`canonical` is the text."""
         npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
-        fields = [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
-        return json.dumps(fields, separators=(",", ":"))
+        return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
 
     @classmethod
     def from_canonical(cls, fields: Any) -> Scenario:
-        """The inverse of :meth:`canonical`, of what ``json.loads`` makes of that text.
+        """The inverse of :meth:`plain`, or of what ``json.loads`` makes of :meth:`canonical`.
 
         Raises:
             ScenarioError, TypeError, ValueError: for anything else.

@@ -66,10 +66,9 @@ def free_id(finding: Finding, taken: Collection[str]) -> str:
     return name
 
 
-def acceptances(group: Iterable[Candidate]) -> Mapping[tuple[str, date | None], Candidate]:
-    """The reasons and last days with which a kind of failure is accepted, each with a candidate that tells them."""
-    findings = ((each.finding, each) for each in group)
-    return {(finding.xfail, finding.xfail_until): each for finding, each in findings if finding.xfail is not None}
+def acceptances(group: Iterable[Candidate]) -> set[tuple[str, date | None]]:
+    """The reasons with which a kind of failure is accepted, each with its last day."""
+    return {(each.finding.xfail, each.finding.xfail_until) for each in group if each.finding.xfail is not None}
 
 
 def _best(group: Sequence[Candidate]) -> Candidate:

@@ -36,8 +36,8 @@ def set_of_saved(item: pytest.Item, saved: Saved) -> None:
 
 def of_findings(findings: Iterable[tuple[Finding, str]]) -> dict[str, str]:
     """Those that tell findings, with their files: for several, what stands in each is separated by commas."""
-    told = [(finding.id, finding.signature.text, file) for finding, file in findings]
-    ids, signatures, files = (
-        (", ".join(filter(None, column)) for column in zip(*told, strict=True)) if told else ("",) * 3
-    )
-    return {"id": ids, "signature": signatures, "file": files}
+    columns: dict[str, list[str]] = {"id": [], "signature": [], "file": []}
+    for finding, file in findings:
+        for column, text in zip(columns.values(), (finding.id, finding.signature.text, file), strict=True):
+            column.append(text)
+    return {name: ", ".join(filter(None, column)) for name, column in columns.items()}

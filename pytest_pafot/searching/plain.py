@@ -12,11 +12,12 @@ import math
 import operator
 import types
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache, partial
+from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from pytest_pafot.errors import FieldError
@@ -30,10 +31,6 @@ Read = Callable[[Any], Any]
 
 _AS_THEY_ARE = frozenset({type(None), bool, int, str})
 _NO_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
-
-
-class PlainError(FieldError):
-    """Plain data that is not of a type, with the place of what does not fit, as ``[2][0]``."""
 
 
 def plain(value: Any) -> Any:
@@ -64,8 +61,7 @@ def plain(value: Any) -> Any:
 
 def _composed(value: Any) -> Any:
     if isinstance(value, Scenario):
-        npcs = [[[gene.target, gene.speed] for gene in chain] for chain in value.npcs]
-        return [npcs, value.seed, value.ego_lane, value.ego_speed, value.gene_seconds]
+        return value.plain()
     if is_dataclass(value) and not isinstance(value, type):
         return [plain(getattr(value, name)) for name in _hints(type(value))]
     if isinstance(value, Mapping):
@@ -79,7 +75,7 @@ def from_plain(kind: type[T], data: Any) -> T:
     """The value of a type that :func:`plain` has made data of.
 
     Raises:
-        PlainError: for data that is not of that type.
+        FieldError: for data that is not of that type, with the place of what does not fit, as ``[2][0]``.
         TypeError: for a type that this cannot read.
     """
     return cast("T", _reader(cast("Hashable", kind))(data))
@@ -122,8 +118,8 @@ def _reader_of_pairs(kind: Callable[[Any], Any], inner: tuple[Any, ...]) -> Read
     return _read_each(kind, _read_parts(tuple, [_reader(inner[0]), _reader(inner[1] if len(inner) > 1 else int)]))
 
 
-def _refuse(expected: str, data: Any, field: str = "") -> PlainError:
-    return PlainError(field=field, expected=expected, received=f"{data!r:.60}")
+def _refuse(expected: str, data: Any) -> FieldError:
+    return FieldError(expected=expected, received=f"{data!r:.60}")
 
 
 def _read_float(data: Any) -> float:
@@ -155,8 +151,8 @@ def _read_choice(known: Mapping[Any, Any]) -> Read:
 def _read_scenario(data: Any) -> Scenario:
     try:
         return Scenario.from_canonical(data)
-    except ScenarioError as error:
-        raise PlainError(field=error.field, expected=error.expected, received=error.received) from None
+    except ScenarioError:
+        raise  # it says what is wrong, and is a ValueError
     except (TypeError, ValueError):
         raise _refuse("a scenario: chains, seed, lane, speed and duration", data) from None
 
@@ -181,13 +177,7 @@ def _read_each(kind: Callable[[list[Any]], Any], reader: Read) -> Read:
     def read(data: Any) -> Any:
         if type(data) is not list:
             raise _refuse("a list", data)
-        parts: list[Any] = []
-        try:
-            for each in data:
-                parts.append(reader(each))  # noqa: PERF401  (their number says where one does not fit)
-        except FieldError as error:
-            raise _placed(len(parts), error) from None
-        return kind(parts)
+        return kind(_read_all(repeat(reader, len(data)), data))
 
     return read
 
@@ -196,12 +186,7 @@ def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
     def read(data: Any) -> Any:
         if type(data) is not list or len(data) != len(readers):
             raise _refuse(f"a list of {len(readers)}", data)
-        parts: list[Any] = []
-        try:
-            for reader, each in zip(readers, data, strict=True):
-                parts.append(reader(each))
-        except FieldError as error:
-            raise _placed(len(parts), error) from None
+        parts = _read_all(readers, data)
         try:
             return kind(parts)
         except (TypeError, ValueError) as error:
@@ -210,11 +195,17 @@ def _read_parts(kind: Callable[[list[Any]], Any], readers: list[Read]) -> Read:
     return read
 
 
-def _placed(index: int, error: FieldError) -> PlainError:
-    separator = "." if error.field and not error.field.startswith("[") else ""
-    return PlainError(
-        field=f"[{index}]{separator}{error.field}", expected=error.expected, received=error.received, fix=error.fix
-    )
+def _read_all(readers: Iterable[Read], data: list[Any]) -> list[Any]:
+    """What each reader makes of its piece; an error tells which one does not fit."""
+    parts: list[Any] = []
+    try:
+        for reader, each in zip(readers, data, strict=True):
+            parts.append(reader(each))
+    except FieldError as error:
+        separator = "." if error.field and not error.field.startswith("[") else ""
+        place = f"[{len(parts)}]{separator}{error.field}"
+        raise FieldError(field=place, expected=error.expected, received=error.received, fix=error.fix) from None
+    return parts
 
 
 _SIMPLE: Mapping[Any, Read] = {

@@ -15,13 +15,14 @@ from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.mistakes import Mistake
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
+from pytest_pafot.errors import FieldError
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.grid import Cell
 from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
 from pytest_pafot.searching.distinct import DistinctState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health_check import Health
-from pytest_pafot.searching.plain import PlainError, from_plain, plain
+from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.trace import Collision, Outcome, Side
 
@@ -160,7 +161,7 @@ def test_what_json_cannot_hold_is_refused():
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected):
-    with pytest.raises(PlainError) as caught:
+    with pytest.raises(FieldError) as caught:
         from_plain(kind, data)
     assert caught.value.field == place
     assert caught.value.expected.startswith(expected)
