@@ -7,8 +7,10 @@ of them. Prints a row for each reader: its version, how many finds it read as th
 difference in lengths [m] and speeds [m/s]. Ends with 1 where one is read otherwise. A reader that is not installed is
 told as absent; all of them are there, in a virtual environment of their own, after
 
-    python -m pip install ".[export,commonroad]" asam-qc-openscenarioxml asam-qc-opendrive eclipse-sumo mcap \\
-        commonroad-drivability-checker
+    python -m pip install asam-qc-openscenarioxml asam-qc-opendrive eclipse-sumo
+    python -m pip install ".[export,commonroad]" commonroad-drivability-checker
+
+The second command puts a newer numpy in than ASAM's checkers name, of which pip complains; they work with it.
 """
 
 from __future__ import annotations
