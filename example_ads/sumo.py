@@ -19,13 +19,15 @@ from libsumo import vehicle
 
 from pytest_pafot import Drive, Observation
 
-NETWORK = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
+WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape=""/>
-<junction id="b" type="dead_end" x="{length}" y="0" incLanes="" intLanes="" shape=""/></net>"""
-LANE = '<lane id="road_{0}" index="{0}" speed="{limit}" length="{length}" shape="0,{0} {length},{0}"/>'
-MODELS = """<additional><route id="road" edges="road"/>
+<junction id="b" type="dead_end" x="{length}" y="0" incLanes="" intLanes="" shape=""/>
+<route id="road" edges="road"/>
 <vType id="ego" length="5" speedDev="0" carFollowModel="{following}" laneChangeModel="{changing}"/>
-<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/></additional>"""
+<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/>
+<vehicle id="ego" type="ego" route="road" depart="0"/>{others}</net>"""
+LANE = '<lane id="road_{0}" index="{0}" speed="{limit}" length="{length}" shape="0,{0} {length},{0}"/>'
+OTHER = '<vehicle id="{0}" type="other" route="road" depart="0"/>'
 OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
 
 
@@ -44,8 +46,7 @@ class SumoDriver:
 
     def __call__(self, seen: Observation) -> Drive:
         """What SUMO's ego does in one step from where everybody is."""
-        if self.lane < 0:
-            self.start(seen)
+        self.lane = self.started(seen) if self.lane < 0 else self.lane
         for name, car in zip(("ego", *map(str, seen.ids)), (seen.ego, *seen.others), strict=True):
             lane = self.lane if name == "ego" else car.lane
             vehicle.moveTo(name, f"road_{seen.lanes - 1 - lane}", car.x + car.length / 2)
@@ -54,19 +55,17 @@ class SumoDriver:
         self.lane = seen.lanes - 1 - vehicle.getLaneIndex("ego")
         return Drive(lane=self.lane, acceleration=vehicle.getAcceleration("ego"))
 
-    def start(self, seen: Observation) -> None:
-        """A simulation with this road and these vehicles."""
-        road = {"limit": seen.speed_limit, "length": seen.road_length}
-        lanes = "".join([LANE.format(lane, **road) for lane in range(seen.lanes)])
+    def started(self, seen: Observation) -> int:
+        """The lane of the ego, once a simulation with this road and these vehicles runs."""
+        road = {"length": seen.road_length, "limit": seen.speed_limit}
+        lanes = "".join(LANE.format(lane, **road) for lane in range(seen.lanes))
         with TemporaryDirectory() as folder:
-            network, models = Path(folder, "network.xml"), Path(folder, "models.xml")
-            network.write_text(NETWORK.format(lanes=lanes, **road), encoding="utf-8")
-            models.write_text(MODELS.format(following=self.following, changing=self.changing), encoding="utf-8")
-            step = f"--step-length={seen.decision_period}"
-            libsumo.start(["sumo", f"--net-file={network}", f"--additional-files={models}", step, *OPTIONS])
-        for name in ("ego", *map(str, seen.ids)):
-            vehicle.add(name, "road", typeID="ego" if name == "ego" else "other")
-        self.lane = seen.ego.lane
+            Path(folder, "world.xml").write_text(
+                WORLD.format(lanes=lanes, others="".join(map(OTHER.format, seen.ids)), **road, **vars(self)),
+                encoding="utf-8",
+            )
+            libsumo.start(["sumo", f"--net-file={folder}/world.xml", f"--step-length={seen.decision_period}", *OPTIONS])
+        return seen.ego.lane
 
     def close(self) -> None:
         """End the simulation."""
