@@ -331,20 +331,6 @@ class BrakesCapped:
         return max(a, -2.5) if self.bad("brakes-capped") else a
 
 
-class OldestTrackOnly:
-    """Of those ahead in its lane it answers only the one that it has tracked longest."""
-
-    def along(self, o, seen):
-        ahead = [s for s in seen if self.in_path(o, s)]
-        now = {s.i for s in ahead}
-        self.since = {i: t for i, t in getattr(self, "since", {}).items() if i in now}
-        for s in ahead:
-            self.since.setdefault(s.i, o.time)
-        if self.bad("oldest-track-only") and len(ahead) > 1:
-            ahead = [min(ahead, key=lambda s: self.since[s.i])]
-        return min([self.cruise(o)] + [self.follow(o, s) for s in ahead])
-
-
 class CentredOnly:
     """One who comes in counts only when it is centred in the lane, for 1 s."""
 
@@ -564,106 +550,37 @@ class StopsWhenBeside:
         return min(a, -5.0) if o.time < getattr(self, "halt", -1) else a
 
 
-# ten with one
-
-
-class OneSpeedNear(SpeedNearOnly, GippsBased):
-    DEFECTS = ("speed-near-only",)
-
-
-class OneResumes(ResumesUnasked, IdmBased):
-    DEFECTS = ("resumes-unasked",)
-
-
-class OneCutOff(CutOffSlow, GippsBased):
-    DEFECTS = ("cut-off-slow",)
-
-
-class OneRest(BrakesRest, IdmBased):
-    DEFECTS = ("brakes-rest",)
-
-
-class OneCentred(CentredOnly, Planner):
-    DEFECTS = ("cut-in-centred-only",)
-
-
-class OneAbreast(NegativeDropped, GippsBased):
-    DEFECTS = ("abreast-dropped",)
-
-
-class OneTtc(TimeToContactOnly, Planner):
-    DEFECTS = ("ttc-only-behind",)
-
-
-class OneFollower(FollowerAsLeader, IdmBased):
-    DEFECTS = ("follower-as-leader",)
-
-
-class OneLost(LostIsZero, GippsBased):
-    DEFECTS = ("lost-is-zero",)
-
-
-class OneNudge(Nudges, IdmBased):
-    DEFECTS = ("nudge-unchecked",)
-
-
-# eight with two or three
-
-
-class TwoBlindSpots(BlindSpots, Planner):
-    DEFECTS = ("left-blind-spot", "right-blind-spot")
-
-
-class TwoChanges(OwnSpeedBehind, EvadesUnchecked, IdmBased):
-    DEFECTS = ("own-speed-behind", "evades-unchecked")
-
-
-class TwoFollowing(SpeedNearOnly, BrakesCapped, Planner):
-    DEFECTS = ("speed-near-only", "brakes-capped")
-
-
-class TwoMixed(CutOffSlow, StaleGrid, IdmBased):
-    DEFECTS = ("cut-off-slow", "stale-grid")
-
-
-class TwoBrakings(NextLaneSlow, StopsWhenBeside, GippsBased):
-    DEFECTS = ("strip-too-wide", "stops-for-one-beside")
-
-
-class ThreeMixed(ResumesUnasked, CourteousOthers, LostIsZero, Planner):
-    DEFECTS = ("resumes-unasked", "courteous-others", "lost-is-zero")
-
-
-class ThreeAnswers(CutInOneSide, CutOffSlow, GippsBased):
-    DEFECTS = ("cut-in-left-late", "cut-in-right-late", "cut-off-slow")
-
-
-class ThreeAround(FirstLaneOnly, FollowerAsLeader, BrakesRest, IdmBased):
-    DEFECTS = ("second-lane-unchecked", "follower-as-leader", "brakes-rest")
-
-
+MADE_OF: dict[str, tuple[tuple[type, ...], tuple[str, ...]]] = {
+    # ten with one
+    "OneSpeedNear": ((SpeedNearOnly, GippsBased), ("speed-near-only",)),
+    "OneResumes": ((ResumesUnasked, IdmBased), ("resumes-unasked",)),
+    "OneCutOff": ((CutOffSlow, GippsBased), ("cut-off-slow",)),
+    "OneRest": ((BrakesRest, IdmBased), ("brakes-rest",)),
+    "OneCentred": ((CentredOnly, Planner), ("cut-in-centred-only",)),
+    "OneAbreast": ((NegativeDropped, GippsBased), ("abreast-dropped",)),
+    "OneTtc": ((TimeToContactOnly, Planner), ("ttc-only-behind",)),
+    "OneFollower": ((FollowerAsLeader, IdmBased), ("follower-as-leader",)),
+    "OneLost": ((LostIsZero, GippsBased), ("lost-is-zero",)),
+    "OneNudge": ((Nudges, IdmBased), ("nudge-unchecked",)),
+    # eight with two or three
+    "TwoBlindSpots": ((BlindSpots, Planner), ("left-blind-spot", "right-blind-spot")),
+    "TwoChanges": ((OwnSpeedBehind, EvadesUnchecked, IdmBased), ("own-speed-behind", "evades-unchecked")),
+    "TwoFollowing": ((SpeedNearOnly, BrakesCapped, Planner), ("speed-near-only", "brakes-capped")),
+    "TwoMixed": ((CutOffSlow, StaleGrid, IdmBased), ("cut-off-slow", "stale-grid")),
+    "TwoBrakings": ((NextLaneSlow, StopsWhenBeside, GippsBased), ("strip-too-wide", "stops-for-one-beside")),
+    "ThreeMixed": (
+        (ResumesUnasked, CourteousOthers, LostIsZero, Planner),
+        ("resumes-unasked", "courteous-others", "lost-is-zero"),
+    ),
+    "ThreeAnswers": ((CutInOneSide, CutOffSlow, GippsBased), ("cut-in-left-late", "cut-in-right-late", "cut-off-slow")),
+    "ThreeAround": (
+        (FirstLaneOnly, FollowerAsLeader, BrakesRest, IdmBased),
+        ("second-lane-unchecked", "follower-as-leader", "brakes-rest"),
+    ),
+}
+"""The classes of each policy, and its defects."""
 POLICIES: dict[str, tuple[type, tuple[str, ...]]] = {
-    c.__name__: (c, c.DEFECTS)
-    for c in (
-        OneSpeedNear,
-        OneResumes,
-        OneCutOff,
-        OneRest,
-        OneCentred,
-        OneAbreast,
-        OneTtc,
-        OneFollower,
-        OneLost,
-        OneNudge,
-        TwoBlindSpots,
-        TwoChanges,
-        TwoFollowing,
-        TwoMixed,
-        TwoBrakings,
-        ThreeMixed,
-        ThreeAnswers,
-        ThreeAround,
-    )
+    name: (type(name, classes, {"DEFECTS": defects}), defects) for name, (classes, defects) in MADE_OF.items()
 }
 
 
