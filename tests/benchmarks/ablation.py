@@ -11,10 +11,8 @@ values are means of a run, with the standard error of the mean.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -28,6 +26,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import Weights, resolve
 from pytest_pafot.trace import Outcome
+from tests.benchmarks.command import in_processes, options, print_head
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
 TABLES = ("collisions", "failures")
@@ -99,9 +98,10 @@ class Tally:
     kinds: set[Any] = field(default_factory=set)
 
 
-def measured(variant: Variant, seed: int, hours: float, blame: bool) -> Tally:
-    """One search of so many simulated hours."""
-    tally = Tally()
+def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
+    """One search of so many simulated hours, with blame by a row of the second table, else by one of the first."""
+    name, blame = named
+    variant, tally = (FAILURES if blame else COLLISIONS)[name], Tally()
     fitness = resolve(variant.fitness, responsible=is_ego_responsible if blame else None)
 
     def one(scenario: Scenario) -> Evaluation:
@@ -153,36 +153,24 @@ def failures_row(name: str, runs: Sequence[Tally]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--hours", type=float, default=3.0)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
-    every = list(dict.fromkeys([*COLLISIONS, *FAILURES]))
-    parser.add_argument(
-        "--searches", nargs="+", choices=every, default=every, metavar="NAME", help="rows of the tables"
-    )
-    arguments = parser.parse_args()
+    every = dict.fromkeys([*COLLISIONS, *FAILURES])
+    given = options(__doc__, runs=20, hours=3.0, workers=2, tables=TABLES, searches=every)
 
     def table(
-        head: str, variants: Mapping[str, Variant], blame: bool, row: Callable[[str, Sequence[Tally]], str]
+        variants: Mapping[str, Variant], blame: bool, row: Callable[[str, Sequence[Tally]], str], *head: str
     ) -> None:
-        print(f"\n{head}\n|{' --- |' * (head.count('|') - 1)}")
-        with ProcessPoolExecutor(arguments.workers) as pool:
-            jobs = {
-                name: [pool.submit(measured, variant, seed, arguments.hours, blame) for seed in range(arguments.runs)]
-                for name, variant in variants.items()
-                if name in arguments.searches
-            }
-            for name, runs in jobs.items():
-                print(row(name, [run.result() for run in runs]), flush=True)
+        print()
+        print_head("search", *head)
+        names = [(name, blame) for name in variants if name in given.searches]
+        for (name, _), runs in in_processes(given.workers, measured, names, range(given.runs), given.hours):
+            print(row(name, runs), flush=True)
 
-    if "collisions" in arguments.tables:
-        head = "| search | colliding share of runs | simulated s per collision | simulated s per run |"
-        table(head, COLLISIONS, False, collisions_row)
-    if "failures" in arguments.tables:
-        head = "| search | distinct ego-responsible failures | runs with any | ego-responsible collisions |"
-        table(head, FAILURES, True, failures_row)
+    if "collisions" in given.tables:
+        head = "colliding share of runs", "simulated s per collision", "simulated s per run"
+        table(COLLISIONS, False, collisions_row, *head)
+    if "failures" in given.tables:
+        head = "distinct ego-responsible failures", "runs with any", "ego-responsible collisions"
+        table(FAILURES, True, failures_row, *head)
 
 
 if __name__ == "__main__":

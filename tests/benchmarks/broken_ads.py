@@ -10,7 +10,6 @@ what was in flight is its to name.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -21,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+
+from tests.benchmarks.command import options, print_head
 
 RAISES = {
     "raises ValueError": "raise ValueError('lane')",
@@ -212,12 +213,8 @@ def row(name: str, source: str, mode: str, seconds: float) -> str:
 def main() -> None:
     """Print the table."""
     sources = kinds()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kinds", nargs="+", choices=sources, default=list(sources))
-    parser.add_argument("--modes", nargs="+", choices=MODES, default=list(MODES))
-    parser.add_argument("--seconds", type=float, default=90.0, help="after which a session is killed")
-    given = parser.parse_args()
-    print("| kind | mode | exit status | other test passed | named |\n|---|---|---|---|---|")
+    given = options(__doc__, kinds=sources, modes=MODES, seconds=90.0)
+    print_head("kind", "mode", "exit status", "other test passed", "named")
     for name in given.kinds:
         for mode in given.modes:
             print(row(name, sources[name], mode, given.seconds), flush=True)

@@ -21,7 +21,6 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
@@ -34,6 +33,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Signature
 from tests.benchmarks import policies_with_defects, policies_with_defects_2
+from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, holds
 
 COMBINED = (
@@ -172,26 +172,15 @@ def told(signature: Signature) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--runs", type=int, default=400)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--policies", nargs="*")
-    parser.add_argument("--of", choices=(*SETS, "development"), default="first")
-    arguments = parser.parse_args()
-    every = subjects(arguments.of)
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    print("| policy | defects | findings | by seed | every defect found | one finding each | V-measure |")
-    print("|---|---|---|---|---|---|---|")
+    names = [name for of in (*SETS, "development") for name in subjects(of)]
+    given = options(__doc__, seeds=10, first_seed=0, runs=400, workers=2, of="first", policies=names)
+    every = subjects(given.of)
+    print_head("policy", "defects", "findings", "by seed", "every defect found", "one finding each", "V-measure")
     done: dict[int, list[Searched]] = {}
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        names = arguments.policies or list(every)
-        jobs = {name: [pool.submit(searched, name, seed, arguments) for seed in seeds] for name in names}
-        for name, futures in jobs.items():
-            searches = [future.result() for future in futures]
-            done.setdefault(len(every[name].defects), []).extend(searches)
-            print(report(every[name], searches), flush=True)
+    chosen = [name for name in every if name in given.policies]
+    for name, searches in in_processes(given.workers, searched, chosen, seeds_of(given), given):
+        done.setdefault(len(every[name].defects), []).extend(searches)
+        print(report(every[name], searches), flush=True)
     for number, searches in sorted(done.items()):
         values = [value for value in map(agreement, searches) if value is not None]
         print(

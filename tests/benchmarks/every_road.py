@@ -3,15 +3,15 @@
 The straight roads are there to compare with.
 
     python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
+        [--check-every 1]
 
 A short search per environment, ego and seed. Prints how many genes are reached, the share of invalid runs, how the
-runs end, and the findings by signature; checks the NPC limits and the fixed point, and confirms every collision by
-``env.step``. Ends with an error where one of these fails.
+runs end, and the findings by signature; checks the NPC limits and the fixed point of every n-th run, and confirms
+every collision by ``env.step``. Ends with an error where one of these fails.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -28,6 +28,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
+from tests.benchmarks.command import options, print_head
 from tests.support import world_cases
 from tests.support.road_cases import ENVIRONMENTS, space_of, violations
 
@@ -111,16 +112,11 @@ def limits_broken(trace: Trace, world: World) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    every = (*STRAIGHT, *ENVIRONMENTS)
-    parser.add_argument("--environments", nargs="+", choices=every, default=list(every))
-    parser.add_argument("--egos", nargs="+", choices=EGOS, default=list(EGOS))
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--generations", type=int, default=10)
-    parser.add_argument("--check-every", type=int, default=1, help="check limits and fixed point on every n-th run")
-    arguments = parser.parse_args()
-    print("| environment | ego | runs | genes reached | invalid | runs end | finds | confirmed | faults | ms a run |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    arguments = options(
+        __doc__, environments=(*STRAIGHT, *ENVIRONMENTS), egos=EGOS, seeds=5, generations=10, check_every=1
+    )
+    head = "environment", "ego", "runs", "genes reached", "invalid", "runs end", "finds", "confirmed", "faults"
+    print_head(*head, "ms a run")
     faults: list[str] = []
     for env_id in arguments.environments:
         for ego in arguments.egos:

@@ -9,7 +9,6 @@ processor, and exits with 1 where a count is beyond the tolerance. ``--write`` m
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -20,6 +19,7 @@ import tempfile
 from pathlib import Path
 
 from pytest_pafot.world import kernel
+from tests.benchmarks.command import options
 
 BASELINE = Path(__file__).with_name("instructions.json")
 FEW, MORE = 5, 55
@@ -57,10 +57,7 @@ def counted(setup: str, runs: int) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tolerance", type=float, default=0.05, help="share by which a count may grow")
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, tolerance=0.05, write=False)
     state = "compiled" if kernel.is_compiled() else "interpreted"
     here = f"{platform.machine()}, Python {platform.python_version()}, {state}"
     counts = {name: (counted(setup, MORE) - counted(setup, FEW)) // (MORE - FEW) for name, setup in CASES.items()}

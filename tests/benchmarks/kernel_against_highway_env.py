@@ -10,21 +10,18 @@ them. A sample of this is in the suite.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 
 import numpy as np
 
 from pytest_pafot.world import kernel
+from tests.benchmarks.command import options
 from tests.support.c_library import c_library
 from tests.support.engine_cases import Case, differences
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=3000)
-    parser.add_argument("--first", type=int, default=0, help="seed")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, runs=3000, first=0)
     outcomes: Counter[str] = Counter()
     egos: Counter[str] = Counter()
     same_bits = same_as_numpy = 0

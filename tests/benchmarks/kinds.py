@@ -13,11 +13,9 @@ behind, by a test of two samples (Mann-Whitney, Holm over all policies and searc
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
@@ -31,6 +29,7 @@ from pytest_pafot.comparison.statistics import compared, holm
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
 from tests.benchmarks import policies_with_defects_2 as held_out
+from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 
 TUNED_ON = ("follows-too-close", "sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead", "two-defects")
 NOT_TUNED_ON = (
@@ -85,8 +84,9 @@ class Searched:
         return sum(run <= runs and second <= seconds for run, second in self.found)
 
 
-def searched(policy: str, arm: str, seed: int, seconds: float) -> Searched:
+def searched(pair: tuple[str, str], seed: int, seconds: float) -> Searched:
     """One search."""
+    policy, arm = pair
     found: dict[Any, tuple[int, float]] = {}
     runs = invalid = 0
     began = 0.0
@@ -156,26 +156,16 @@ def duels(done: Mapping[tuple[str, str], Sequence[Searched]], policies: Sequence
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (("seeds", 20), ("first-seed", 0), ("workers", 2)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    parser.add_argument("--seconds", type=float, default=4.0)
-    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
-    options = parser.parse_args()
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    print(f"| policy | search | {' | '.join(columns(options.seconds))} | first (median run) | runs | invalid |")
-    print("|" + "---|" * (len(columns(options.seconds)) + 5))
+    given = options(__doc__, seeds=20, first_seed=0, workers=2, seconds=4.0, policies=POLICIES)
+    print_head("policy", "search", *columns(given.seconds), "first (median run)", "runs", "invalid")
     done = {}
-    with ProcessPoolExecutor(options.workers) as pool:
-        jobs = {
-            pair: [pool.submit(searched, *pair, seed, options.seconds) for seed in seeds]
-            for pair in product(options.policies, ARMS)
-        }
-        for pair, futures in jobs.items():
-            done[pair] = [future.result() for future in futures]
-            print(row(*pair, done[pair], options.seconds), flush=True)
-    print("\n| after | policy | against | A12 | p (Holm) |\n|---|---|---|---|---|")
-    print("\n".join(duels(done, options.policies, options.seconds)))
+    pairs = product(given.policies, ARMS)
+    for pair, searches in in_processes(given.workers, searched, pairs, seeds_of(given), given.seconds):
+        done[pair] = searches
+        print(row(*pair, searches, given.seconds), flush=True)
+    print()
+    print_head("after", "policy", "against", "A12", "p (Holm)")
+    print("\n".join(duels(done, given.policies, given.seconds)))
 
 
 if __name__ == "__main__":

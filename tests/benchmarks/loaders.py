@@ -26,6 +26,7 @@ import torch
 
 import pytest_pafot as pafot
 from pytest_pafot.searching import SearchSpace, sample
+from tests.benchmarks.command import print_head
 from tests.support.onnx_files import saved_network
 from tests.support.sb3_models import ENV, InItsWrappers, saved_model
 
@@ -135,8 +136,7 @@ def planner_in_c(folder: Path) -> list[str]:
 def main(count: int = 200) -> None:
     """Print the table."""
     given = scenarios(count)
-    print("| Policy | Same as by hand | One by one: a run, of it inside the policy | In lock step |")
-    print("| --- | --- | --- | --- |")
+    print_head("Policy", "Same as by hand", "One by one: a run, of it inside the policy", "In lock step")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for place in ("framed", "dqn"):

@@ -11,7 +11,6 @@ and in all. A policy may be any of ``policies_with_defects`` without its defects
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -28,6 +27,7 @@ from pytest_pafot import Run, Trace
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.benchmarks import policies_with_defects as held_out
+from tests.benchmarks.command import options, print_head, seeds_of
 
 POLICIES: Mapping[str, Any] = {
     "idm": IDMVehicle,
@@ -137,20 +137,15 @@ def runs_until_found(each: Property, arm: str, seed: int, budget: int) -> int | 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (("seeds", 20), ("first-seed", 0), ("runs", 240), ("workers", 2)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=["idm", "careful-human"])
-    options = parser.parse_args()
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    with ProcessPoolExecutor(options.workers) as pool:
-        properties = list(pool.map(bounded, *zip(*product(options.policies, MEASURES), strict=True)))
+    given = options(__doc__, seeds=20, first_seed=0, runs=240, workers=2, policies=["idm", "careful-human"])
+    with ProcessPoolExecutor(given.workers) as pool:
+        properties = list(pool.map(bounded, *zip(*product(given.policies, MEASURES), strict=True)))
         jobs = {
-            (each, arm, seed): pool.submit(runs_until_found, each, arm, seed, options.runs)
-            for each, arm, seed in product(properties, ARMS, seeds)
+            (each, arm, seed): pool.submit(runs_until_found, each, arm, seed, given.runs)
+            for each, arm, seed in product(properties, ARMS, seeds_of(given))
         }
-        head = ["searched for", *(f"{each}, found" for each in (*MEASURES, "all")), "mean runs, a miss counted as all"]
-        print(f"| {' | '.join(head)} |\n|{' --- |' * len(head)}")
+        founds = (f"{each}, found" for each in (*MEASURES, "all"))
+        print_head("searched for", *founds, "mean runs, a miss counted as all")
         for arm, told in ARMS.items():
             found = {
                 measure: [job.result() for (each, by, _), job in jobs.items() if by == arm and each.measure == measure]
@@ -158,7 +153,7 @@ def main() -> None:
             }
             every = [runs for each in found.values() for runs in each]
             shown = [f"{sum(runs is not None for runs in each)} of {len(each)}" for each in (*found.values(), every)]
-            mean = statistics.mean(options.runs if runs is None else runs for runs in every)
+            mean = statistics.mean(given.runs if runs is None else runs for runs in every)
             print(f"| {told} | {' | '.join(shown)} | {mean:.0f} |")
 
 

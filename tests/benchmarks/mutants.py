@@ -10,7 +10,6 @@ the file. Prints for each way how many files were refused, how many were read as
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import signal
@@ -33,6 +32,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Finding
+from tests.benchmarks.command import options
 from tests.support.mutations import MUTATIONS, misread
 
 GOLDEN = Path(__file__).parents[1] / "corpus" / "format_1"
@@ -150,22 +150,18 @@ OUTCOMES = ("refused", "read, unchanged", "read, as it says", "read, wrong")
 
 def main() -> int:
     """Damage, judge, and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mutants", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=int, default=20, help="for each run")
-    options = parser.parse_args()
+    given = options(__doc__, mutants=2000, seed=0, seconds=20)
     warnings.simplefilter("ignore")
-    rng, counts = random.Random(options.seed), {kind: Counter[str]() for kind in MUTATIONS}
+    rng, counts = random.Random(given.seed), {kind: Counter[str]() for kind in MUTATIONS}
     with tempfile.TemporaryDirectory() as name:
         texts = sources(Path(name))
-        print(f"{len(texts)} files, seed {options.seed}")
+        print(f"{len(texts)} files, seed {given.seed}")
         path = Path(name) / "mutant.pafot.yaml"
         originals = {source: parsed(path, text.encode()) for source, text in texts.items()}
-        for number in range(options.mutants):
+        for number in range(given.mutants):
             kind, source = rng.choice(list(MUTATIONS)), rng.choice(list(texts))
             text = MUTATIONS[kind](rng, texts[source])
-            outcome, wrong = judged(text, path, originals[source], options.seconds)
+            outcome, wrong = judged(text, path, originals[source], given.seconds)
             counts[kind][outcome] += 1
             for line in wrong:
                 print(f"wrong: {number}, {kind}, {source}: {line}", flush=True)

@@ -9,7 +9,6 @@ for, and how many of the parents have one.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +24,7 @@ from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import sample
 from pytest_pafot.trace import Outcome
+from tests.benchmarks.command import options, print_head
 
 SPACE = SearchSpace(**drawn_space(Highway(), {}))
 MISTAKES = ("moved-in-front", "moved-into-side", "kept-no-distance", "braked-for-nothing")
@@ -66,12 +66,7 @@ def row(name: str, parents: Sequence[Candidate], children: int, world: Highway, 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenarios", type=int, default=20_000)
-    parser.add_argument("--parents", type=int, default=60)
-    parser.add_argument("--children", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, scenarios=20_000, parents=60, children=60, seed=0)
     world, rng = Highway(), np.random.default_rng(arguments.seed)
     pool = list(candidates(world, arguments.scenarios, rng))
 
@@ -87,7 +82,7 @@ def main() -> None:
     for mistake in MISTAKES:
         near = [each for each in pool if mistake in each.severities]
         groups[f"nearest to `{mistake}`"] = first(lambda each, mistake=mistake: each.severities[mistake], near)
-    print("| parents | children that fail by the ego's fault | parents with any |\n| --- | --- | --- |")
+    print_head("parents", "children that fail by the ego's fault", "parents with any")
     for name, parents in groups.items():
         print(row(name, parents, arguments.children, world, rng), flush=True)
 

@@ -12,11 +12,10 @@ ended, how often the ego came into another lane, and the explanation of each kin
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -27,6 +26,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.trace import LANE
 from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
+from tests.benchmarks.command import in_processes, options, seeds_of
 from tests.benchmarks.positive_controls import holds
 from tests.support.sound_driver import SoundLaneChanger
 
@@ -58,9 +58,10 @@ class Control:
             self.explained.setdefault(of_failure(run, event.verdict.failure).slug, run.explain())
 
 
-def searched(name: str, algorithm: str, seed: int, npcs: int | None, runs: int) -> Control:
-    """One search from start to end."""
-    control, given = Control(name), {} if npcs is None else {"npcs": npcs}
+def searched(pair: tuple[str, str], seed: int, npcs: int, runs: int) -> Control:
+    """One search from start to end; with as many NPCs as by default for 0."""
+    (name, algorithm), given = pair, {"npcs": npcs} if npcs else {}
+    control = Control(name)
     pafot.explore(
         DRIVERS[name], holds=holds, world=pafot.Highway(ads_hz=15), blame="ego", algorithm=algorithm, runs=runs,
         seed=seed, shrink_rollouts=0, on_event=control.see, **given,
@@ -69,31 +70,17 @@ def searched(name: str, algorithm: str, seed: int, npcs: int | None, runs: int) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drivers", nargs="+", choices=DRIVERS, default=list(DRIVERS))
-    parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=[ALGORITHMS[0], "pafot"])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--runs", type=int, default=400)
-    parser.add_argument("--npcs", type=int)
-    parser.add_argument("--workers", type=int, default=2)
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        jobs = {
-            (name, algorithm, seed): pool.submit(searched, name, algorithm, seed, arguments.npcs, arguments.runs)
-            for name in arguments.drivers
-            for algorithm in arguments.algorithms
-            for seed in seeds
-        }
-        total: Counter[tuple[str, str]] = Counter()
-        for (name, algorithm, seed), job in jobs.items():
-            control = job.result()
+    searches = (ALGORITHMS[0], "pafot")
+    given = options(__doc__, drivers=DRIVERS, algorithms=searches, seeds=10, first_seed=0, runs=400, npcs=0, workers=2)
+    total: Counter[tuple[str, str]] = Counter()
+    pairs, seeds = product(given.drivers, given.algorithms), seeds_of(given)
+    for (name, algorithm), controls in in_processes(given.workers, searched, pairs, seeds, given.npcs, given.runs):
+        for seed, control in zip(seeds, controls, strict=True):
             total.update({(name, key): count for key, count in control.counts.items()})
             print(f"{name}, {algorithm}, seed {seed}: {dict(control.counts)}", flush=True)
             for slug, explanation in control.explained.items():
                 print(f"{slug}: {explanation}", flush=True)
-    for name in arguments.drivers:
+    for name in given.drivers:
         expected = "no control, findings are expected" if name == AT_FAULT else "control, findings are false verdicts"
         print(f"{name} ({expected}): { {key: count for (of, key), count in total.items() if of == name} }")
 

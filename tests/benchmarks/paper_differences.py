@@ -32,6 +32,7 @@ from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.operators import crossover, mutate, with_chain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
 from pytest_pafot.trace import Outcome, Trace
+from tests.benchmarks.command import options, print_head
 from tests.support.interpreted import InterpretedWorld
 
 TABLES = ("collisions", "readings")
@@ -141,7 +142,8 @@ def readings(count: int, seed: int) -> dict[str, str]:
 
 def collisions(arguments: argparse.Namespace) -> None:
     """Print the table, row by row."""
-    print("\n| changed | Position-Instructions | manoeuvres |\n| --- | --- | --- |")
+    print()
+    print_head("changed", "Position-Instructions", "manoeuvres")
 
     def row(name: str, variant: Variant, highway: type[Any], count: int) -> None:
         world = highway(headway=variant.headway)
@@ -158,14 +160,9 @@ def collisions(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenarios", type=int, default=1000)
-    parser.add_argument("--careless", type=int, default=200, help="scenarios with the interpreted director")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, scenarios=1000, careless=200, seed=0, tables=TABLES)
     if "readings" in arguments.tables:
-        print("| of random scenarios | share |\n| --- | --- |")
+        print_head("of random scenarios", "share")
         for name, rate in readings(arguments.scenarios, arguments.seed).items():
             print(f"| {name} | {rate} |")
     if "collisions" in arguments.tables:

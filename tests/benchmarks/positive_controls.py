@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from types import MappingProxyType
@@ -28,6 +27,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.searching import ALGORITHMS
+from tests.benchmarks.command import in_processes, options, seeds_of
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
@@ -151,19 +151,11 @@ def _sentence(explanation: str) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default=ALGORITHMS[0])
-    parser.add_argument("--runs", type=int, default=400)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--policies", nargs="*", choices=list(defects.POLICIES), default=list(defects.POLICIES))
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        jobs = {name: [pool.submit(searched, name, seed, arguments) for seed in seeds] for name in arguments.policies}
-        for name, futures in jobs.items():
-            print(report(name, [future.result() for future in futures]), flush=True)
+    given = options(
+        __doc__, seeds=10, first_seed=0, algorithm=ALGORITHMS[0], runs=400, workers=2, policies=defects.POLICIES
+    )
+    for name, searches in in_processes(given.workers, searched, given.policies, seeds_of(given), given):
+        print(report(name, searches), flush=True)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,9 @@ import argparse
 import random
 import statistics
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 
 from example_ads import defects
 from pytest_pafot import Highway, Run, Scenario
@@ -30,9 +29,8 @@ from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, si
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, ScenarioError
+from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
-
-HEADER = "| policy | failure | as found | shrunk | runs | minimal | scenario |\n|---|---|---|---|---|---|---|"
 
 ROUND_SPEEDS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 
@@ -133,27 +131,18 @@ def summary(found: Sequence[Row]) -> str:
 
 def main() -> None:
     flawed = [name for name in defects.POLICIES if name != "healthy"]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=400)
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--policies", nargs="*", default=flawed)
-    parser.add_argument("--brute-force", type=int, default=0)
-    parser.set_defaults(algorithm="distinct")
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    given = options(
+        __doc__, runs=400, seeds=1, first_seed=0, workers=2, policies=flawed, brute_force=0, algorithm="distinct"
+    )
     found: list[Row] = []
-    print(HEADER)
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        jobs = [pool.submit(rows, policy, seed, arguments) for policy in arguments.policies for seed in seeds]
-        for job in jobs:
-            for row in job.result():
-                found.append(row)
-                print(row, flush=True)
+    print_head("policy", "failure", "as found", "shrunk", "runs", "minimal", "scenario")
+    for _, by_seed in in_processes(given.workers, rows, given.policies, seeds_of(given), given):
+        for row in chain.from_iterable(by_seed):
+            found.append(row)
+            print(row, flush=True)
     if found:
         print(f"\n{summary(found)}")
-    if arguments.brute_force:
+    if given.brute_force:
         print(f"brute force finds a simpler one of {sum(row.missed is not None for row in found)}")
 
 

@@ -19,7 +19,6 @@ Times are processor time, so that a noisy machine changes ratios little; nothing
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import statistics
 import subprocess
@@ -52,6 +51,7 @@ from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world import kernel
+from tests.benchmarks.command import options
 from tests.benchmarks.crowd import crowd
 from tests.support.gym_loop import drive, make_env, place, si_actions
 from tests.support.interpreted import InterpretedWorld
@@ -500,10 +500,7 @@ PARTS: dict[str, Callable[[int], None]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
-    arguments = parser.parse_args()
+    arguments = options(__doc__, rounds=7, parts=PARTS)
     for part in arguments.parts:
         PARTS[part](arguments.rounds)
 

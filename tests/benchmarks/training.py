@@ -8,7 +8,6 @@ makes it. They take turns in one process.
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any
 
@@ -16,6 +15,7 @@ import gymnasium as gym
 
 import pytest_pafot as pafot
 from example_ads import ppo
+from tests.benchmarks.command import options, print_head
 
 WORLDS = (("highway-fast-v0", 5), ("highway-fast-v0", 1), ("highway-v0", 1))
 """With the decisions per second of simulated time."""
@@ -43,11 +43,8 @@ class Drive:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each cell (default: %(default)s)")
-    seconds = parser.parse_args().seconds
-    print("| Environment | Decisions a second | Scenarios | Ordinary traffic | `gymnasium.make` |")
-    print("| --- | --- | --- | --- | --- |")
+    seconds = options(__doc__, seconds=8.0).seconds  # of each cell
+    print_head("Environment", "Decisions a second", "Scenarios", "Ordinary traffic", "`gymnasium.make`")
     for env_id, hertz in WORLDS:
         config = {"policy_frequency": hertz}
         world = pafot.World(env_id, config)

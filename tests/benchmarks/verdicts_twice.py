@@ -12,12 +12,12 @@ Likewise each reason with a number that is not that of the trace.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 from pytest_pafot.attribution.responsibility import rss_rule
+from tests.benchmarks.command import options
 from tests.support import pencil_and_paper
 from tests.support.random_collisions import POLICIES, collision
 from tests.support.reasons import numbers
@@ -65,12 +65,7 @@ def table(compared: list[Compared], key: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--collisions", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
-    parser.add_argument("--workers", type=int, default=2)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, collisions=2000, seed=0, policies=POLICIES, workers=2)
     names = arguments.policies
     with ProcessPoolExecutor(arguments.workers) as pool:
         jobs = [

@@ -1,0 +1,52 @@
+"""What the programs of this folder share: options by their defaults, searches in processes, heads of tables."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, TypeVar
+
+KeyT = TypeVar("KeyT")
+ResultT = TypeVar("ResultT")
+
+
+def options(about: str | None, **defaults: Any) -> argparse.Namespace:
+    """What the command line says.
+
+    Args:
+        about: the docstring of the program.
+        defaults: of each option. A text or a number is one of its kind, and False a switch. Of several names some may
+            be chosen; of a list, other texts may be given as well.
+    """
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in defaults.items():
+        flag = f"--{name.replace('_', '-')}"
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, (str, int, float)):
+            parser.add_argument(flag, type=type(default), default=default)
+        else:
+            known = None if isinstance(default, list) else list(default)
+            parser.add_argument(flag, nargs="+", choices=known, default=list(default))
+    return parser.parse_args()
+
+
+def seeds_of(given: argparse.Namespace) -> range:
+    """Of the options ``seeds`` and ``first_seed``."""
+    return range(given.first_seed, given.first_seed + given.seeds)
+
+
+def in_processes(
+    workers: int, function: Callable[..., ResultT], keys: Iterable[KeyT], seeds: Iterable[int], *more: Any
+) -> Iterator[tuple[KeyT, list[ResultT]]]:
+    """Each key with what ``function(key, seed, *more)`` returns for each seed, as soon as that is there."""
+    with ProcessPoolExecutor(workers) as pool:
+        jobs = {key: [pool.submit(function, key, seed, *more) for seed in seeds] for key in keys}
+        for key, futures in jobs.items():
+            yield key, [future.result() for future in futures]
+
+
+def print_head(*columns: str) -> None:
+    """The head of a table."""
+    print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}", flush=True)
