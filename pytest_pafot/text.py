@@ -1,7 +1,10 @@
-"""Words for people that every room may need: plain ASCII for any terminal, and nouns that agree with their number."""
+"""Words that every room may need: plain ASCII for any terminal, nouns that agree with their number, and tables."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable, Sequence
 from datetime import date
 
 
@@ -22,3 +25,18 @@ def day_of(text: str) -> date | None:
 def plural(count: int, noun: str) -> str:
     """A number with its noun: ``1 run``, ``2 runs``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """Rows as CSV with a header; None as nothing, and numbers as Python writes them, which is exact."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """Rows as a table in Markdown, with a header."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.report.session_record import from_text
 from tests.support.actions import SCRIPT, git, inputs_of, run_action, shell
+from tests.support.sessions import read_record
 
 pytestmark = pytest.mark.processes
 
@@ -81,7 +81,7 @@ def commit(folder, files, message):
 
 
 def record_of(folder):
-    return from_text((folder / "pafot.json").read_text(encoding="utf-8"))
+    return read_record((folder / "pafot.json").read_text(encoding="utf-8"))
 
 
 def saved(folder):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -23,6 +23,7 @@ from pytest_pafot.comparison.run_measures import (
     first_failures,
     of,
 )
+from pytest_pafot.text import markdown_table
 from pytest_pafot.versions import installed_versions
 
 HITS = {
@@ -126,7 +127,7 @@ def _effectiveness(results: Results) -> str:
 The paper's first table, with its numbers beside. A scenario that only repeats what an earlier one of the same search
 showed is counted in *all* and not in *unique*; it is not simulated.
 
-{_table(header, rows)}
+{markdown_table(header, rows)}
 """
 
 
@@ -162,7 +163,7 @@ The paper's second table. Simulated time per scenario counts a safe scenario wit
 all simulated time over all unique collisions. The clock on the wall is that of the machine of this report, all judging
 and telling of a scenario included; another one has other times, and no result depends on them.
 
-{_table(header, rows)}
+{markdown_table(header, rows)}
 
 **The time to collision is conditional**: it is the mean over the scenarios that did collide, and says nothing of the
 others. It rewards a technique that rarely collides, as long as it does so early. The columns before it do not.
@@ -186,7 +187,7 @@ def _responsibility(results: Results) -> str:
 What the paper does not tell: which of the raw collisions are the NPC's doing. By RSS, and by the position rule of the
 authors' released code.
 
-{_table(header, rows)}
+{markdown_table(header, rows)}
 """
 
 
@@ -225,7 +226,7 @@ Nejati 2024, arXiv:2410.11769), here of the impacts that count as failures, by t
 closing speed in steps of 5 m/s. It is the mean, over all such impacts of all runs of this report, of the distance to
 the nearest one that the run has shown, in shares of their range; the median of the runs is given. 0 is all of them.
 
-{_table(header, rows)}
+{markdown_table(header, rows)}
 """
 
 
@@ -253,7 +254,7 @@ Newcombe's interval. All tests are two-sided; the last p is adjusted for all tes
 first {results.horizon:.0f} simulated seconds of every run. Counts of runs stand in the place of medians for Fisher's
 test, Kaplan-Meier medians for the log-rank test.
 
-{_table(header, rows)}
+{markdown_table(header, rows)}
 """
 
 
@@ -264,11 +265,6 @@ def _peak(times: pd.Series[float], longest: float) -> str:
     last = max(math.ceil(longest / BIN_SECONDS) - 1, 0)
     start = int((times // BIN_SECONDS).clip(upper=last).mode().min()) * BIN_SECONDS
     return f"{start:g} to {start + BIN_SECONDS:g} s"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _share(part: float, whole: float) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
+
+from pytest_pafot.text import csv_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,10 +42,5 @@ COLUMNS = tuple(field.name for field in fields(Row))
 
 
 def text_of(rows: Iterable[Row]) -> str:
-    """As CSV with a header; numbers as Python writes them, which is exact."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in rows:
-        writer.writerow(["" if value is None else value for value in astuple(row)])
-    return buffer.getvalue()
+    """As CSV."""
+    return csv_text(COLUMNS, map(astuple, rows))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 
 from pytest_pafot.export.scene import name_of, states_of
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.text import csv_text
 from pytest_pafot.trace import LANE, Trace
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
@@ -16,10 +15,9 @@ COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "ste
 
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """One file, with all digits: what is read back is what was driven."""
-    table = io.StringIO(newline="")
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
-        for number, (state, size) in enumerate(zip(vehicles, trace.sizes.tolist(), strict=True)):
-            writer.writerow([time, name_of(number), *state[:LANE], int(state[LANE]), *size])
-    return {f"{finding.id}.csv": table.getvalue().encode()}
+    rows = (
+        [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
+        for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)
+        for number, (state, size) in enumerate(zip(vehicles, trace.sizes.tolist(), strict=True))
+    )
+    return {f"{finding.id}.csv": csv_text(COLUMNS, rows).encode()}

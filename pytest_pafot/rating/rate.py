@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 
 from pytest_pafot.proportions import CONFIDENCE, interval, interval_text, mcnemar, upper_bound
-from pytest_pafot.text import plural
+from pytest_pafot.text import csv_text, plural
 from pytest_pafot.trace import Outcome
 
 SECONDS_PER_HOUR = 3600.0
@@ -178,12 +178,8 @@ def shown(seeds: Sequence[int]) -> str:
 
 
 def text_of(rows: Iterable[EpisodeRow]) -> str:
-    """As CSV with a header; numbers as Python writes them, which is exact."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(astuple(row) for row in rows)
-    return buffer.getvalue()
+    """As CSV."""
+    return csv_text(COLUMNS, map(astuple, rows))
 
 
 def rows_of(text: str) -> list[EpisodeRow]:

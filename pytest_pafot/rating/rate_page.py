@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pytest_pafot.proportions import interval, percent
 from pytest_pafot.rating.rate import Pair, Rate, number, shown
 from pytest_pafot.rating.rate_plan import RatePlan
+from pytest_pafot.text import markdown_table
 from pytest_pafot.versions import installed_versions
 
 HOW_TO_READ = """
@@ -50,14 +51,11 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
 
 
 def _table(rates: Sequence[Rate]) -> str:
-    lines = [
-        "| | episodes | crashes | per episode | 95 % | per hour | hours |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for rate in rates:
         low, high = interval(len(rate.crashed), rate.episodes)
         share = percent(rate.share) if rate.episodes else ""
         bounds = f"{percent(low)} to {percent(high)}" if rate.crashed else f"at most {percent(high)}"
-        cells = [rate.ads, rate.episodes, len(rate.crashed), share, bounds, number(rate.per_hour), number(rate.hours)]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+        hours = number(rate.per_hour), number(rate.hours)
+        rows.append([rate.ads, rate.episodes, len(rate.crashed), share, bounds, *hours])
+    return markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows)

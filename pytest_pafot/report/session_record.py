@@ -1,4 +1,4 @@
-"""What came of a session, for programs: the values of ``--pafot-json``, their text and back.
+"""What came of a session, for programs: the values of ``--pafot-json``, and their text.
 
 No clock and no duration is in it, keys and entries are sorted: the same seed gives the same text, for any number of
 workers.
@@ -24,10 +24,6 @@ NEW, ERROR = "new", "error"
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 """Of an item, the worst last; empty for one that never came to its end."""
-
-
-class RecordError(ValueError):
-    """A text that is no record of a session of this version."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -253,29 +249,6 @@ class SessionRecord:
 def to_text(record: SessionRecord) -> str:
     """A record as JSON, keys sorted."""
     return json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True) + "\n"
-
-
-def from_text(text: str) -> SessionRecord:
-    """The inverse of :func:`to_text`.
-
-    Raises:
-        RecordError: for a text that is none.
-    """
-    try:
-        plain = json.loads(text)
-    except ValueError as error:
-        raise RecordError(f"expected JSON, received text with this fault: {error}") from None
-    version = plain.pop("pafot_json", None) if isinstance(plain, dict) else None
-    if version != VERSION:
-        raise RecordError(
-            f"pafot_json: expected {VERSION}, received {version!r}; read it with the version that wrote it"
-        )
-    try:
-        searches = [SearchRecord(**each) for each in plain.pop("searches")]
-        findings = [FindingRecord(**each) for each in plain.pop("findings")]
-        return SessionRecord(searches=searches, findings=findings, **plain)
-    except (KeyError, TypeError) as error:
-        raise RecordError(f"expected a record of a session, received other keys: {error}") from None
 
 
 def replay_command(file: str) -> str:

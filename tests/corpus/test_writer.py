@@ -4,7 +4,6 @@ import re
 import threading
 from dataclasses import replace
 from datetime import date
-from pathlib import Path
 
 import pytest
 
@@ -21,49 +20,20 @@ def path(tmp_path):
     return tmp_path / "pafot_corpus" / "test_safety" / "test_it" / "front-2-1f3a9c.pafot.yaml"
 
 
-@pytest.fixture(params=["hard links", "no hard links"])
-def links(request, monkeypatch):
-    if request.param == "no hard links":
-
-        def refuse(self, target):
-            raise PermissionError(1, "Operation not permitted")
-
-        monkeypatch.setattr(Path, "hardlink_to", refuse)
-
-
 def other_scenario():
     return Scenario(npcs=[[PositionInstruction(6, 25.0)]])
 
 
-def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path, links):
+def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path):
     assert write(path, plain_finding())
     assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_who_comes_second_changes_nothing(path, links):
+def test_who_comes_second_changes_nothing(path):
     write(path, plain_finding())
     assert not write(path, plain_finding(scenario=other_scenario()))
     assert load(path) == plain_finding()
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_of_many_writers_at_once_one_wins_and_none_fails(path):
-    barrier = threading.Barrier(8)
-    won = []
-
-    def writer(seed):
-        barrier.wait()
-        finding = plain_finding(found=replace(plain_finding().found, seed=seed))
-        won.append((write(path, finding), seed))
-
-    threads = [threading.Thread(target=writer, args=(seed,)) for seed in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(written for written, _ in won) == [False] * 7 + [True]
-    assert load(path).found.seed == next(seed for written, seed in won if written)
     assert list(path.parent.iterdir()) == [path]
 
 
@@ -177,23 +147,6 @@ def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path, function):
     with pytest.raises(CorpusWriteError, match="--pafot-corpus") as caught:
         function(path, plain_finding())
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.mark.parametrize("call", ["link", "write", "open"])
-def test_a_disk_that_fails_leaves_nothing_half_written(path, monkeypatch, call):
-    def fail(*_args, **_options):
-        raise OSError(28, "No space left on device")
-
-    if call == "write":
-        monkeypatch.setattr(os, "fsync", fail)
-    elif call == "open":
-        monkeypatch.setattr(Path, "open", fail)
-    else:
-        monkeypatch.setattr(Path, "hardlink_to", fail)
-        monkeypatch.setattr(Path, "rename", fail)
-    with pytest.raises(CorpusWriteError, match="No space left on device"):
-        write(path, plain_finding())
-    assert list(path.parent.iterdir()) == []
 
 
 def test_a_finding_too_large_to_be_read_back_is_refused(path):

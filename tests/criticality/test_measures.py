@@ -26,16 +26,8 @@ ARRAYS = [
     criticality.rss_longitudinal,
     criticality.rss_lateral,
 ]
-SYMMETRIC = [
-    criticality.ttc,
-    criticality.centre_distance,
-    criticality.gap,
-    criticality.safety_distance,
-    criticality.safety_shortfall,
-    criticality.required_deceleration,
-    criticality.longitudinal_gap,
-    criticality.lateral_gap,
-]
+ONE_SIDED = (criticality.ettc, criticality.rss_longitudinal, criticality.rss_lateral)
+SYMMETRIC = [measure for measure in ARRAYS if measure not in ONE_SIDED]
 
 seeds = st.integers(0, 2**32 - 1)
 angles = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2, 0.3, -2.5, 1e-4]) | st.floats(-math.pi, math.pi)

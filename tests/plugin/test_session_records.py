@@ -7,7 +7,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.job_summary import markdown
-from pytest_pafot.report.session_record import from_text
+from tests.support.sessions import read_record
 
 TWO = """
 @pafot.search(SHORT)
@@ -40,7 +40,7 @@ def test_fails(run):
 
 
 def record_of(project, name="pafot.json"):
-    return from_text((project.path / name).read_text(encoding="utf-8"))
+    return read_record((project.path / name).read_text(encoding="utf-8"))
 
 
 def recorded(project, *args, **options):

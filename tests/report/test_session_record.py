@@ -13,16 +13,15 @@ from pytest_pafot.campaign.summary import Find, SearchSummary
 from pytest_pafot.report.session_record import (
     RESULTS,
     FindingRecord,
-    RecordError,
     SearchRecord,
     SessionRecord,
-    from_text,
     replay_command,
     search_command,
     to_text,
     worst,
 )
 from tests.findings.builders import findings, plain_finding
+from tests.support.sessions import read_record
 
 TEXTS = st.text(max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
@@ -55,7 +54,7 @@ RECORDS = st.builds(
 @settings(max_examples=40)
 @given(RECORDS)
 def test_every_record_is_read_as_it_was_written(record):
-    assert from_text(to_text(record)) == record
+    assert read_record(to_text(record)) == record
 
 
 def test_keys_are_sorted_and_the_version_is_among_them():
@@ -84,22 +83,6 @@ def test_no_duration_is_in_it():
 def test_each_field_is_described_where_the_reference_takes_it_from(kind):
     told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
     assert told == [each.name for each in fields(kind)]
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("", "expected JSON, received text with this fault: "),
-        ("[]", "pafot_json: expected 1, received None; "),
-        ('{"pafot_json": 2}', "pafot_json: expected 1, received 2; read it with the version that wrote it"),
-        ('{"pafot_json": 1, "searches": []}', "received other keys: 'findings'"),
-        ('{"pafot_json": 1, "searches": [{"runs": 1}], "findings": []}', "received other keys: "),
-    ],
-)
-def test_a_text_that_is_none_is_refused(text, expected):
-    with pytest.raises(RecordError) as caught:
-        from_text(text)
-    assert expected in str(caught.value)
 
 
 def test_commands_are_quoted_for_a_shell():

@@ -1,6 +1,7 @@
 """Sessions of pytest inside of a test, deep in the calls of the session that runs it."""
 
 import faulthandler
+import json
 import os
 import signal
 import sys
@@ -10,6 +11,17 @@ import traceback
 import warnings
 
 import pytest
+
+from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
+
+
+def read_record(text):
+    """What a session told to programs, with no other keys than a record has."""
+    plain = json.loads(text)
+    assert plain.pop("pafot_json") == VERSION
+    searches = [SearchRecord(**each) for each in plain.pop("searches")]
+    findings = [FindingRecord(**each) for each in plain.pop("findings")]
+    return SessionRecord(searches=searches, findings=findings, **plain)
 
 
 def in_process(pytester, *args, **kwargs):
