@@ -60,15 +60,15 @@ _PICTURE = re.compile(
 )
 _LIVE = re.compile(r"<!-- live -->.*?<!-- end of live -->", re.DOTALL)
 _FIRST_FIND = DOCS / "start" / "five-minutes.md"
-_LISTED = re.compile(r"^- \[[^\]]*\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
+_LISTED = re.compile(r"^- \[([^\]]*)\]\(([\w/.-]+)\.(?:md|rst)\)", re.MULTILINE)
 
 
 def navigated(app: Sphinx, docname: str, content: list[str]) -> None:
-    """Give a page that is called index the navigation that its lists of pages say, by heading."""
+    """Give a page that is called index the navigation that its lists of pages say, by heading and in their words."""
     if docname.rpartition("/")[2] == "index":
         _, *parts = re.split(r"^## (.*)$", f"## \n{content[0]}", flags=re.MULTILINE)
         for heading, body in zip(parts[::2], parts[1::2], strict=True):
-            if pages := "\n".join(_LISTED.findall(body)):
+            if pages := "\n".join(f"{words} <{page}>" for words, page in _LISTED.findall(body)):
                 caption = f":caption: {heading}\n" if heading else ""
                 content[0] += f"\n```{{toctree}}\n:hidden:\n{caption}\n{pages}\n```\n"
 
