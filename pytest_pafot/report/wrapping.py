@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable
 
 MARKER = "E   "
 """Before each line of a failure's message, as pytest writes it."""
+
+_GLUED = re.compile(r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)")
+_GLUE = "\N{NO-BREAK SPACE}"
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
@@ -28,8 +32,13 @@ def _unmarked(line: str) -> str:
 
 
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
-    """A line in lines of a width, broken between words; each has the prefix and the indentation of the first."""
+    """A line in lines of a width, broken between words, but not between a number and its unit or an NPC and its number.
+
+    Each has the prefix and the indentation of the first.
+    """
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
-    return wrapper.wrap(text.strip()) if len(line) > width else [line]
+    if len(line) <= width:
+        return [line]
+    return [part.replace(_GLUE, " ") for part in wrapper.wrap(_GLUED.sub(_GLUE, text.strip()))]

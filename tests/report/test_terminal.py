@@ -206,6 +206,11 @@ def test_a_broken_line_keeps_its_mark_and_its_indentation():
     assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
 
 
+@pytest.mark.parametrize("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
+def test_no_line_ends_between_a_number_and_its_unit(kept):
+    assert wrapped_to(f"  one two {kept} andsoon", 13) == ["  one two", f"    {kept}", "    andsoon"]
+
+
 def test_the_sentence_that_an_explanation_breaks_is_put_together_and_broken_to_the_width():
     lines = [
         "E     responsible: ego, because it",
