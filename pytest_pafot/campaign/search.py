@@ -199,6 +199,7 @@ class Search:
             reason, fault = "error", error
             recorder.withdraw()
             loop.known.clear()  # A saved scenario that ends in the same error now was saved for something else.
+            loop.finds.clear()  # Withdrawn, they are no finds of earlier sessions.
         except BaseException as error:
             reason = "interrupted" if is_interruption(error) else "error"
             raise

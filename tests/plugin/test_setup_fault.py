@@ -47,6 +47,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         result.stdout.no_fnmatch_line("*pafot: found*")
         result.stdout.no_fnmatch_line("*During handling*")
         result.stdout.no_fnmatch_line("*by the ego's fault*")
+        result.stdout.no_fnmatch_line("*known: *")
         assert project.files == []
         assert not (project.path / "pafot_corpus").exists()
 
@@ -197,6 +198,9 @@ ten = pafot.World("highway-v0", duration=2.0, config={"observation": {"type": "K
 five = pafot.World("highway-v0", duration=2.0)
 steering = pafot.World("highway-v0", duration=2.0, config={"action": {"type": "ContinuousAction"}})
 
+def keep(observation):
+    return 0.0, 0.0
+
 async def later(observation):
     return 0.0, 0.0
 
@@ -225,6 +229,10 @@ MESSAGES = {
     "model.predict": ["write the argument's name, as in @pafot.search(ads=predict)"],
     "ads=Planner()": ["that can be called without arguments, received one with * (observation)", NO_FACTORY],
     "ads=lambda observation: (0.0, 0.0)": [NO_FACTORY],
+    "ads=keep": [
+        "with the signature (observation) ",
+        "Where keep is itself the ADS, write `lambda: keep`; where it makes one, `lambda: keep(...)`",
+    ],
     "ads=lambda: (0.0, 0.0)": ["received (0.0, 0.0)", "write `lambda: lambda observation: ...`"],
     "ads=lambda: print()": ["received None. Is a `return` missing in it?"],
     "ads=lambda: model": [PREDICT],

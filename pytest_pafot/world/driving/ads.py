@@ -200,6 +200,9 @@ def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
             hint = f"Give the arguments in a function, `lambda: {inner.__name__}(...)`"
         elif getattr(inner, "__name__", "") == "predict":
             hint = f"Of a model, write {PREDICTING}"
+        elif inspect.isfunction(inner) and inner.__name__ != "<lambda>":
+            name = inner.__name__
+            hint = f"Where {name} is itself the ADS, write `lambda: {name}`; where it makes one, `lambda: {name}(...)`"
         else:
             hint = (
                 "An ADS itself is no factory. Wrap it so that each scenario gets a fresh one: "
