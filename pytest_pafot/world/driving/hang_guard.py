@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any
 
 LONGEST_PAUSE = 1.0
@@ -20,6 +21,8 @@ IDLE_LOOKS = 5
 """After so many looks with no run under way the watching thread ends."""
 LONGEST_TIMER = 1e6
 """A timer for more than this is as good as none, and systems refuse what is much longer [s]."""
+DEBUGGERS = frozenset({"bdb", "pydevd"})
+"""Modules with a function under way while pdb and its kin, or the debugger of an editor, wait for their user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +60,9 @@ class HangGuard:
 
     On platforms with ``signal.pthread_kill`` and in the main thread, also blocking system calls are interrupted;
     elsewhere the exception is raised at the thread's next Python instruction. An ADS that swallows it is interrupted
-    again. Code that never returns to the interpreter cannot be interrupted, and an ADS may swallow each interruption:
-    then the :class:`LastResort` remains, and the record of the scenario in flight names it in the next session.
+    again. A debugger that waits for its user in the main thread is left alone where there are such signals. Code that
+    never returns to the interpreter cannot be interrupted, and an ADS may swallow each interruption: then the
+    :class:`LastResort` remains, and the record of the scenario in flight names it in the next session.
 
     A decision is under guard while ``started`` is set. Whoever ends one cheaply clears ``started`` first and reads the
     clock then: if by that clock the decision was within the limit, nobody has found it overdue, since the watching
@@ -138,8 +142,12 @@ class HangGuard:
         return started is not None and now - started > self.limit
 
     def _received(self, number: int, frame: object) -> None:
-        if self._overdue():  # a signal that arrives late interrupts nothing
-            raise AdsHang
+        if not self._overdue():  # a signal that arrives late interrupts nothing
+            return
+        if _waits_in_a_debugger(sys._getframe()):
+            self.started = self.clock()  # The time of whoever looks is not that of the decision.
+            return
+        raise AdsHang
 
 
 class _Watchdog:
@@ -226,6 +234,13 @@ def _is_debugged() -> bool:
     monitoring = getattr(sys, "monitoring", None)  # of Python 3.12
     is_monitored = monitoring is not None and monitoring.get_tool(monitoring.DEBUGGER_ID) is not None
     return is_monitored or sys.gettrace() is not None
+
+
+def _waits_in_a_debugger(frame: FrameType | None) -> bool:
+    """Whether a debugger has stopped this thread at a line, or runs it."""
+    while frame is not None and frame.f_globals.get("__name__") not in DEBUGGERS:
+        frame = frame.f_back
+    return frame is not None
 
 
 def _let_it_arrive() -> None:

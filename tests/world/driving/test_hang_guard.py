@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bdb
 import contextlib
 import os
 import signal
@@ -81,6 +82,21 @@ def test_a_decision_that_ends_within_its_limit_has_nothing_to_settle():
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="elsewhere a decision cannot be asked where it is")
+def test_a_debugger_may_stand_in_a_decision_for_longer_than_its_limit(watchdog):
+    tracer = sys.gettrace()
+    try:
+        with HangGuard(0.02) as watched:
+            watched.decision_starts()
+            began = watched.started
+            bdb.Bdb().runcall(time.sleep, 0.1)
+            assert watched.started > began
+            watched.decision_ends()
+    finally:
+        sys.settrace(tracer)
+    assert hang(0.02)
+
+
 def test_a_forked_process_watches_its_own_decisions():
     code = """
 import os, sys
