@@ -21,13 +21,12 @@ from pytest_pafot import Drive, Observation
 
 WORLD = """<net version="1.20"><edge id="road" from="a" to="b">{lanes}</edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape=""/>
-<junction id="b" type="dead_end" x="{length}" y="0" incLanes="" intLanes="" shape=""/>
+<junction id="b" type="dead_end" x="{seen.road_length}" y="0" incLanes="" intLanes="" shape=""/>
 <route id="road" edges="road"/>
-<vType id="ego" length="5" speedDev="0" carFollowModel="{following}" laneChangeModel="{changing}"/>
-<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/>
-<vehicle id="ego" type="ego" route="road" depart="0"/>{others}</net>"""
-LANE = '<lane id="road_{0}" index="{0}" speed="{limit}" length="{length}" shape="0,{0} {length},{0}"/>'
-OTHER = '<vehicle id="{0}" type="other" route="road" depart="0"/>'
+<vType id="ego" length="5" speedDev="0" carFollowModel="{self.following}" laneChangeModel="{self.changing}"/>
+<vType id="other" length="5" accel="1e-3" speedFactor="9" speedDev="0" lcSpeedGain="0" lcKeepRight="0"/></net>"""
+LANE = """<lane id="road_{0}" index="{0}" speed="{seen.speed_limit}" length="{seen.road_length}"
+shape="0,{0} {seen.road_length},{0}"/>"""
 OPTIONS = ["--collision.action=none", "--xml-validation=never", "--no-step-log", "--no-warnings"]
 
 
@@ -57,14 +56,14 @@ class SumoDriver:
 
     def started(self, seen: Observation) -> int:
         """The lane of the ego, once a simulation with this road and these vehicles runs."""
-        road = {"length": seen.road_length, "limit": seen.speed_limit}
-        lanes = "".join(LANE.format(lane, **road) for lane in range(seen.lanes))
         with TemporaryDirectory() as folder:
             Path(folder, "world.xml").write_text(
-                WORLD.format(lanes=lanes, others="".join(map(OTHER.format, seen.ids)), **road, **vars(self)),
+                WORLD.format(lanes="".join(LANE.format(i, seen=seen) for i in range(seen.lanes)), seen=seen, self=self),
                 encoding="utf-8",
             )
             libsumo.start(["sumo", f"--net-file={folder}/world.xml", f"--step-length={seen.decision_period}", *OPTIONS])
+        for name in ("ego", *map(str, seen.ids)):
+            vehicle.add(name, "road", typeID="ego" if name == "ego" else "other")
         return seen.ego.lane
 
     def close(self) -> None:

@@ -60,3 +60,4 @@ def test_any_of_its_models_drives_the_same_twice_as_each_run_ends_its_simulation
     first, second = (HIGHWAY.rollout(brakes, partial(sumo.make, *models)) for _ in range(2))
     assert first.outcome is Outcome.SAFE, first.error
     assert first.actions == second.actions
+    assert first.actions[0].acceleration > 0, "whoever is ahead is two seconds ahead, and as fast"
