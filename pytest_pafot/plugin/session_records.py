@@ -45,9 +45,9 @@ def tell_finding(
     """
     if not is_asked_for(item.config, os.environ):
         return
-    from pytest_pafot.report.session_record import FindingRecord, replay_command, search_command  # noqa: PLC0415
+    from pytest_pafot.report.session_record import FindingRecord, command_for  # noqa: PLC0415
 
-    replay = search_command(item.nodeid, *again) if file is None else replay_command(file)
+    replay = command_for(item.nodeid, *again) if file is None else command_for(file)
     messages.send(item, "record", asdict(FindingRecord.of(finding, file=file, replay=replay, **told)))
 
 
@@ -126,7 +126,7 @@ class Records:
         self._searches.setdefault(node_id, SearchRecord(node_id=node_id))
 
     def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
-        from pytest_pafot.report.session_record import ERROR, FindingRecord, replay_command  # noqa: PLC0415
+        from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
 
         told = {name.removeprefix(PREFIX): str(value) for name, value in report.user_properties}
         return FindingRecord(
@@ -134,7 +134,7 @@ class Records:
             id=told.get("id", ""),
             status=ERROR,
             file=told.get("file"),
-            replay=replay_command(told.get("file", report.nodeid)),
+            replay=command_for(told.get("file", report.nodeid)),
             detail=self._reasons[report.nodeid],
         )
 

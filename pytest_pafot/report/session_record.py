@@ -251,14 +251,9 @@ def to_text(record: SessionRecord) -> str:
     return json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True) + "\n"
 
 
-def replay_command(file: str) -> str:
-    """The command that replays a saved scenario."""
-    return f"python -m pytest {shlex.quote(file)}"
-
-
-def search_command(node_id: str, *options: str) -> str:
-    """The command that searches again."""
-    return shlex.join(["python", "-m", "pytest", node_id, *options])
+def command_for(what: str, *options: str) -> str:
+    """The command that replays a file, or that searches again for a node id."""
+    return shlex.join(["python", "-m", "pytest", what, *options])
 
 
 def worst(results: Iterable[str]) -> str:

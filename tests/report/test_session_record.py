@@ -15,8 +15,7 @@ from pytest_pafot.report.session_record import (
     FindingRecord,
     SearchRecord,
     SessionRecord,
-    replay_command,
-    search_command,
+    command_for,
     to_text,
     worst,
 )
@@ -86,8 +85,8 @@ def test_each_field_is_described_where_the_reference_takes_it_from(kind):
 
 
 def test_commands_are_quoted_for_a_shell():
-    assert replay_command("a b.pafot.yaml") == "python -m pytest 'a b.pafot.yaml'"
-    assert search_command("test_it.py::x[1-search]", "--pafot-seed=5") == (
+    assert command_for("a b.pafot.yaml") == "python -m pytest 'a b.pafot.yaml'"
+    assert command_for("test_it.py::x[1-search]", "--pafot-seed=5") == (
         "python -m pytest 'test_it.py::x[1-search]' --pafot-seed=5"
     )
 
