@@ -206,17 +206,18 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "space": asdict(space),
         "world": codec.described(harness.world),
         "blame": request.blame,
-        "fitness": _named(request.fitness),
+        "fitness": request.fitness,
         "decision_limit": request.decision_limit,
         "against": None if harness.against is None else harness.against.shown,
         "sight": None if sight is None else asdict(sight),
         "weights": weights_digest(harness.ads),
         "versions": harness.versions,
     }
-    data: dict[str, Any] = json.loads(json.dumps(values, default=repr))
+    data: dict[str, Any] = json.loads(json.dumps(values, default=_named))
     return data
 
 
-def _named(fitness: object) -> str:
-    name = getattr(fitness, "__qualname__", None)
-    return str(fitness) if name is None else f"{getattr(fitness, '__module__', '')}:{name}"
+def _named(value: object) -> str:
+    """What is no data, in words that are the same in each process as far as can be: a function by its name."""
+    name = getattr(value, "__qualname__", None)
+    return repr(value) if name is None else f"{getattr(value, '__module__', '')}:{name}"

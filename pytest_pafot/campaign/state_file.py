@@ -150,7 +150,11 @@ class StateFile:
             self.write(checkpoint(), counts())
 
     def write(self, checkpoint: Checkpoint[Any], counts: Counts) -> None:
-        """Write the state, as a whole or not at all; what keeps it from being written is told, and ends no search."""
+        """Write the state, as a whole or not at all; what keeps it from being written is told, and ends no search.
+
+        Raises:
+            RequestError: where an algorithm stores of itself what JSON cannot hold.
+        """
         known, self._texts = self._texts, {}
         for run in checkpoint.remembered:
             # Each is put into words once: there may be ten thousand, of which few are new.
@@ -173,15 +177,24 @@ class StateFile:
         parts = {
             "version": VERSION,
             "settings": self.settings,
-            "algorithm": self.algorithm.stored(checkpoint.state),
             "sums": plain(replace(checkpoint.sums, seconds=0.0)),
             "begun": plain(checkpoint.begun),
             "counts": plain(counts),
         }
         lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]
         remembered = ",\n".join(text for _, text in self._texts.values())
-        lines.append(f'"remembered": [{remembered}]')
+        lines += [f'"algorithm": {self._stored(checkpoint.state)}', f'"remembered": [{remembered}]']
         return "{" + ",\n".join(lines) + "}\n"
+
+    def _stored(self, state: Any) -> str:
+        data = self.algorithm.stored(state)
+        try:
+            return _json(data)
+        except (TypeError, ValueError) as error:
+            raise RequestError(
+                f"{FLAG}: expected data that JSON can hold from the method stored of {type(self.algorithm).__name__}, "
+                f"received {data!r:.100} ({error}); see pytest_pafot.searching.plain"
+            ) from None
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
         try:

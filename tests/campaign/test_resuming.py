@@ -2,6 +2,8 @@
 
 import errno
 import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import pytest
@@ -264,10 +266,32 @@ class Climbing(GenerationalSearch):
         return from_plain(GenerationState, data)
 
 
+class Unstorable(Climbing):
+    def stored(self, state):
+        return {"state": {state.generation}}
+
+
+def test_an_algorithm_that_stores_what_is_no_data_is_refused_before_the_first_run(search, tmp_path):
+    refused(
+        search, "--pafot-resume: expected data.* stored of Unstorable, received .*0.*searching", algorithm=Unstorable
+    )
+    assert not (tmp_path / "states").exists()
+
+
 def test_an_algorithm_of_ones_own_goes_on(search):
     whole = search("whole", resume=None, runs=20, algorithm=Climbing)
     parts = [search(runs=10, algorithm=Climbing) for _ in range(2)]
     assert body(*[part.events for part in parts]) == body(whole.events)
+
+
+def test_a_function_among_the_parameters_of_an_algorithm_is_the_same_in_another_process(search, tmp_path):
+    @dataclass(frozen=True)
+    class Guided(Climbing):
+        guide: Callable = field(default=constant_speed.make, kw_only=True)
+
+    search(runs=4, algorithm=Guided)
+    told = json.loads(state_of(tmp_path).read_text())["settings"]["algorithm"]["guide"]
+    assert told == "example_ads.constant_speed:make"
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.25])  # that a run takes to be put into words, which is done once
