@@ -1,4 +1,4 @@
-"""One run of one algorithm: a campaign without pytest, told as rows."""
+"""The runs of a comparison, each of one algorithm: a campaign without pytest, told as rows."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from pytest_pafot.attribution.near_misses import NONE, Floors, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
-from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory
-from pytest_pafot.comparison.rows import Row
+from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, caution
+from pytest_pafot.comparison.resumable import ResumableJob, Task, Tick, run_job
+from pytest_pafot.comparison.rows import Row, text_of
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
@@ -34,8 +36,6 @@ UNBOUNDED = 10**9  # generations of a run whose budget is a time
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
 """The failure of a property that forbids collisions, under which collisions are told apart."""
 
-Tick = Callable[[float], None]  # told the share of a run that is done, 0 to 1
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFacts:
@@ -45,6 +45,30 @@ class RunFacts:
     position_responsibility: str
     signature: str | None
     error: AdsError | None
+
+
+def run_all(plan: Plan, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
+    """Run what is not finished yet; the file with all rows, by algorithm and run in the order of the plan.
+
+    The arguments, and what is raised, are those of :func:`run_job`.
+    """
+    job = ResumableJob(
+        command="compare",
+        noun="comparison",
+        units="runs",
+        tasks=plan.tasks,
+        in_order=tuple((name, run) for name in plan.names for run in range(plan.runs)),
+        question=plan.question,
+        question_file="comparison.json",
+        differs="the policy, its weights, the budget, the world, the seed or the versions",
+        text=partial(_text, plan),
+        caution=caution([plan.ads]),
+    )
+    return run_job(job, folder, workers=workers, told=told, clock=clock)
+
+
+def _text(plan: Plan, task: Task, tick: Tick) -> str:
+    return text_of(run_rows(plan, *task, tick))
 
 
 def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: None) -> Iterator[Row]:

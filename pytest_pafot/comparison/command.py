@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
+from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
 from pytest_pafot.comparison.resumable import worker_count
-from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.files import write_whole
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS

@@ -22,13 +22,12 @@ from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace, run_campaign
 from pytest_pafot.searching.fitness import Weights, resolve
 from pytest_pafot.trace import Outcome
 from tests.benchmarks.command import in_processes, options, print_head
+from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 
-COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
 TABLES = ("collisions", "failures")
 ENDLESS = 100_000
 """Generations; the simulated time ends a run before."""
@@ -107,7 +106,7 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
     def one(scenario: Scenario) -> Evaluation:
         trace = variant.world.rollout(scenario, idm_mobil.make)
         is_hit, is_blamed = trace.outcome is Outcome.COLLISION, is_ego_responsible(trace)
-        kind = of_failure(Run(trace), COLLIDES) if is_blamed else None
+        kind = of_failure(Run(trace), NOT_RUN_COLLISION) if is_blamed else None
         tally.runs += 1
         tally.seconds += trace.duration
         tally.collisions += is_hit

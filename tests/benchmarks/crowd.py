@@ -50,5 +50,5 @@ def crowd(count: int) -> tuple[Loop, PlannerPilot, int]:
     ticks = SECONDS * HZ
     rows = array("d", bytes(8 * (ticks + 1) * (count + 1) * COLUMNS))
     observer = Observer(rows, [(5.0, 2.0)] * (count + 1), road.grid, road.speed_limit, HZ, 3)
-    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, observer, HangGuard(30.0), every=3, dt=1 / HZ)
+    pilot = PlannerPilot(lambda observation: (0.0, 0.0), ego, road.grid, observer, HangGuard(30.0), every=3, dt=1 / HZ)
     return Loop(ego, director, road.grid, rows, 1 / HZ), pilot, ticks

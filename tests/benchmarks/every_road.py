@@ -24,11 +24,11 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import Run, Scenario, World
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.trace import Outcome, Trace
 from tests.benchmarks.command import options, print_head
+from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 from tests.support import world_cases
 from tests.support.road_cases import ENVIRONMENTS, space_of, violations
 
@@ -37,7 +37,6 @@ STRAIGHT = ("highway-v0", "highway-fast-v0")
 EGOS: dict[str, Callable[[], Any]] = {"idm": lambda: IDMVehicle, "constant": lambda: ControlledVehicle}
 """``ControlledVehicle`` keeps its lane and its speed: a constant speed on roads that bend."""
 
-FAILURE = Failure(kind="AssertionError", assertion="assert not run.collision")
 FITNESS = resolve("default")
 
 
@@ -84,7 +83,7 @@ class Tally:
             self.faults.append(f"{trace.scenario.canonical()}: no fixed point")
 
     def _found(self, trace: Trace) -> None:
-        signature = of_failure(Run(trace), FAILURE)
+        signature = of_failure(Run(trace), NOT_RUN_COLLISION)
         name = f"{signature.slug} ({signature.responsibility})"
         self.signatures[name] += 1
         differs = disagreement(Run(trace), Run(self.world.rollout_in_gym(trace.executed, self.ego)))

@@ -30,6 +30,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
 from tests.benchmarks import policies_with_defects_2 as held_out
 from tests.benchmarks.command import in_processes, options, print_head, seeds_of
+from tests.benchmarks.positive_controls import holds
 
 TUNED_ON = ("follows-too-close", "sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead", "two-defects")
 NOT_TUNED_ON = (
@@ -108,10 +109,6 @@ def searched(pair: tuple[str, str], seed: int, seconds: float) -> Searched:
         shrink_rollouts=0, on_event=listen, **ARMS[arm],
     )  # fmt: skip
     return Searched(tuple(sorted(found.values())), runs, invalid)
-
-
-def holds(run: pafot.Run) -> None:
-    assert not run.collision
 
 
 def columns(seconds: float) -> dict[str, Callable[[Searched], int | None]]:

@@ -53,6 +53,7 @@ from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import options
 from tests.benchmarks.crowd import crowd
+from tests.benchmarks.positive_controls import holds
 from tests.support.gym_loop import drive, make_env, place, si_actions
 from tests.support.interpreted import InterpretedWorld
 
@@ -159,19 +160,17 @@ def _engines_at(world: Highway, rounds: int) -> None:
         )
 
 
+def spin(seconds: float) -> tuple[float, float]:
+    """Compute for so long, to decide to go on."""
+    until = time.perf_counter() + seconds
+    while time.perf_counter() < until:
+        pass
+    return 0.0, 0.0
+
+
 def spinning(seconds: float) -> Callable[[], Callable[[object], tuple[float, float]]]:
     """A factory of an ADS that computes for so long."""
-
-    def make() -> Callable[[object], tuple[float, float]]:
-        def decide(observation: object) -> tuple[float, float]:
-            until = time.perf_counter() + seconds
-            while time.perf_counter() < until:
-                pass
-            return 0.0, 0.0
-
-        return decide
-
-    return make
+    return lambda: lambda observation: spin(seconds)
 
 
 def small_python() -> Callable[[Any], tuple[float, float]]:
@@ -281,16 +280,12 @@ def search(rounds: int) -> None:
     }
     for (ego, ads), (arm, more) in product((("constant speed", idle), ("IDM+MOBIL", IDMVehicle)), arms.items()):
         road, started = TimedHighway(), time.process_time()
-        told = {"holds": never_collides, "world": road, "runs": 800, "shrink_rollouts": 0, "blame": "ego", **more}
+        told = {"holds": holds, "world": road, "runs": 800, "shrink_rollouts": 0, "blame": "ego", **more}
         for seed in range(rounds):
             explore(ads, seed=seed, **told)
         total, rollouts, runs = time.process_time() - started, sum(road.spent), len(road.spent)
         each = f"rollout {1e3 * rollouts / runs:.2f} ms, all else {1e3 * (total - rollouts) / runs:.2f} ms"
         print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
-
-
-def never_collides(run: Run) -> None:
-    assert not run.collision
 
 
 class Network:
@@ -311,18 +306,15 @@ class Network:
         return (np.tanh(np.tanh(rows @ first) @ second) @ last * 1e-3).tolist()
 
 
-class Dear:
+class Dear(Network):
     """85 us a call, for however many: as Stable-Baselines3's predict, where eight cost as much as one."""
 
-    def __call__(self, observation: Any) -> Any:
-        """One decision."""
-        return self.batch([observation])[0]
+    def __init__(self) -> None:
+        """Without layers."""
 
     def batch(self, observations: list[Any]) -> Any:
         """Decisions for all."""
-        until = time.perf_counter() + 85e-6
-        while time.perf_counter() < until:
-            pass
+        spin(85e-6)
         return [(0.0, 0.0)] * len(observations)
 
 
@@ -352,9 +344,7 @@ class Slow:
 
     def __call__(self, observation: Any) -> tuple[float, float]:
         """One decision."""
-        until = time.perf_counter() + 1e-3
-        while time.perf_counter() < until:
-            pass
+        spin(1e-3)
         return small_python()(observation)
 
 

@@ -8,7 +8,7 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world.codec import GROUP
 
-OWN = """
+RING = """
 class Ring:
     speed_limit, longest_run = 26.8, 10.0
 
@@ -20,11 +20,15 @@ class Ring:
 
     def to_dict(self):
         return DATA
-
+"""
+OWN = (
+    RING
+    + """
 @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1)
 def test_fails(run):
     assert run.VERDICT
 """
+)
 WRAPPED = """
 from gymnasium.wrappers import FlattenObservation, FrameStackObservation
 
@@ -247,25 +251,15 @@ def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_n
 
 # --- worlds that a package has registered
 
-RINGS = """
-import pytest_pafot as pafot
-
-class Ring:
-    speed_limit, longest_run = 26.8, 10.0
-
-    def __init__(self, lanes):
-        self.lanes = lanes
-
-    def rollout(self, scenario, ads_factory):
-        return pafot.Highway(lanes=self.lanes, duration=10.0).rollout(scenario, ads_factory)
-
-    def to_dict(self):
-        return {"lanes": self.lanes}
-
+RINGS = (
+    "import pytest_pafot as pafot\n"
+    + RING.replace("DATA", "{'lanes': self.lanes}")
+    + """
     @classmethod
     def from_dict(cls, data):
         return cls(**data)
 """
+)
 FINDS = """
 from rings import Ring
 

@@ -16,23 +16,12 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
-from pytest_pafot.world import Highway, World
+from pytest_pafot.world import Highway
 from pytest_pafot.world.driving import hang_guard
 from pytest_pafot.world.driving.hang_guard import HangGuard
 from tests.support.stopped_clock import StoppedClock
-
-SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
-HIGHWAY, GYM = Highway(), World("highway-v0")
-CONTINUOUS = World("highway-v0", config={"action": {"type": "ContinuousAction"}})
-worlds = pytest.mark.parametrize(("world", "idle"), [(HIGHWAY, (0.0, 0.0)), (GYM, 1)], ids=["Highway", "World"])
-
-
-def always(action):
-    """A factory of an ADS that always returns one thing."""
-    return lambda: lambda observation: action
-
+from tests.world.driving.test_ads import CONTINUOUS, GYM, HIGHWAY, SCENARIO, always, worlds
 
 # --- ADSs that fail
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.comparison import resumable_runs
+from pytest_pafot.comparison import algorithm_run
+from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.resumable import ProgressLine
-from pytest_pafot.comparison.resumable_runs import run_all
 from pytest_pafot.world import Highway
 
 
@@ -50,7 +50,7 @@ def test_two_workers_leave_the_same_bytes_as_one(tmp_path, quick, quiet, whole):
 
 def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, quiet, whole, monkeypatch):
     begun = []
-    rows = resumable_runs.run_rows
+    rows = algorithm_run.run_rows
 
     def watched(plan, algorithm, run, tick):
         begun.append((algorithm, run))
@@ -59,7 +59,7 @@ def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, q
                 raise KeyboardInterrupt
             yield row
 
-    monkeypatch.setattr(resumable_runs, "run_rows", watched)
+    monkeypatch.setattr(algorithm_run, "run_rows", watched)
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
             run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
@@ -72,7 +72,7 @@ def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, q
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill")
 def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whole):
     root = str(Path(__file__).parents[2])
-    program = "import sys; from tests.comparison.test_resumable_runs import forever; forever(sys.argv[1])"
+    program = "import sys; from tests.comparison.test_resumable import forever; forever(sys.argv[1])"
     command = [sys.executable, "-c", program, str(tmp_path)]
     with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         while not list(tmp_path.glob("runs/*.csv")) and process.poll() is None:
@@ -152,7 +152,7 @@ def dying():
 
 
 def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_resumable_runs:dying", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
 
@@ -162,7 +162,7 @@ def raising():
 
 
 def test_what_a_worker_raises_is_raised_with_the_place(tmp_path, quick, quiet):
-    plan = quick(ads="tests.comparison.test_resumable_runs:raising", algorithms=("random",), runs=1)
+    plan = quick(ads="tests.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:
         run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
     assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]
