@@ -18,7 +18,7 @@ from numpy.random import Generator
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.request import drawn_space
-from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.corpus.reader import load, located
 from pytest_pafot.errors import WorldError
 from pytest_pafot.scenario import Scenario, ScenarioError
@@ -170,7 +170,7 @@ def _sampler(world: World, scenarios: Scenarios) -> Sampler:
 
 def _saved_in(folder: Path, world: World) -> list[Scenario]:
     """The scenarios of all corpus files of a folder and those below it, by path."""
-    files = sorted(folder.rglob(f"*{SUFFIX}"))
+    files = files_below(folder)
     if not files:
         received = f"{folder}, {'which has none' if folder.is_dir() else 'which is no folder'}"
         fix = "a search saves them, as that of a test with @pafot.search, or pafot.explore(..., corpus=...)"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from typing import Any
 
+from pytest_pafot.campaign.events import Kept
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.random_beginning import RandomBeginning
@@ -128,13 +129,19 @@ class Sessions:
         is_of_search = found is not None and (found.seed, found.algorithm) == (self.seed, algorithm)
         return self.go_on and is_of_search and saved.id not in self._before
 
-    def find_again(self) -> None:
-        """Take up finds of a session that ended before it could simplify and tell them."""
+    def find_again(self, saved: Sequence[Saved]) -> None:
+        """Take up finds of a session that ended before it could simplify and tell them, and those whose file is gone.
+
+        Without the second, a corpus that did not come along would leave a search that passes for ever.
+        """
         __tracebackhide__ = True
         for find in () if self._earlier is None else self._earlier.finds:
-            if find.due is None:
+            is_gone = self._is_gone(find, saved)
+            if find.found is None or not (find.is_due or is_gone):
                 continue
-            scenario, generation, number = find.due
+            if is_gone:  # also for a process that dies in it: its find is new then
+                del self.loop.finds[find.signature]
+            scenario, generation, number = find.found
             try:
                 run = self.loop.simulation.run(scenario, afresh=True)
             except ProcessLostError as error:
@@ -143,7 +150,15 @@ class Sessions:
             verdict = self.loop.simulation.judge(run)
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
-                self.loop.recorder.keep(run, verdict, generation, number)
+                self.loop.finds[find.signature] = self.loop.recorder.keep(run, verdict, generation, number)
+
+    def _is_gone(self, find: EarlierFind, saved: Sequence[Saved]) -> bool:
+        """Whether no file has a find that was to be saved, under its name or as the simpler one of a merge."""
+        is_there = any(
+            find.id == each.id or (each.finding is not None and each.finding.signature == find.signature)
+            for each in saved
+        )
+        return self.harness.request.settings.save != "none" and not is_there
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
         """Told after each generation, and at the end, how to make the checkpoint."""
@@ -158,17 +173,18 @@ class Sessions:
 
     def _counts(self, *, is_simplified: bool = False) -> Counts:
         loop = self.loop
-        due = {
-            id_: (kept.finding.scenario, kept.finding.found.generation, kept.number)
-            for id_, kept in loop.recorder.kept.items()
-            if kept.is_firm and not is_simplified
-        }
+        kept = loop.recorder.kept
+        found = {each.id: each.found for each in (() if self._earlier is None else self._earlier.finds)}
+        found |= {id_: _found(each) for id_, each in kept.items()}
+        due = {id_ for id_, each in kept.items() if each.is_firm and not is_simplified}
         return Counts(
             before=self._before,
             seconds=self.seconds,
             decides_for_many=self.decides_for_many,
             finds=tuple(
-                EarlierFind(id=id_, signature=signature, repeats=loop.repeats[id_], due=due.get(id_))
+                EarlierFind(
+                    id=id_, signature=signature, repeats=loop.repeats[id_], found=found.get(id_), is_due=id_ in due
+                )
                 for signature, id_ in loop.finds.items()
             ),
             known=loop.known,
@@ -180,6 +196,12 @@ class Sessions:
             random=self.beginning.counts,
             health=loop.health,
         )
+
+
+def _found(kept: Kept) -> tuple[Scenario, int, int]:
+    """A find as the search made it, whether it is simplified by now or not."""
+    finding = kept.finding
+    return finding.original or finding.scenario, finding.found.generation, kept.number
 
 
 def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> None:

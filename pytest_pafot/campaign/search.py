@@ -255,7 +255,7 @@ class Search:
         self._beginning.most = getattr(algorithm, "random_at_first", 0.0)
         resumed = self._sessions.resume(algorithm, space, saved)
         self._know([each for each in saved if not self._sessions.is_own(each)])
-        self._sessions.find_again()
+        self._sessions.find_again(saved)
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:

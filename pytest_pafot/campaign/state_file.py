@@ -54,13 +54,15 @@ class EarlierFind:
         id: of its file.
         signature: by which it is told from others.
         repeats: further runs that failed in the same way.
-        due: the scenario as found, its generation and the number of its run, where it is yet to be simplified.
+        found: the scenario as found, its generation and the number of its run; None where it was only counted.
+        is_due: whether it is yet to be simplified.
     """
 
     id: str
     signature: Signature
     repeats: int
-    due: tuple[Scenario, int, int] | None
+    found: tuple[Scenario, int, int] | None
+    is_due: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

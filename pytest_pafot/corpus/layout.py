@@ -6,6 +6,7 @@ Folder names are readable, distinct for distinct tests, and valid on every file 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -37,9 +38,14 @@ def modules_in(root: Path) -> list[Path]:
     return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
 
 
+def files_below(root: Path) -> list[Path]:
+    """All corpus files at or below a folder, by path. No link to a folder is followed: it may lead back to itself."""
+    return sorted(Path(folder, name) for folder, _, names in os.walk(root) for name in names if name.endswith(SUFFIX))
+
+
 def folders_below(root: Path) -> list[Path]:
     """All folders at or below one that hold corpus files, whatever the layout."""
-    return sorted({path.parent for path in root.rglob(f"*{SUFFIX}")})
+    return sorted({path.parent for path in files_below(root)})
 
 
 def counterparts(place: Path, folders: Iterable[Path]) -> list[Path]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from pytest_pafot.campaign.saved_scenario import SavedScenario, load
 from pytest_pafot.comparison.command import BAD_USE
 from pytest_pafot.comparison.plan import PlanError, ads_factory
-from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.errors import AdsFactoryError, CorpusError, WorldError
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.files import write_whole
@@ -62,7 +62,7 @@ def _file_of(given: str) -> Path:
     """
     if (path := Path(given)).is_file():
         return path
-    files = sorted(Path().rglob(f"{given}{SUFFIX}")) if path.name == given else []
+    files = [file for file in files_below(Path()) if file.name == f"{given}{SUFFIX}"]
     if len(files) == 1:
         return files[0]
     expected = f"a saved scenario, or the name of one below {Path.cwd()} without its {SUFFIX}"

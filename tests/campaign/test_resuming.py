@@ -129,6 +129,22 @@ def test_a_find_that_was_told_is_told_once_and_one_that_was_cut_off_again(search
     assert not {each.id for each in again.findings} & {each.id for each in first.findings}
 
 
+def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path):
+    first = search(runs=30)
+    saved = files(tmp_path / "corpus")
+    for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
+        path.unlink()
+    assert {each.id for each in search(runs=1).findings} == {each.id for each in first.findings}
+    assert files(tmp_path / "corpus") == saved != {}
+
+
+def test_a_find_under_another_name_is_there(search, tmp_path):
+    assert search(runs=30).findings
+    for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
+        path.rename(path.with_name(f"renamed-{path.name}"))
+    assert not search(runs=1).findings
+
+
 def test_what_was_saved_before_the_search_began_stays_known(search, tmp_path):
     other = search(resume=None, runs=30, seed=3)
     first, second = search(runs=8), search(runs=8)

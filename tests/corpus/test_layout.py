@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus.layout import (
     CORPUS,
     corpus_root,
+    files_below,
     files_in,
     folder_of_module,
     folder_of_test,
+    folders_below,
     is_corpus,
     module_named,
     module_of_file,
@@ -117,6 +119,17 @@ def test_a_file_in_place_of_the_folder_and_a_loop_of_links_have_no_files(tmp_pat
     (tmp_path / "corpus").write_text("")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     assert files_in(tmp_path / "corpus") == files_in(tmp_path / "loop") == []
+
+
+def test_folders_are_listed_once_whatever_links_lie_in_them(tmp_path):
+    place = tmp_path / "corpus" / "test_a" / "test_it"
+    place.mkdir(parents=True)
+    (place / "a-1.pafot.yaml").write_text("")
+    for number in range(12):
+        (place / f"up{number}").symlink_to(tmp_path / "corpus")
+    (place / "none.pafot.yaml").symlink_to(place / "none.pafot.yaml")
+    assert files_below(tmp_path) == [place / "a-1.pafot.yaml", place / "none.pafot.yaml"]
+    assert folders_below(tmp_path) == [place]
 
 
 ROOT = Path("/projects/project")

@@ -66,6 +66,17 @@ def test_a_session_without_a_new_find_passes_though_earlier_ones_had_some(projec
     again.assert_outcomes(passed=1)
 
 
+def test_a_find_that_is_not_to_be_saved_is_told_once_and_saved_by_a_session_that_saves(project):
+    project.write(SOURCE)
+    night(project, "--pafot-save=none", runs=10).stdout.fnmatch_lines(
+        ["*1 new finding*", "*not saved: --pafot-save=none"]
+    )
+    night(project, "--pafot-save=none", runs=1).assert_outcomes(passed=1)
+    assert not project.contents
+    night(project, runs=1).stdout.fnmatch_lines(["*1 new finding, saved in*"])
+    assert project.contents
+
+
 def test_the_base_seed_is_the_same_in_each_session_unless_one_is_given(project):
     project.write(SOURCE)
     for _ in range(2):
