@@ -30,6 +30,8 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
         errno.ENAMETOOLONG: "shorten the names of the folders, of the test or of its parameters, {}",
         errno.ENOTDIR: "a file lies where a folder should be: rename or delete it, {}",
         errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
+        errno.EISDIR: "a folder of that name lies there: rename or delete it, {}",
+        errno.ENOENT: "make the folder that it is to lie in, {}",
         errno.ELOOP: "a link on the way leads to itself: remove it, {}",
         errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
         errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TextIO
 from pytest_pafot.campaign.options import cores
 from pytest_pafot.comparison.plan import RUNS, PlanError, file_name
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
-from pytest_pafot.files import write_whole
+from pytest_pafot.files import way_out, write_whole
 
 RESULTS = "results.csv"
 TIME = ".seconds"  # ending of the file with the wall-clock time of a task, the only thing that is not reproducible
@@ -67,7 +68,7 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     that is left, by a clock of seconds.
 
     Raises:
-        PlanError: when the folder holds the results of another question.
+        PlanError: when the folder holds the results of another question, or cannot be written.
         ChildProcessError: when a worker is killed.
         Exception: what a task raises.
     """
@@ -111,16 +112,33 @@ def claim(job: ResumableJob, folder: Path) -> None:
     """Make the folder one of this job.
 
     Raises:
-        PlanError: when it is of another one.
+        PlanError: when it is of another one, or cannot be written.
     """
     path = folder / job.question_file
-    holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no task was finished is free.
-    if holds_results and path.exists() and path.read_text(encoding="utf-8") != job.question:
+    with written_into(folder):
+        holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no task was finished is free.
+        if holds_results and path.exists() and path.read_text(encoding="utf-8") != job.question:
+            raise PlanError(
+                f"--out: expected an empty folder or one of this {job.noun}, received {folder}, whose "
+                f"{job.question_file} differs in {job.differs}; give another folder, or the same arguments"
+            )
+        write_whole(path, job.question)
+
+
+@contextmanager
+def written_into(folder: Path) -> Iterator[None]:
+    """Call a folder that cannot be written a wrong ``--out``.
+
+    Raises:
+        PlanError: in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
         raise PlanError(
-            f"--out: expected an empty folder or one of this {job.noun}, received {folder}, whose "
-            f"{job.question_file} differs in {job.differs}; give another folder, or the same arguments"
-        )
-    write_whole(path, job.question)
+            f"--out: expected a folder that can be written, received {folder}: {error.strerror or error}; "
+            f"{way_out(error, 'or give another folder')}"
+        ) from None
 
 
 @dataclass(slots=True)

@@ -182,10 +182,16 @@ class Records:
         path = os.environ.get(SUMMARY)
         if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
             return
+        from pytest_pafot.files import way_out  # noqa: PLC0415
         from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
 
-        with Path(path).open("a", encoding="utf-8") as file:
-            file.write(markdown(self._record(code)))
+        text = markdown(self._record(code))
+        try:
+            with Path(path).open("a", encoding="utf-8") as file:
+                file.write(text)
+        except OSError as error:
+            fix = way_out(error, "or name another file")
+            self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
 
 
 def _result(report: pytest.TestReport) -> str:

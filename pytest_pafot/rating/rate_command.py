@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.comparison.command import BAD_USE
 from pytest_pafot.comparison.plan import PlanError
-from pytest_pafot.comparison.resumable import run_job, worker_count
+from pytest_pafot.comparison.resumable import run_job, worker_count, written_into
 from pytest_pafot.files import write_whole
 from pytest_pafot.rating.rate import Pair, Rate, rows_of
 from pytest_pafot.rating.rate_page import page
@@ -158,6 +158,8 @@ def _drawn(episode: Episode, name: str, folder: Path) -> str:
     from pytest_pafot.rating.crash_picture import picture  # noqa: PLC0415  (numpy)
 
     path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(picture(episode, f"{name}, seed {episode.seed}"))
+    drawn = picture(episode, f"{name}, seed {episode.seed}")
+    with written_into(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(drawn)
     return path.name

@@ -230,6 +230,17 @@ def test_a_scenario_that_does_not_fit_the_road_is_told_in_one_line(tmp_path, cap
     assert "compare: ego_lane: expected a lane from 0 to 3, received 7" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("below", ["", "deep"])
+def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, below):
+    (tmp_path / "taken").touch()
+    assert compare(tmp_path / "taken" / below) == command.BAD_USE
+    error = capsys.readouterr().err
+    assert error.startswith(
+        f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
+    )
+    assert error.endswith("; a file lies where a folder should be: rename or delete it, or give another folder\n")
+
+
 def test_two_budgets_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         compare(tmp_path, "--seconds", "100")

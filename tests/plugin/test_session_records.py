@@ -1,6 +1,7 @@
 """``--pafot-json``, the summary of a CI job and properties for JUnit: what a session tells to programs."""
 
 import json
+import os
 from xml.etree import ElementTree
 
 import pytest
@@ -180,6 +181,14 @@ def test_a_file_that_cannot_be_written_is_a_problem_of_the_summary(failing):
     result.stdout.fnmatch_lines(["  problem: --pafot-json=taken/pafot.json: not written: *; *"])
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+def test_a_folder_where_the_file_should_be_is_named(failing):
+    (failing.path / "taken").mkdir()
+    result = failing.run("--pafot-json=taken")
+    told = "a folder of that name lies there: rename or delete it, or name another file"
+    result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
+
+
 def test_nothing_is_written_where_tests_are_only_listed(failing):
     failing.run("--pafot-json=pafot.json", "--collect-only")
     assert not (failing.path / "pafot.json").exists()
@@ -210,7 +219,8 @@ def test_a_summary_that_cannot_be_written_costs_nothing_else(project, failing, m
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "none" / "summary.md"))
     result = failing.run("--pafot-json=pafot.json")
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  problem: the summary in GITHUB_STEP_SUMMARY: *"])
+    told = "not written: No such file or directory; make the folder that it is to lie in, or name another file"
+    result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 
 @pytest.mark.processes

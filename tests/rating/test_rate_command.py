@@ -157,6 +157,18 @@ def test_what_is_wrong_on_the_command_line_is_told_with_a_way_out(arguments, tex
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("below", ["", "deep"])
+@pytest.mark.parametrize("arguments", [["--episodes", "2"], ["--episode", "2"]])
+def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, below, arguments):
+    (tmp_path / "taken").touch()
+    assert rate("--ads", "idm_mobil", *arguments, "--out", str(tmp_path / "taken" / below)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(
+        f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
+    )
+    assert error.endswith("; a file lies where a folder should be: rename or delete it, or give another folder\n")
+
+
 def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
     rate = rated("a", s1="collision", s4="collision", s5="hang")
     assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
