@@ -74,17 +74,29 @@ class Sessions:
 
     @property
     def found_before(self) -> Counter[str]:
-        """Failing runs by the id of the find of an earlier session that they show."""
+        """Failing runs by the id of the find of an earlier session that they show, of those that were to be saved."""
         loop = self.loop
-        told = {*loop.recorder.kept, *loop.recorder.unsaved}
+        told = {*loop.recorder.kept, *loop.recorder.unsaved, *self._unsaved_before}
         return Counter({id_: 1 + loop.repeats[id_] for id_ in loop.finds.values() if id_ not in told})
+
+    @property
+    def _unsaved_before(self) -> list[str]:
+        """Ids of the finds of earlier sessions that were only counted."""
+        return [] if self._earlier is None else [each.id for each in self._earlier.finds if each.found is None]
 
     @property
     def notes(self) -> list[str]:
         """What a reader must know."""
         went_on = f"went on after {plural(self._runs, 'run')} of earlier sessions"
         problem = "" if self._file is None else self._file.problem
-        return [*([] if self._earlier is None else [went_on]), *filter(None, [problem])]
+        unsaved = self._unsaved_before
+        shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
+        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved (--pafot-max-saved), shown by {shown}"
+        return [
+            *([] if self._earlier is None else [went_on]),
+            *([left] if unsaved else []),
+            *filter(None, [problem]),
+        ]
 
     def resume(self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]) -> Checkpoint[Any] | None:
         """Where the search goes on, with all that was counted; None where it begins.

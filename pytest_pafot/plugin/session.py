@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign.options import OptionError, Settings
+from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
 from pytest_pafot.corpus.layout import corpus_root
 from pytest_pafot.plugin.option_sources import resolve
 
@@ -83,6 +84,21 @@ def base_line(config: pytest.Config) -> str:
 def records_folder(item: pytest.Item, settings: Settings) -> Path:
     """A folder in pytest's cache, which no repository keeps; without a cache the corpus."""
     return _cached_folder(item.config) or corpus_root(item.path, settings.corpus, item.config.rootpath)
+
+
+def misspelt(environ: Mapping[str, str]) -> list[str]:
+    """Which variables have nearly the name of one that is read; those of other names may be somebody's own."""
+    read = [*(option.variable for option in OPTIONS if option.everywhere), HERE, "PAFOT_KERNEL"]
+    # Compared without what all begin with, by which any two would be near
+    known = {name.removeprefix("PAFOT_"): name for name in read}
+    others = sorted(name for name in environ if name.startswith("PAFOT_") and name not in read)
+    near = {name: difflib.get_close_matches(name.removeprefix("PAFOT_"), known, n=1) for name in others}
+    return [
+        f"environment variable {name}: expected the variable of an option, received a name that nothing reads; "
+        f"did you mean {known[found[0]]}?"
+        for name, found in near.items()
+        if found
+    ]
 
 
 def unclaimed(config: pytest.Config) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
@@ -15,7 +16,15 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.orphans import UNRUN
-from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, SummaryLines, base_line, terminal_width, unclaimed
+from pytest_pafot.plugin.session import (
+    SHARED,
+    SUMMARY_LINES,
+    SummaryLines,
+    base_line,
+    misspelt,
+    terminal_width,
+    unclaimed,
+)
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import SearchSummary
@@ -135,7 +144,7 @@ class Reporter:
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
             if self._searches or self._replays or self._running:
-                self._lines.problems.extend(unclaimed(self._config))
+                self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
         if self._config.getoption(BY_NAME["prune"].key):
             with self._lines.faults("--pafot-prune"):
                 self._prune()

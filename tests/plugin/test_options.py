@@ -5,6 +5,7 @@ import pytest
 from pytest_pafot.campaign.options import OPTIONS, OptionError, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
 from pytest_pafot.plugin.option_sources import resolve
+from pytest_pafot.plugin.session import misspelt
 
 
 def settings(project, *args, ini="", marker=None, environ=None):
@@ -14,6 +15,20 @@ def settings(project, *args, ini="", marker=None, environ=None):
     # unraisableexception collects all garbage when a config ends, which is slow and shows nothing here.
     config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
     return resolve(config, marker or {}, fresh_seed=77, environ=environ or {})
+
+
+def test_a_variable_that_nothing_reads_is_named_with_the_one_that_was_meant(failing, monkeypatch):
+    monkeypatch.setenv("PAFOT_SEDE", "3")
+    monkeypatch.setenv("PAFOT_REFRESH", "1")  # nobody's misspelling, so somebody's own
+    told = [line for line in failing.run().outlines if "environment variable" in line]
+    assert [line.split("environment variable ")[1] for line in told] == [
+        "PAFOT_SEDE: expected the variable of an option, received a name that nothing reads; did you mean PAFOT_SEED?"
+    ]
+
+
+@pytest.mark.parametrize("name", ["PAFOT_SEED", "PAFOT_KERNEL", "PAFOT_REPLAY_HERE", "MY_PAFOT_SEDE"])
+def test_of_variables_that_are_read_or_of_others_nothing_is_said(name):
+    assert not misspelt({name: "1"})
 
 
 def test_locally_a_search_is_small_and_its_seed_fresh(project):
