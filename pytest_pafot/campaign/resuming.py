@@ -11,6 +11,7 @@ from typing import Any
 from pytest_pafot.campaign.events import Kept
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.loop import SearchLoop
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.random_beginning import RandomBeginning
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.state_file import FLAG, Counts, EarlierFind, StateFile, state_path
@@ -25,6 +26,9 @@ from pytest_pafot.text import plural
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
+
+MAX_SAVED = BY_NAME["max_saved"].flag
+SAVES_NONE = f"{BY_NAME['save'].flag}=none"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -43,6 +47,8 @@ class Sessions:
     _earlier: Counts | None = field(init=False, default=None)
     _runs: int = field(init=False, default=0)  # of earlier ones, as the generations
     _generations: int = field(init=False, default=0)
+    # Ids of the finds of earlier sessions that no file has and none is to be written of, each with the option for that
+    _unsaved_before: dict[str, str] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self._began = self.clock()
@@ -80,18 +86,14 @@ class Sessions:
         return Counter({id_: 1 + loop.repeats[id_] for id_ in loop.finds.values() if id_ not in told})
 
     @property
-    def _unsaved_before(self) -> list[str]:
-        """Ids of the finds of earlier sessions that were only counted."""
-        return [] if self._earlier is None else [each.id for each in self._earlier.finds if each.found is None]
-
-    @property
     def notes(self) -> list[str]:
         """What a reader must know."""
         went_on = f"went on after {plural(self._runs, 'run')} of earlier sessions"
         problem = "" if self._file is None else self._file.problem
         unsaved = self._unsaved_before
         shown = plural(sum(1 + self.loop.repeats[id_] for id_ in unsaved), "run")
-        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved (--pafot-max-saved), shown by {shown}"
+        options = " and ".join(sorted(set(unsaved.values())))
+        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({options}), shown by {shown}"
         return [
             *([] if self._earlier is None else [went_on]),
             *([left] if unsaved else []),
@@ -102,7 +104,8 @@ class Sessions:
         """Where the search goes on, with all that was counted; None where it begins.
 
         Raises:
-            RequestError: for an algorithm that cannot go on, and for a state that is not of this search.
+            RequestError: for an algorithm that cannot go on, for a state that is not of this search, and for one that
+            another session goes on from.
         """
         self._before = tuple(each.id for each in saved)
         if self.harness.states is None:
@@ -117,6 +120,7 @@ class Sessions:
         path = state_path(self.harness.states, self.harness.node_id)
         settings = agreed(self.harness, algorithm, space)
         self._file = StateFile(path=path, settings=settings, algorithm=algorithm, clock=self.clock)
+        self._file.claim()
         state = self._file.read()
         if state is None:
             return None
@@ -129,6 +133,11 @@ class Sessions:
             self.loop.first.is_alike = False
             self.loop.recorder.release()
         return checkpoint
+
+    def close(self) -> None:
+        """Leave the state to other sessions."""
+        if self._file is not None:
+            self._file.release()
 
     def refused(self, error: ValueError) -> RequestError:
         """What was resumed turns out not to be of this search."""
@@ -147,11 +156,15 @@ class Sessions:
         Without the second, a corpus that did not come along would leave a search that passes for ever.
         """
         __tracebackhide__ = True
+        saves = self.harness.request.settings.save != "none"
         for find in () if self._earlier is None else self._earlier.finds:
-            is_gone = self._is_gone(find, saved)
-            if find.found is None or not (find.is_due or is_gone):
+            is_there = _is_there(find, saved)
+            if find.found is None or not (is_there or find.is_due or saves):
+                self._unsaved_before[find.id] = MAX_SAVED if find.found is None else SAVES_NONE
                 continue
-            if is_gone:  # also for a process that dies in it: its find is new then
+            if is_there and not find.is_due:
+                continue
+            if not is_there:  # also for a process that dies in it: its find is new then
                 del self.loop.finds[find.signature]
             scenario, generation, number = find.found
             try:
@@ -163,14 +176,6 @@ class Sessions:
             failure = verdict.failure if verdict.failed else None
             if failure is not None and of_failure(run, failure) == find.signature:
                 self.loop.finds[find.signature] = self.loop.recorder.keep(run, verdict, generation, number)
-
-    def _is_gone(self, find: EarlierFind, saved: Sequence[Saved]) -> bool:
-        """Whether no file has a find that was to be saved, under its name or as the simpler one of a merge."""
-        is_there = any(
-            find.id == each.id or (each.finding is not None and each.finding.signature == find.signature)
-            for each in saved
-        )
-        return self.harness.request.settings.save != "none" and not is_there
 
     def at_border(self, checkpoint: Callable[[], Checkpoint[Any]]) -> None:
         """Told after each generation, and at the end, how to make the checkpoint."""
@@ -208,6 +213,13 @@ class Sessions:
             random=self.beginning.counts,
             health=loop.health,
         )
+
+
+def _is_there(find: EarlierFind, saved: Sequence[Saved]) -> bool:
+    """Whether a file has a find, under its name or as the simpler one of a merge."""
+    return any(
+        find.id == each.id or (each.finding is not None and each.finding.signature == find.signature) for each in saved
+    )
 
 
 def _found(kept: Kept) -> tuple[Scenario, int, int]:

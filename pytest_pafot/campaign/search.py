@@ -182,6 +182,7 @@ class Search:
         self._sessions = Sessions(
             harness=harness, seed=self.seed, loop=self._loop, beginning=self._beginning, clock=self.clock
         )
+        stack.callback(self._sessions.close)
 
     def _conducted(self, pending: Sequence[Leftover]) -> tuple[SearchSummary, SetupFaultError | None]:
         """Search and simplify; whatever ends that, all is told that was found until then."""

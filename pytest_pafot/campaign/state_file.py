@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
@@ -21,6 +23,7 @@ from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.errors import FieldError
 from pytest_pafot.files import way_out, write_whole
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.locks import hold
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching.ask_tell import ResumableSearch
 from pytest_pafot.searching.evaluation import Evaluation
@@ -36,6 +39,9 @@ VERSION = 1
 
 MAX_BYTES = 1 << 28
 """A larger file is neither written nor read; ten thousand runs of four NPCs take some 10 MB."""
+
+LOCK = ".lock"
+"""In place of the ending of a state while a session goes on from it."""
 
 SHARE = 50
 """Between two generations the file is written when so many times as long has passed as that took last time, new runs
@@ -115,9 +121,41 @@ class StateFile:
     algorithm: ResumableSearch
     clock: Callable[[], float]
     problem: str = ""
+    _claim: BinaryIO | None = None  # an empty file beside it, under a lock
     _texts: dict[int, tuple[Remembered, str]] = field(default_factory=dict)  # of what is remembered, by identity
     _written_at: float = -math.inf
     _cost: float = 0.0
+
+    def claim(self) -> None:
+        """Keep other sessions from the state: of two that begin at the same one, the later to end would undo the other.
+
+        Raises:
+            RequestError: where another one has it.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            file = self.path.with_suffix(LOCK).open("ab")
+        except OSError:
+            return  # Nothing can be written here; the state itself says so.
+        if not hold(file.fileno()):
+            file.close()
+            raise RequestError(
+                f"{self.path}: expected a search that no other session makes now, received one that another session or "
+                f"a process of it is at; wait until that has ended, or give another folder with {FLAG}"
+            )
+        self._claim = file
+
+    def release(self) -> None:
+        """Let other sessions have the state."""
+        if self._claim is None:
+            return
+        path = self.path.with_suffix(LOCK)
+        with suppress(OSError), self._claim:
+            if os.name != "nt":
+                path.unlink()  # while it is locked, so that nobody locks what is removed then
+        if os.name == "nt":
+            with suppress(OSError):  # Windows removes no open file, nor one that another session has by now.
+                path.unlink()
 
     def read(self) -> tuple[Counts, Checkpoint[Any]] | None:
         """The state; None where there is none yet.

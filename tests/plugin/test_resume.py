@@ -71,7 +71,10 @@ def test_a_find_that_is_not_to_be_saved_is_told_once_and_saved_by_a_session_that
     night(project, "--pafot-save=none", runs=10).stdout.fnmatch_lines(
         ["*1 new finding*", "*not saved: --pafot-save=none"]
     )
-    night(project, "--pafot-save=none", runs=1).assert_outcomes(passed=1)
+    again = night(project, "--pafot-save=none", runs=1)
+    again.assert_outcomes(passed=1)
+    again.stdout.fnmatch_lines(["*note: * of earlier sessions not saved (--pafot-save=none), shown by *"])
+    again.stdout.no_fnmatch_line("*known: *")
     assert not project.contents
     night(project, runs=1).stdout.fnmatch_lines(["*1 new finding, saved in*"])
     assert project.contents
@@ -148,6 +151,38 @@ def test_a_session_that_is_killed_goes_on_and_leaves_the_same_files(project, mon
     assert simulated(state) == 24
     assert project.contents == whole
     assert os.listdir(project.path / "states") == [state.name]  # noqa: PTH208
+
+
+OUTER = """
+import os, subprocess, sys
+import pytest_pafot as pafot
+
+def ads():
+    def drive(observation):
+        if os.environ.pop("OUTER", ""):
+            options = ["-p", "pafot", "--pafot-resume=states", "--pafot-runs=4", "--pafot-seed=1"]
+            inner = subprocess.run([sys.executable, "-m", "pytest", *options], capture_output=True, text=True)
+            with open("inner.txt", "w") as file:
+                file.write(inner.stdout)
+        return 0.0, 0.0
+    return drive
+
+@pafot.search(SHORT, shrink_rollouts=10, ads=ads)
+def test_it(run):
+    assert run.duration > 1
+"""
+
+
+@pytest.mark.processes
+def test_a_second_session_at_the_same_state_is_refused_and_leaves_it_alone(project, monkeypatch):
+    project.write(OUTER)
+    monkeypatch.setenv("OUTER", "1")
+    night(project, runs=8, apart=True).assert_outcomes(passed=1)
+    (state,) = project.path.glob("states/*")
+    told = (project.path / "inner.txt").read_text()
+    assert f"{state.name}: expected a search that no other session makes now, received one that another" in told
+    assert "wait until that has ended, or give another folder with --pafot-resume" in told
+    assert simulated(state) == 8
 
 
 def simulated(state):
