@@ -44,7 +44,8 @@ class SearchLoop:
     known: Counter[str] = field(default_factory=Counter)  # failing runs by the id of the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # counts by kind
     caught: Counter[str] = field(default_factory=Counter)  # passed runs by the name of a check that failed in them
-    health: Health = field(default_factory=Health)
+    counted: Health = field(default_factory=Health)  # of the evaluations that were counted
+    uncounted: list[events.Evaluated] = field(default_factory=list)
     generation: int = 0  # of the main search, from 0
     finished: events.CampaignFinished | None = None  # the last event, once the campaign is over
     skip: BaseException | None = None  # the last exception by which the function declined to judge
@@ -57,6 +58,12 @@ class SearchLoop:
     def runs(self) -> int:
         """Simulated scenarios."""
         return self.verdicts.total()
+
+    @property
+    def health(self) -> Health:
+        """Whether the search tested anything."""
+        self.count()
+        return self.counted
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,7 +120,7 @@ class SearchLoop:
             self.listener(event)
             match event:
                 case events.Evaluated():
-                    self.health = self.health.counted(event.evaluation, reused=event.reused)
+                    self.uncounted.append(event)
                 case events.GenerationFinished(local_generation=0):
                     self.generation = event.generation + 1
                     self.first.end()
@@ -124,6 +131,12 @@ class SearchLoop:
                 case events.CampaignFinished():
                     self.finished = event
             tick()
+
+    def count(self) -> None:
+        """Count what was evaluated since this was done last, which no scenario has to wait for."""
+        for event in self.uncounted:
+            self.counted = self.counted.counted(event.evaluation, reused=event.reused)
+        self.uncounted.clear()
 
     def lose(self, lost: LostRun) -> bool:
         """Know of a scenario whose process did not come back; it is not run again, in later sessions either.

@@ -233,7 +233,7 @@ def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> Non
     loop.finds = {each.signature: each.id for each in counts.finds}
     loop.repeats = Counter({each.id: each.repeats for each in counts.finds})
     loop.known, loop.verdicts, loop.caught = map(Counter, (counts.known, counts.verdicts, counts.caught))
-    loop.doubt, loop.broken, loop.health = counts.doubt, counts.broken, counts.health
+    loop.doubt, loop.broken, loop.counted = counts.doubt, counts.broken, counts.health
     loop.fatal |= set(counts.fatal)
     beginning.restore(*counts.random)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -35,6 +35,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.retrying import Retried, retry
 from pytest_pafot.execution.runner import runner_for
+from pytest_pafot.scenario import Scenario
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
@@ -264,6 +265,10 @@ class Search:
                 loop.floors = floors_of(algorithm, state)
             return for_batches if state.generation and self._sessions.decides_for_many else algorithm
 
+        def foresee(scenarios: Iterable[Scenario]) -> None:
+            runner.announce((each for each in scenarios if each not in loop.fatal), loop.floors)
+            loop.count()  # while other processes are at work
+
         try:
             events = run_campaign(
                 algorithm,
@@ -275,9 +280,7 @@ class Search:
                 clock=self.clock,
                 stop=lambda: limit is not None and loop.recorder.count >= limit,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
-                foresee=lambda scenarios: runner.announce(
-                    [each for each in scenarios if each not in loop.fatal], loop.floors
-                ),
+                foresee=foresee,
                 adapted=adapted,
                 resumed=resumed,
                 border=self._sessions.at_border,

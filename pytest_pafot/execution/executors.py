@@ -14,12 +14,12 @@ import pickle
 import platform
 import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
@@ -95,7 +95,7 @@ class ExecutorPool:
             notes = [f"pafot_executor: this process ran the scenarios, since no other could: {self.failure}"]
         return notes + list(map(recovery_note, self.recovered))
 
-    def expect(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+    def expect(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
         """Begin with these; what was expected before and not fetched is of no interest any more.
 
         Near-misses are read above the floors.
@@ -103,8 +103,9 @@ class ExecutorPool:
         self.close()
         self._floors = dict(floors)
         size = max(1, min(MOST, round(self._runs * TASK_SECONDS / self._seconds))) if self._runs else 1
-        for first in range(0, len(scenarios), size):
-            self._submit(scenarios[first : first + size])
+        to_come = iter(scenarios)
+        while task := list(islice(to_come, size)):
+            self._submit(task)
 
     def fetch(self, scenario: Scenario) -> Answer:
         """The answer to a scenario, once; waits for it.

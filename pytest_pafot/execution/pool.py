@@ -116,12 +116,15 @@ class WorkerPool(Generic[TaskT, ResultT]):
     def expect(self, tasks: Iterable[TaskT], *along: Any) -> None:
         """Begin with these, in this order; what was expected before and not fetched is of no interest any more.
 
-        What goes ``along`` is given to the work with each task from now on.
+        What goes ``along`` is given to the work with each task from now on. Tasks that are made as they are read take
+        no time from those before them.
         """
-        self._pending, self._along = deque(tasks), along
-        self._wanted = set(self._pending)
+        self._pending, self._wanted, self._along = deque(), set(), along
         self._answers, self._suspects = {}, {}
-        self._send()
+        for task in tasks:
+            self._wanted.add(task)
+            self._pending.append(task)
+            self._send()
 
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """The answer to a task, once; waits for it. One that was not expected is run next.

@@ -5,7 +5,7 @@ What taking a run may raise is said where it is taken, in :meth:`pytest_pafot.ex
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 
 from pytest_pafot.attribution.near_misses import NONE, Floors
@@ -44,7 +44,7 @@ class LockStep:
         why = "since the ADS decides for many runs at once, by its `batch`"
         return [] if self._workers == 1 else [f"--pafot-workers={self._workers}: not in use, {why}"]
 
-    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
         """Know what will be asked for; of what was made before, nothing is kept."""
         self._announced, self._made = list(scenarios), {}
 
@@ -100,11 +100,18 @@ class Processes:
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
         return [f"{option}: not in use, since a run took {mean:.1f} ms, and it pays from {dear:g} ms on"]
 
-    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
         """Know what will be asked for, and begin with it where processes are in use."""
-        self.announced, self._floors = list(scenarios), dict(floors)
+        self.announced, self._floors = [], dict(floors)
         if self._pool is not None:
-            self._pool.expect(scenarios, self._floors)
+            self._pool.expect(self._noted(scenarios), self._floors)
+        else:
+            self.announced.extend(scenarios)
+
+    def _noted(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
+        for scenario in scenarios:
+            self.announced.append(scenario)
+            yield scenario
 
     def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
         """The trace of an announced run, once; None where the run is to be made in this process."""

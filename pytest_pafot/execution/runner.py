@@ -7,7 +7,7 @@ another process. Nothing but the time depends on it. :func:`runner_for` puts tog
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -111,7 +111,7 @@ class Runner:
         self._prefetching.announce(())
         self.processes.close(at_once=kind is not None)
 
-    def announce(self, scenarios: Sequence[Scenario], floors: Floors = NONE) -> None:
+    def announce(self, scenarios: Iterable[Scenario], floors: Floors = NONE) -> None:
         """Say what will be asked for next, in this order; what was announced before is forgotten.
 
         Other processes read near-misses above the floors from their runs.

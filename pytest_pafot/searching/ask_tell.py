@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
-from numpy.random import Generator
+from numpy.random import Generator as Rng
 
 from pytest_pafot.attribution.mistakes import Mistake
 from pytest_pafot.attribution.near_misses import ALL
@@ -49,10 +50,10 @@ class Algorithm(Protocol[StateT]):
     def name(self) -> str:
         """By which files and reports call it."""
 
-    def start(self, rng: Generator) -> StateT:
+    def start(self, rng: Rng) -> StateT:
         """The state before the first generation."""
 
-    def ask(self, state: StateT, rng: Generator) -> tuple[StateT, tuple[Scenario, ...]]:
+    def ask(self, state: StateT, rng: Rng) -> tuple[StateT, tuple[Scenario, ...]]:
         """The scenarios to evaluate next; none where a generation brings nothing new.
 
         Raises:
@@ -60,7 +61,7 @@ class Algorithm(Protocol[StateT]):
         """
 
     def tell(
-        self, state: StateT, evaluations: Sequence[Evaluation], rng: Generator
+        self, state: StateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
         """Finish the generation that was asked for, with its evaluations in the same order.
 
@@ -68,6 +69,38 @@ class Algorithm(Protocol[StateT]):
             RuntimeError: without an ask before.
             ValueError: when the evaluations are not those of the scenarios asked for.
         """
+
+
+class Drawing(Generic[StateT]):
+    """The scenarios of a generation, which can be run while others are still drawn.
+
+    Iterated over, it asks an algorithm and gives its scenarios. One that has a method ``draw``, a generator of the same
+    scenarios that returns the same state, draws each when it is read.
+    """
+
+    def __init__(self, algorithm: Algorithm[StateT], state: StateT, rng: Rng) -> None:
+        self.scenarios: list[Scenario] = []
+        """Those that were drawn."""
+        self._state = state
+        self._source = self._drawn(algorithm, rng)
+
+    def __iter__(self) -> Iterator[Scenario]:
+        for scenario in self._source:
+            self.scenarios.append(scenario)
+            yield scenario
+
+    def finished(self) -> StateT:
+        """The state, once all that was not read is drawn."""
+        deque(self, maxlen=0)
+        return self._state
+
+    def _drawn(self, algorithm: Algorithm[StateT], rng: Rng) -> Iterator[Scenario]:
+        draw = getattr(algorithm, "draw", None)
+        if draw is not None:
+            self._state = yield from draw(self._state, rng)
+            return
+        self._state, scenarios = algorithm.ask(self._state, rng)
+        yield from scenarios
 
 
 @runtime_checkable
@@ -117,25 +150,34 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         check_parameters(self, population=1)
 
     @abstractmethod
-    def start(self, rng: Generator) -> GenerationStateT:
+    def start(self, rng: Rng) -> GenerationStateT:
         """The state before the first generation."""
 
     @abstractmethod
-    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
-        """The scenarios of the next generation, and the state if drawing them changes it."""
+    def propose(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, Iterable[Scenario]]:
+        """The scenarios of the next generation, which may be drawn as they are read, and the state after that."""
 
-    def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Generator) -> GenerationStateT:
+    def learn(self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng) -> GenerationStateT:
         """The state with what the runs of a generation show; its best and its generation follow by themselves."""
         return state
 
-    def ask(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
+    def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         """The scenarios of the next generation."""
+        drawing = Drawing(self, state, rng)
+        return drawing.finished(), tuple(drawing.scenarios)
+
+    def draw(self, state: GenerationStateT, rng: Rng) -> Generator[Scenario, None, GenerationStateT]:
+        """What :meth:`ask` gives, one by one, for a :class:`Drawing`."""
         check_ask(state.asked)
         state, proposed = self.propose(state, rng)
-        return replace(state, asked=tuple(proposed), proposed=state.proposed + len(proposed)), tuple(proposed)
+        asked = []
+        for scenario in proposed:
+            asked.append(scenario)
+            yield scenario
+        return replace(state, asked=tuple(asked), proposed=state.proposed + len(asked))
 
     def tell(
-        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Generator
+        self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
         """Finish a generation with the evaluations of what was asked for, in the same order."""
         check_evaluations(state.asked, evaluations)

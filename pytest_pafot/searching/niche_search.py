@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,13 +34,13 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
         """Scenarios at the beginning of a search that are random."""
         return max(self.population, self.random_runs)
 
-    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Sequence[Scenario]]:
+    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
         """Random scenarios at first and while there is no parent; then children."""
         parents = self.parents(state)
         to_come = self.random_runs - state.proposed if parents else self.population
-        return state, [
+        return state, (
             sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
-        ]
+        )
 
     @abstractmethod
     def parents(self, state: GenerationStateT) -> Sequence[Any]:

@@ -7,7 +7,7 @@ as random Position-Instructions or as random manoeuvres. Both are here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -38,9 +38,9 @@ class RandomSearch(GenerationalSearch[GenerationState]):
         """The inverse of :meth:`stored`."""
         return from_plain(GenerationState, data)
 
-    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Sequence[Scenario]]:
+    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
         """A generation of random scenarios."""
-        return state, [self.drawn(rng) for _ in range(self.population)]
+        return state, (self.drawn(rng) for _ in range(self.population))
 
     def drawn(self, rng: Generator) -> Scenario:
         """One scenario."""

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from typing import Any, Generic
 
 import numpy as np
 
 from pytest_pafot.scenario import Scenario
-from pytest_pafot.searching.ask_tell import Algorithm, StateT, check_order
+from pytest_pafot.searching.ask_tell import Algorithm, Drawing, StateT, check_order
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
 from pytest_pafot.searching.events import (
@@ -63,7 +64,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     stop: Callable[[], bool] | None = None,
     batch: int = 1,
     seeds_matter: bool = False,
-    foresee: Callable[[Sequence[Scenario]], None] | None = None,
+    foresee: Callable[[Iterable[Scenario]], None] | None = None,
     adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
     resumed: Checkpoint[StateT] | None = None,
     border: Callable[[Callable[[], Checkpoint[StateT]]], None] = lambda checkpoint: None,
@@ -92,8 +93,9 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
             larger ones let ``evaluate`` simulate in parallel.
         seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
-        foresee: told at the beginning of a generation which of its scenarios are not known, in their order. Most of
-            them are given to ``evaluate`` afterwards; who simulates them ahead changes no event.
+        foresee: told at the beginning of a generation which of its scenarios are not known, in their order, each of
+            which may be drawn only when it is read. Most of them are given to ``evaluate`` afterwards; who simulates
+            them ahead changes no event.
         adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
             ``evaluate`` may know what need not be measured.
         resumed: from which an earlier campaign with the same arguments goes on. Generations and runs count from
@@ -179,9 +181,7 @@ class _Campaign(Generic[StateT]):
             rng = generation_rng(self.seed, state.generation, state.local_generation)
             algorithm = self.adapted(algorithm, state)
             last = state
-            state, scenarios = algorithm.ask(state, rng)
-            _check_begun(told, scenarios)
-            self.evaluator.foresee(scenarios, len(told), self.runs - end.simulated)
+            state, scenarios = self._asked(Drawing(algorithm, state, rng), told, self.runs - end.simulated)
             while len(told) < len(scenarios):
                 if end.evaluated > resumed.sums.evaluated:
                     reason = self.exceeded(self.runs - end.simulated, self.now() - started)
@@ -211,6 +211,19 @@ class _Campaign(Generic[StateT]):
                 here, told = Checkpoint(state=state, sums=end), []
             self.border(partial(self.evaluator.remembering, here))
         yield replace(end, reason=reason or "generations", seconds=self.now() - started)
+
+    def _asked(
+        self, drawing: Drawing[StateT], told: Sequence[tuple[Evaluation, bool]], left: int
+    ) -> tuple[StateT, Sequence[Scenario]]:
+        """The scenarios of a generation, of which the first may run while the last is drawn."""
+        if told:
+            drawing.finished()
+            _check_begun(told, drawing.scenarios)
+            self.evaluator.foresee(drawing.scenarios[len(told) :], left)
+        else:
+            self.evaluator.forget()
+            self.evaluator.foresee(drawing, left)
+        return drawing.finished(), drawing.scenarios
 
     def _finished(
         self,
@@ -254,7 +267,7 @@ class _Evaluator:
     """The one gate before each simulation."""
 
     def __init__(
-        self, evaluate: Evaluate, foresee: Callable[[Sequence[Scenario]], None] | None, cache: EvaluationCache
+        self, evaluate: Evaluate, foresee: Callable[[Iterable[Scenario]], None] | None, cache: EvaluationCache
     ) -> None:
         self._evaluate = evaluate
         self._foresee = foresee
@@ -279,16 +292,22 @@ class _Evaluator:
         new = sum(not reused for _, reused in checkpoint.begun)
         return replace(checkpoint, remembered=self._cache.remembered(but=new))
 
-    def foresee(self, scenarios: Sequence[Scenario], told: int, most: int) -> None:
-        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does.
+    def forget(self) -> None:
+        """Forget old runs: only between two generations, so that no batch makes a difference."""
+        self._cache.forget()
 
-        Only between two generations are old runs forgotten, so that no batch makes a difference.
-        """
-        if not told:
-            self._cache.forget()
+    def foresee(self, scenarios: Iterable[Scenario], most: int) -> None:
+        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
         if self._foresee is not None:
-            to_come = [each for each in scenarios[told:] if self._cache.recall(each) is None]
-            self._foresee(_distinct(to_come)[:most])
+            self._foresee(islice(self._unknown(scenarios), most))
+
+    def _unknown(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
+        """Each scenario that no earlier run shows, once."""
+        seen = set()
+        for scenario in scenarios:
+            if scenario not in seen and self._cache.recall(scenario) is None:
+                seen.add(scenario)
+                yield scenario
 
     def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
         """The evaluation of each scenario, and whether it is reused.

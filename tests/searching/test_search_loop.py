@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.searching import PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
@@ -61,8 +61,8 @@ def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_gen
     world, foreseen, evaluated = cheap_world(), [], []
 
     def foresee(scenarios):
-        assert all(each not in evaluated for each in scenarios)
         foreseen.append(list(scenarios))
+        assert all(each not in evaluated for each in foreseen[-1])
 
     def evaluate(scenarios):
         evaluated.extend(scenarios)
@@ -73,6 +73,21 @@ def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_gen
     events = list(run_campaign(algorithm, evaluate, generations=8, seed=1, foresee=foresee))
     assert len(foreseen) == len(of(GenerationFinished, events))
     assert events == list(run_campaign(algorithm, cheap_world(), generations=8, seed=1))
+
+
+def test_the_first_scenario_of_a_generation_is_foreseen_before_the_next_is_drawn(cheap_world):
+    told = []
+
+    class Telling(DistinctSearch):
+        def child(self, parents, rng):
+            told.append("drawn")
+            return DistinctSearch.child(self, parents, rng)
+
+    def foresee(scenarios):
+        told.extend("foreseen" for _ in scenarios)
+
+    list(run_campaign(Telling(population=4, random_runs=4), cheap_world(), generations=2, seed=1, foresee=foresee))
+    assert told == ["foreseen"] * 4 + ["drawn", "foreseen"] * 4
 
 
 def test_another_seed_is_another_search(cheap_world):
