@@ -64,8 +64,9 @@ def dear(project):
 
 
 def summary(result):
-    """What a session says, without times and process ids, and without the note that workers were in use."""
-    lines = [line for line in result.stdout.lines if "pafot-workers" not in line]
+    """What a session says, without times, process ids, progress, and the note that workers were in use."""
+    depends = re.compile(r"pafot-workers| \d+/s$").search
+    lines = [line for line in result.stdout.lines if not depends(line)]
     return [re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line) for line in lines]
 
 
