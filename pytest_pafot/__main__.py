@@ -16,7 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     about = "Commands of pytest-pafot beside pytest."
     parser = argparse.ArgumentParser(prog="python -m pytest_pafot", description=about)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     compare = commands.add_parser(
         "compare",
         help="compare search algorithms on a policy",
@@ -49,7 +49,11 @@ def main(arguments: list[str] | None = None) -> int:
     corpus.add_arguments(of_corpus)
     of_corpus.set_defaults(run=corpus.run)
     arguments_given = parser.parse_args(given)
-    code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+    try:
+        code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+    except KeyboardInterrupt:  # compare and rate say what is kept
+        sys.stderr.write(f"\n{arguments_given.command}: interrupted\n")
+        return 130
     return code
 
 

@@ -361,6 +361,13 @@ def _read_page(option: Option, value: object) -> str:
     raise OptionError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
 
 
+def _read_file(option: Option, value: object) -> str:
+    text = _read_text(option, value)
+    if text.endswith(("/", "\\")):
+        raise OptionError(f"expected the name of a file, received {value!r}, a folder; give {text}pafot.json")
+    return text
+
+
 def is_page_file(text: str) -> bool:
     """Whether the option ``report`` names a file, rather than a folder."""
     return text.lower().endswith((".html", ".htm"))
@@ -386,5 +393,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "address": _read_text,
     "folders": _read_text,
     "day": _read_day,
-    "file": _read_text,
+    "file": _read_file,
 }

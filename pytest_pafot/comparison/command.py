@@ -14,7 +14,7 @@ from typing import Any
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, PlanError, checked
-from pytest_pafot.comparison.resumable import worker_count
+from pytest_pafot.comparison.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.files import write_whole
 from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
 from pytest_pafot.searching.algorithms import ALGORITHMS
@@ -100,17 +100,19 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             )
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
+        from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415  (they import what may be missing)
+
+        measured = run_measures.Results.of(plan, results)
+        with written_into(folder, AGAIN):
+            titles = figures.draw_all(measured, folder / "figures")
+            report = markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles)
+            write_whole(folder / "report.md", report)
     except (PlanError, WorldError, AdsFactoryError, ScenarioError, ChildProcessError) as error:
         sys.stderr.write(f"compare: {error}\n")
         return BAD_USE
     except KeyboardInterrupt:
         sys.stderr.write("\ncompare: interrupted; what is finished is kept, the same command goes on with the rest\n")
         return 130
-    from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415  (they import what may be missing)
-
-    measured = run_measures.Results.of(plan, results)
-    titles = figures.draw_all(measured, folder / "figures")
-    write_whole(folder / "report.md", markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles))
     sys.stdout.write(f"{folder / 'report.md'}\n")
     return 0
 

@@ -19,6 +19,9 @@ from pytest_pafot.files import way_out, write_whole
 RESULTS = "results.csv"
 TIME = ".seconds"  # ending of the file with the wall-clock time of a task, the only thing that is not reproducible
 
+AGAIN = "then give the same command again: what is finished is kept"
+"""The way out where something could not be written after work was done."""
+
 POLL_SECONDS = 0.5
 TOLD_EVERY = 10.0  # how often progress is told where it cannot be rewritten in place [s]
 
@@ -93,7 +96,8 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     progress.close()
     parts = [(folder / file_name(*task)).read_text(encoding="utf-8") for task in job.in_order]
     header = parts[0].partition("\n")[0] + "\n"
-    write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
+    with written_into(folder, AGAIN):
+        write_whole(folder / RESULTS, header + "".join(part.partition("\n")[2] for part in parts))
     return folder / RESULTS
 
 
@@ -126,8 +130,8 @@ def claim(job: ResumableJob, folder: Path) -> None:
 
 
 @contextmanager
-def written_into(folder: Path) -> Iterator[None]:
-    """Call a folder that cannot be written a wrong ``--out``.
+def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
+    """Call a folder that cannot be written a wrong ``--out``, with the rest of the way out.
 
     Raises:
         PlanError: in place of an OSError.
@@ -135,9 +139,11 @@ def written_into(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        # What is in the way is named; of a file that was being written the name says nothing.
+        what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
         raise PlanError(
-            f"--out: expected a folder that can be written, received {folder}: {error.strerror or error}; "
-            f"{way_out(error, 'or give another folder')}"
+            f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
+            f"{way_out(error, elsewhere)}"
         ) from None
 
 
@@ -233,8 +239,9 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
 
     path = folder / file_name(*task)
     text = job.text(task, tick_sparsely)
-    write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.3f}\n")
-    write_whole(path, text)
+    with written_into(folder, AGAIN):
+        write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.3f}\n")
+        write_whole(path, text)
 
 
 def _duration(seconds: float) -> str:

@@ -110,7 +110,8 @@ class Records:
         """A saved scenario that tells nothing of itself could not be read or run."""
         if SEARCH_MARK not in report.keywords:
             return
-        self._results.setdefault(report.nodeid, []).append(_result(report))
+        if report.when == "call" or not report.passed:  # One whose setup passed has not come to its end.
+            self._results.setdefault(report.nodeid, []).append(_result(report))
         if report.failed:
             self._reasons.setdefault(report.nodeid, _reason(report))
         if report.nodeid in self._findings:

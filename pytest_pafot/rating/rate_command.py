@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.comparison.command import BAD_USE
 from pytest_pafot.comparison.plan import PlanError
-from pytest_pafot.comparison.resumable import run_job, worker_count, written_into
+from pytest_pafot.comparison.resumable import AGAIN, run_job, worker_count, written_into
 from pytest_pafot.files import write_whole
 from pytest_pafot.rating.rate import Pair, Rate, rows_of
 from pytest_pafot.rating.rate_page import page
@@ -72,7 +72,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         sys.stdout.write(_text(plan, rates, arguments))
         if arguments.out is not None:
             pictures = _pictures(plan, rates, arguments.out)
-            write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
+            with written_into(arguments.out, AGAIN):
+                write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
             sys.stdout.write(f"{arguments.out / 'report.md'}\n")
     except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
         sys.stderr.write(f"rate: {error}\n")
@@ -89,7 +90,7 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
     """The name of the picture of the first crash of each policy; without the library for it none, which is told."""
     try:
         return {
-            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder)
+            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
             for rate in rates
             if rate.crashed
         }
@@ -135,6 +136,9 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
 
 def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
     """Drive one episode of each policy again, and draw its end."""
+    with written_into(folder):  # before anything is driven
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     for name in plan.policies.values():
         episode = _episode(plan, name, seed)
         how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
@@ -153,13 +157,12 @@ def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
     return drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner, is_recorded=True)
 
 
-def _drawn(episode: Episode, name: str, folder: Path) -> str:
+def _drawn(episode: Episode, name: str, folder: Path, elsewhere: str = "or give another folder") -> str:
     """The name of the picture of an episode, in the folder."""
     from pytest_pafot.rating.crash_picture import picture  # noqa: PLC0415  (numpy)
 
     path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
     drawn = picture(episode, f"{name}, seed {episode.seed}")
-    with written_into(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(drawn)
+    with written_into(folder, elsewhere):
+        write_whole(path, drawn)
     return path.name

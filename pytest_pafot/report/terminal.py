@@ -279,7 +279,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     for search in session.searches:
         lines += search_lines(search, verbose=verbose, width=width)
     for node_id in session.interrupted:
-        lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is saved", width)]
+        lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
     for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
         for folder, count in folders:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import struct
 import subprocess
@@ -239,6 +240,32 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
         f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
     assert error.endswith("; a file lies where a folder should be: rename or delete it, or give another folder\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(("name", "workers"), [("runs", "1"), ("runs", "2"), ("results.csv", "1"), ("report.md", "1")])
+def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, name, workers):
+    taken = tmp_path / name
+    taken.touch() if name == "runs" else taken.mkdir()
+    arguments = ("--algorithms", "pafot,random", "--runs", "1", "--generations", "2", "--workers", workers)
+    assert compare(tmp_path, *arguments) == command.BAD_USE
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"compare: --out: expected a folder that can be written, received {taken}: ")
+    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
+    taken.unlink() if name == "runs" else taken.rmdir()
+    assert compare(tmp_path, *arguments) == 0
+
+
+def test_interrupted_while_it_draws_it_goes_on_with_the_same_command(tmp_path, capsys, monkeypatch):
+    def interrupted(measured, folder):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pytest_pafot.comparison.figures.draw_all", interrupted)
+    assert compare(tmp_path, "--algorithms", "random", "--runs", "1", "--generations", "1") == 130
+    assert capsys.readouterr().err.endswith(
+        "interrupted; what is finished is kept, the same command goes on with the rest\n"
+    )
 
 
 def test_two_budgets_are_refused(tmp_path, capsys):

@@ -73,6 +73,16 @@ def test_what_cannot_be_exported_is_refused_with_the_way_out(arguments, message,
     assert message in told
 
 
+def interrupting():
+    raise KeyboardInterrupt
+
+
+def test_an_interrupt_ends_it_with_a_line_and_the_exit_code_of_interrupts(tmp_path, capsys):
+    assert export(FILE, "--to", "csv", "--ads", f"{__name__}:interrupting", "--out", tmp_path) == 130
+    assert capsys.readouterr() == ("", "\nexport: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("name", "module", "library", "extra"),
     [

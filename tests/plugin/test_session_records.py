@@ -122,6 +122,7 @@ def test_a_session_that_is_killed_leaves_what_it_found_and_no_exit_code(project)
     project.run("--pafot-json=pafot.json", apart=True)
     record = record_of(project)
     assert (record.exit, record.searches[0].reason, len(record.findings)) == (None, "", 2)
+    assert record.searches[0].result == ""
     assert (record.searches[0].base_seed, record.findings[0].seed) == (1, record.searches[0].seed)
 
 
@@ -187,6 +188,13 @@ def test_a_folder_where_the_file_should_be_is_named(failing):
     result = failing.run("--pafot-json=taken")
     told = "a folder of that name lies there: rename or delete it, or name another file"
     result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused_before_the_session(failing):
+    result = failing.run("--pafot-json=new/")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--pafot-json: expected the name of a file, received 'new/'*new/pafot.json*"])
+    assert not (failing.path / "new").exists()
 
 
 def test_nothing_is_written_where_tests_are_only_listed(failing):

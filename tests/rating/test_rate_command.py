@@ -1,6 +1,7 @@
 """The command from its arguments to its page, and rates as values."""
 
 import csv
+import os
 import re
 import sys
 
@@ -167,6 +168,28 @@ def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, be
         f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
     )
     assert error.endswith("; a file lies where a folder should be: rename or delete it, or give another folder\n")
+
+
+def test_an_episode_is_not_driven_where_its_picture_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "taken").touch()
+    assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path / "taken")) == 2
+    out, told = capsys.readouterr()
+    assert out == ""
+    assert told.startswith(f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken'}: ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+@pytest.mark.parametrize("name", ["runs", "results.csv", "report.md", "constant_speed-planner-2.png"])
+def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, name):
+    taken = tmp_path / name
+    taken.touch() if name == "runs" else taken.mkdir()
+    arguments = ("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path))
+    assert rate(*arguments) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"rate: --out: expected a folder that can be written, received {taken}: ")
+    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
+    taken.unlink() if name == "runs" else taken.rmdir()
+    assert rate(*arguments) == 0
 
 
 def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
