@@ -118,6 +118,8 @@ class Records:
             return
         if report.failed and SAVED_MARK in report.keywords:
             self._findings[report.nodeid] = self._unreadable(report)
+        elif report.failed and self._config.getoption(BY_NAME["merge"].key):
+            self._texts["merge"].append(f"failed: {report.nodeid}: {self._reasons[report.nodeid]}")
         elif report.failed:
             self._take_failed_search(report.nodeid)
 

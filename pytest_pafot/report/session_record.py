@@ -226,7 +226,7 @@ class SessionRecord:
         searches: in the order of node ids.
         findings: saved scenarios that were replayed, and new findings, in the order of node ids.
         rates: a sentence for each test that counted crashes in ordinary traffic.
-        merged: what `--pafot-merge` told of each test.
+        merged: what `--pafot-merge` told of each test, and where it failed, why.
         warnings: of saved scenarios that are no longer accepted.
         problems: anything that went wrong beside the tests.
     """

@@ -129,6 +129,17 @@ def test_the_last_day_of_a_reason_goes_with_it_and_another_day_is_a_conflict(fai
     assert load(own).accepted == "issue 12, until 2027-02-28"
 
 
+def test_the_summary_of_a_job_says_that_a_merge_failed_and_calls_it_no_search(failing, other, monkeypatch):
+    the_file(other).write_text("pafot: 99\n")
+    summary = failing.path / "summary.md"
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    merge(failing, other).assert_outcomes(failed=1)
+    lines = summary.read_text().splitlines()
+    assert lines[2:6] == ["No search was asked for.", "", "**Merged**", ""]
+    assert lines[6].startswith("- failed: test\\_it.py::test\\_fails\\[search\\]: ")
+    assert "expected the format version 1 or 2, received 99" in lines[6]
+
+
 def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(failing):
     failing.leave_crash("test_it.py::test_fails")
     failing.run(generations=0)
