@@ -1,7 +1,9 @@
 """What ``--pafot-prune`` removes, and what it must never touch; and that nothing in a corpus is collected."""
 
+import errno
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +47,19 @@ def test_what_is_removed_is_listed_before_it_goes_and_empty_folders_go_with_it(o
     )
     assert not file.parent.exists()
     assert len(orphaned.files) == 1
+
+
+def test_a_file_that_cannot_be_removed_is_a_problem_with_the_way_out(orphaned, monkeypatch):
+    unlink = Path.unlink
+
+    def refuse(path, missing_ok=False):
+        if path.name.endswith(".pafot.yaml"):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    told = "not removed: *; the file system is read-only: mount it so that it can be written, then prune again"
+    prune(orphaned).stdout.fnmatch_lines([f"  problem: --pafot-prune: {gone(orphaned)}: {told}"])
 
 
 def test_the_workers_of_pytest_xdist_remove_the_same(orphaned):
