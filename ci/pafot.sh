@@ -77,13 +77,15 @@ pull_request() {
 
 # Files that the branch has gained since it left this commit: what is known there is not found again.
 bring() {
-  code=0
-  git ls-remote -q --exit-code "${REMOTE:-origin}" "refs/heads/$BRANCH" >/dev/null || code=$?
-  case $code in
+  known=0
+  git ls-remote -q --exit-code "${REMOTE:-origin}" "refs/heads/$BRANCH" >/dev/null || known=$?
+  case $known in
     0) git fetch -q "${REMOTE:-origin}" "+refs/heads/$BRANCH:$FINDS" ;;
     2) git update-ref -d "$FINDS" && return ;;
     *) fail "expected the remote ${REMOTE:-origin} with the branch $BRANCH, or none of that name, received an error" ;;
   esac
+  # Where it left lies beyond what a shallow clone has.
+  [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow "${REMOTE:-origin}"
   new=$(mktemp)
   git diff --name-only -z --diff-filter=A --relative "HEAD...$FINDS" -- "$FILES" >"$new"
   [ ! -s "$new" ] || git --literal-pathspecs restore --source="$FINDS" --pathspec-from-file="$new" --pathspec-file-nul
@@ -93,10 +95,10 @@ bring() {
 # A commit of the saved scenarios on the branch, beside an index and a checkout that stay as they are.
 keep() {
   index=$(mktemp)
-  set -- "$FILES" ":(exclude)${MACHINES:-machines}"
   tree=$(
     export GIT_INDEX_FILE="$index"
     git read-tree HEAD
+    set -- "$FILES" ":(exclude)${MACHINES:-machines}"
     [ -z "$(git status --porcelain -uall -- "$@")" ] || git add -A -- "$@"
     git write-tree
   )
@@ -111,7 +113,13 @@ keep() {
   else
     commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
       -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" -p HEAD)
-    git push -q --force-with-lease="refs/heads/$BRANCH:$before" "${REMOTE:-origin}" "$commit:refs/heads/$BRANCH"
+    if ! git push -q --force-with-lease="refs/heads/$BRANCH:$before" "${REMOTE:-origin}" "$commit:refs/heads/$BRANCH"
+    then
+      [ "${1:-}" != again ] || fail "expected to push finds to $BRANCH, received an error twice; they lie in $PWD"
+      bring # what somebody else has pushed meanwhile
+      keep again
+      return
+    fi
     echo "finds are on $BRANCH"
   fi
 }

@@ -51,9 +51,10 @@ if [ -n "${FINDS_NOW:-}" ]; then
   mkdir -p pafot_corpus/test_it/test_x
   echo "$FINDS_NOW" >"pafot_corpus/test_it/test_x/$FINDS_NOW.pafot.yaml"
 fi
+[ -z "${MEANWHILE:-}" ] || sh -c "$MEANWHILE" || exit
 exit "${CODE:-0}"
 """
-"""A Python that notes what it is asked for, and finds what it is told to."""
+"""A Python that notes what it is asked for, finds what it is told to, and sees what happens elsewhere meanwhile."""
 
 
 @pytest.fixture
@@ -316,6 +317,38 @@ class TestTheBranch:
         git(tmp_path, "clone", "-q", "origin.git", "next")
         self.night(tmp_path / "next", fake, finds="b")
         assert self.kept(repository) == ["b"]
+
+    def test_a_shallow_clone_knows_them_after_the_branch_was_left_behind(self, repository, fake, tmp_path):
+        self.night(repository, fake, finds="a")
+        shutil.rmtree(repository / "pafot_corpus")
+        commit(repository, {"planner.py": PLANNER}, "A planner")
+        git(repository, "push", "-q", "origin", "main")
+        git(tmp_path, "clone", "-q", "--depth=1", f"file://{tmp_path}/origin.git", "shallow")
+        self.night(tmp_path / "shallow", fake, finds="b")
+        assert [name[-12] for name in saved(tmp_path / "shallow")] == ["a", "b"]
+        assert self.kept(repository) == ["a", "b"]
+
+    @pytest.mark.parametrize(
+        ("meanwhile", "kept"),
+        [(f"FINDS_NOW=c sh {SCRIPT} night", ["a", "b", "c"]), ("git push -q origin :pafot-finds", ["a", "b"])],
+    )
+    def test_a_branch_that_has_moved_meanwhile_gets_them_all_the_same(
+        self, repository, fake, tmp_path, meanwhile, kept
+    ):
+        self.night(repository, fake, finds="a")
+        git(tmp_path, "clone", "-q", "origin.git", "next")
+        other = f"cd {repository}; unset MEANWHILE; export CODE=0; {meanwhile}"
+        assert "finds are on pafot-finds" in self.night(tmp_path / "next", fake | {"MEANWHILE": other}, finds="b")
+        assert self.kept(repository) == kept
+
+    def test_a_branch_that_refuses_them_ends_the_job_with_where_they_are(self, repository, fake):
+        hook = repository.parent / "origin.git" / "hooks" / "pre-receive"
+        hook.write_text("#!/bin/sh\nexit 1\n")
+        hook.chmod(0o755)
+        inputs = inputs_of("night", "night") | {"requirements": ""}
+        code, printed = run_action(inputs, repository, **fake, FINDS_NOW="a", CODE="1")
+        told = f"expected to push finds to pafot-finds, received an error twice; they lie in {repository}"
+        assert (code, told in printed) == (2, True), printed
 
     def test_a_remote_that_cannot_be_read_ends_the_job_before_it_searches(self, repository, fake):
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
