@@ -105,7 +105,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
         self._wanted: set[TaskT] = set()
         self._answers: dict[TaskT, ResultT | Exception] = {}
         self._suspects: dict[TaskT, ProcessLostError[TaskT]] = {}
-        self._has_frozen = False
 
     def __enter__(self) -> Self:
         return self
@@ -169,9 +168,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
         for worker in list(self._workers):
             self._remove(worker)
         self._pending, self._wanted = deque(), set()
-        if self._has_frozen:
-            self._has_frozen = False
-            gc.unfreeze()
 
     @property
     def _busy(self) -> list[_Worker[TaskT]]:
@@ -203,18 +199,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                if self.method == "fork":
-                    self._freeze()
                 idle = _Worker(self._context, self.work, others, self.grace, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
-
-    def _freeze(self) -> None:
-        """Let no process look for garbage in its copy of what is here, unless others have seen to that."""
-        self._has_frozen = self._has_frozen or not gc.get_freeze_count()
-        if self._has_frozen:
-            gc.freeze()
 
     def _fail(self, task: TaskT, reason: str) -> None:
         """Without processes, whoever asks must see to the tasks."""
@@ -376,6 +364,7 @@ def _serve(
         stuck.value = 1
         os._exit(1)
 
+    gc.freeze()  # Else it would look for garbage in its copy of all that is in the session, and so make that copy.
     for other in inherited:
         other.close()  # Else nobody would see the end of the session, or of another process, while this one lives.
     multiprocessing.current_process().daemon = False  # An ADS may have processes of its own.
