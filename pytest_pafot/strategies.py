@@ -12,7 +12,7 @@ towards few NPCs, short chains, "stay" and low round speeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import (
@@ -76,8 +76,13 @@ def chromosomes(
     Raises:
         ValueError: for bounds that leave nothing to draw.
     """
-    chains = _chains(_cells(cells), _cells(cells), _speeds(min_speed, max_speed))
-    return _bounds("genes", min_genes, max_genes).flatmap(lambda genes: chains(1, genes)).map(lambda npcs: npcs[0])
+    allowed, speeds, lengths = _cells(cells), _speeds(min_speed, max_speed), _bounds("genes", min_genes, max_genes)
+
+    @st.composite
+    def build(draw: st.DrawFn) -> Chromosome:
+        return _chains(draw, 1, draw(lengths), starts=allowed, allowed=allowed, speeds=speeds)[0]
+
+    return build()
 
 
 def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
@@ -126,8 +131,7 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
     @st.composite
     def build(draw: st.DrawFn) -> Scenario:
         lane = draw(st.sampled_from(usable))
-        chains = _chains(starts[lane], allowed, speeds)
-        npcs = draw(counts.flatmap(lambda count: lengths.flatmap(lambda genes: chains(count, genes))))
+        npcs = _chains(draw, draw(counts), draw(lengths), starts=starts[lane], allowed=allowed, speeds=speeds)
         seed = draw(st.integers(0, 2**16 - 1))
         return Scenario(npcs=npcs, seed=seed, ego_lane=lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
 
@@ -135,27 +139,31 @@ def scenarios(  # noqa: PLR0913  (all by keyword, all optional)
 
 
 def _chains(
-    starts: list[Cell], allowed: list[Cell], speeds: SearchStrategy[float]
-) -> Callable[[int, int], SearchStrategy[tuple[Chromosome, ...]]]:
-    """(number of NPCs, genes) to chains that start in, and stay within, given cells."""
+    draw: st.DrawFn,
+    npcs: int,
+    genes: int,
+    *,
+    starts: list[Cell],
+    allowed: list[Cell],
+    speeds: SearchStrategy[float],
+) -> tuple[Chromosome, ...]:
+    """Chains that start in, and stay within, given cells.
 
-    @st.composite
-    def build(draw: st.DrawFn, npcs: int, genes: int) -> tuple[Chromosome, ...]:
-        held: list[Cell] = []
-        for _ in range(npcs):
-            held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
-        rows = [list(held)]
-        for _ in range(genes - 1):
-            # One NPC after the other moves to a cell that nobody holds, so that "stay" is always open to it. In
-            # which order decides who can follow whom along the ring.
-            order = range(npcs) if npcs == 1 or not draw(st.booleans()) else reversed(range(npcs))
-            for npc in order:
-                moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
-                held[npc] = draw(st.sampled_from(moves))
-            rows.append(list(held))
-        return tuple(tuple(PositionInstruction(row[npc], draw(speeds)) for row in rows) for npc in range(npcs))
-
-    return build
+    No strategy of its own: hypothesis reads the source of one when it is made, which would be at each draw.
+    """
+    held: list[Cell] = []
+    for _ in range(npcs):
+        held.append(draw(st.sampled_from([cell for cell in starts if cell not in held])))
+    rows = [list(held)]
+    for _ in range(genes - 1):
+        # One NPC after the other moves to a cell that nobody holds, so that "stay" is always open to it. In
+        # which order decides who can follow whom along the ring.
+        order = range(npcs) if npcs == 1 or not draw(st.booleans()) else reversed(range(npcs))
+        for npc in order:
+            moves = [held[npc], *(c for c in held[npc].neighbours if c in allowed and c not in held)]
+            held[npc] = draw(st.sampled_from(moves))
+        rows.append(list(held))
+    return tuple(tuple(PositionInstruction(row[npc], draw(speeds)) for row in rows) for npc in range(npcs))
 
 
 def _speeds(low: float, high: float) -> SearchStrategy[float]:
