@@ -134,7 +134,9 @@ def _strips(network: Any, pieces: Sequence[Piece], line: Line, ego_speed: float)
     strips: dict[int, _Strip] = {}
     for point, owner in enumerate(line.piece):
         for number, (across, lane, longitudinal) in _beside(network, pieces[owner], line, point).items():
-            strip = strips.setdefault(number, _Strip(len(line.x)))
+            if number not in strips:
+                strips[number] = _Strip(len(line.x))
+            strip = strips[number]
             strip.exists[point] = True
             strip.across[point] = across
             strip.limit[point] = max(lane.speed_limit or 0.0, ego_speed)
