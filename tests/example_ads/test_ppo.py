@@ -4,11 +4,12 @@ import itertools
 import subprocess
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 from example_ads import ppo
+from pytest_pafot import Outcome, World
+from pytest_pafot.world.engines.ordinary_traffic import drive
 
 ACTIONS = 5
 
@@ -64,17 +65,9 @@ def test_driving_needs_neither_torch_nor_stable_baselines3():
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_it_drives_through_ordinary_traffic_without_a_crash(seed):
-    import highway_env
-
-    gym.register_envs(highway_env)
-    env = gym.make("highway-fast-v0", config={"lanes_count": 4})
-    policy, (observation, _) = ppo.make(), env.reset(seed=seed)
-    terminated = truncated = False
-    while not (terminated or truncated):
-        observation, _, terminated, truncated, _ = env.step(policy(observation))
-    env.close()
-    assert truncated
-    assert not terminated
+    world = World("highway-fast-v0", {"lanes_count": 4})
+    episode = drive(world.environment, ppo.make, seed, hang_limit=world.hang_limit)
+    assert (episode.outcome, episode.seconds) == (Outcome.SAFE, 30.0)
 
 
 def test_it_decides_for_many_as_for_each(observations):

@@ -51,12 +51,14 @@ def off_lanes(network, trace):
 
 
 def beyond_edges(network, point):
-    """Distance of a point to the nearest lane's edge [m]; negative on it."""
+    """Distance of a point to the nearest lane's edge [m]; negative on any."""
     best = math.inf
     for lane in network.lanes_list():
         longitudinal, lateral = lane.local_coordinates(point)
         if -5 <= longitudinal <= lane.length + 5:
             best = min(best, abs(lateral) - lane.width_at(longitudinal) / 2)
+            if best < 0:
+                break
     return best
 
 

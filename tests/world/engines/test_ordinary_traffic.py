@@ -71,7 +71,7 @@ def looking_ahead(env):
     ],
 )
 def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factory, options):
-    for seed in range(2):
+    for seed in range(2 if world is CRASHING else 1):  # soon at its end
         compiled = driven(world, factory, seed, is_recorded=True, **options)
         stepped = driven(world, factory, seed, is_recorded=True, may_compile=False, **options)
         assert (compiled.steps, stepped.steps) == ("", "that was asked for")

@@ -173,14 +173,14 @@ def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0", duration=60.0)], ids=["Highway", "World"])
 @only_exactly
 def test_vehicle_classes_drive_themselves_as_they_do_in_gymnasium(exact, world, ego_class):
-    for scenario in random_scenarios(2, lanes=4, speed_limit=26.8, seed=ego_class.__name__):
-        trace = world.rollout(scenario, ego_class)
-        env, log = stock_env(trace, ego_class=ego_class)
-        plain = env.unwrapped
-        for _ in range(trace.ticks):
-            plain.road.act()
-            plain.road.step(1 / 15)
-        assert_same(trace, log, exact)
+    (scenario,) = random_scenarios(1, lanes=4, speed_limit=26.8, seed=ego_class.__name__)
+    trace = world.rollout(scenario, ego_class)
+    env, log = stock_env(trace, ego_class=ego_class)
+    plain = env.unwrapped
+    for _ in range(trace.ticks):
+        plain.road.act()
+        plain.road.step(1 / 15)
+    assert_same(trace, log, exact)
 
 
 def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehicles_overlap():
@@ -197,7 +197,11 @@ def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehi
             road.step(1 / 15)
             ego, *npcs = road.vehicles
             still = np.zeros(2)
-            hits = [are_polygons_intersecting(ego.polygon(), npc.polygon(), still, still)[0] for npc in npcs]
+            hits = [
+                np.hypot(*(npc.position - ego.position)) < 6.0  # further apart than two half diagonals of 2.7 m
+                and are_polygons_intersecting(ego.polygon(), npc.polygon(), still, still)[0]
+                for npc in npcs
+            ]
             if any(hits):
                 first = (tick, hits.index(True))
                 break
