@@ -32,11 +32,13 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         entities.add_scenario_object(name, _vehicle(name, *size))
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
         init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], _at_once()))
-        act.add_maneuver_group(_replay(name, trace.times.tolist(), positions))
-    story = xosc.Story("replay")
-    story.add_act(act)
+        if trace.ticks:  # A run that ends with its first decision has no trajectories.
+            act.add_maneuver_group(_replay(name, trace.times.tolist(), positions))
     board = xosc.StoryBoard(init, _at("end", trace.duration, "stop"))
-    board.add_story(story)
+    if trace.ticks:
+        story = xosc.Story("replay")
+        story.add_act(act)
+        board.add_story(story)
     scenario = xosc.Scenario(
         finding.id,
         "pytest-pafot",

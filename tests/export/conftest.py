@@ -22,6 +22,22 @@ def exported(request):
     return saved.finding, saved.replay(ads_factory(policy)).trace
 
 
+def refuses():
+    def drive(observation):
+        raise RuntimeError("no plan")
+
+    return drive
+
+
+@pytest.fixture(scope="session")
+def ended_at_once():
+    """The same of a run that ends with the first decision of its ADS."""
+    saved = pafot.load(FILES / "collision-xfail.pafot.yaml")
+    trace = saved.replay(refuses).trace
+    assert trace.ticks == 0
+    return saved.finding, trace
+
+
 @pytest.fixture
 def largest(record_property):
     """Records and prints the largest difference of some arrays, by what they are, and gives it."""

@@ -74,6 +74,17 @@ def test_a_table_read_back_is_what_was_driven(exported, tmp_path):
     assert path.name == f"{finding.id}.csv"
 
 
+@pytest.mark.parametrize("name", ["csv", "xosc", "mcap", "commonroad"])
+def test_of_a_run_that_ends_with_its_first_decision_the_start_is_told(ended_at_once, name):
+    pytest.importorskip({"csv": "csv", "xosc": "scenariogeneration", "mcap": "foxglove"}.get(name, name))
+    files = exporter(name)(*ended_at_once)
+    assert all(files.values())
+    if name == "xosc":
+        root = ElementTree.fromstring(next(iter(files.values())))
+        assert len(list(root.iter("TeleportAction"))) == len(ended_at_once[1].sizes)
+        assert list(root.iter("Story")) == []
+
+
 def test_openscenario_has_every_vehicle_where_it_was_at_every_tick(exported, tmp_path, largest):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
