@@ -20,10 +20,14 @@ _HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK}
 _LOCK_AT = 1 << 30  # beyond any content: Windows keeps others from reading the bytes that are locked
 
 
-def hold(descriptor: int) -> bool:
-    """Lock a new file; False when another session looked at it before that, and so took it for a dead process's."""
+def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
+    """Lock a new file; False when another session looked at it before that, and so took it for a dead process's.
+
+    Processes that are forked inherit the lock and keep it, also when this one has ended, unless they are not to. Then
+    this process must open the file but once, as it loses the lock by closing it again.
+    """
     try:
-        _lock(descriptor)
+        _lock(descriptor) if is_inherited else _lock_here(descriptor)
     except OSError as error:
         return error.errno not in _HELD  # without locks on this file system, the process id in the name decides
     return os.fstat(descriptor).st_nlink > 0
@@ -69,7 +73,12 @@ if sys.platform == "win32":
         finally:
             os.lseek(descriptor, position, os.SEEK_SET)
 
+    _lock_here = _lock  # Nothing is forked there.
+
 else:
 
     def _lock(descriptor: int) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _lock_here(descriptor: int) -> None:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -120,6 +121,34 @@ def test_what_a_process_writes_stays_while_it_lives_and_goes_with_the_next_save_
     process.wait()
     write_whole(path, b"content")
     assert list(path.parent.iterdir()) == [path]
+
+
+FORKING = """
+import os, signal, sys
+from pytest_pafot import locks
+file = open(sys.argv[1], "ab")
+locks.hold(file.fileno(), is_inherited=False)
+forked = os.fork()
+if not forked:
+    signal.pause()
+print(forked, flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_lock_that_is_not_inherited_ends_with_its_process_though_one_lives_that_it_has_forked(tmp_path):
+    path = tmp_path / "lock"
+    command = [sys.executable, "-c", FORKING, path]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        forked = int(process.stdout.readline())
+        with path.open("ab") as file:
+            assert not locks.hold(file.fileno(), is_inherited=False)
+            process.stdin.close()
+            process.wait()
+            assert locks.hold(file.fileno(), is_inherited=False)
+        os.kill(forked, signal.SIGKILL)
 
 
 def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypatch):

@@ -137,11 +137,11 @@ class StateFile:
             file = self.path.with_suffix(LOCK).open("ab")
         except OSError:
             return  # Nothing can be written here; the state itself says so.
-        if not hold(file.fileno()):
+        if not hold(file.fileno(), is_inherited=False):  # A worker that a killed session leaves behind does no harm.
             file.close()
             raise RequestError(
-                f"{self.path}: expected a search that no other session makes now, received one that another session or "
-                f"a process of it is at; wait until that has ended, or give another folder with {FLAG}"
+                f"{self.path}: expected a search that no other session makes now, received one that another session "
+                f"is at; wait until that has ended, or give another folder with {FLAG}"
             )
         self._claim = file
 
