@@ -52,6 +52,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
         "docs/comparisons/README.md",
     ),
     "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
+    "kinds": ("kinds --first-seed 100 --seeds {20|1} --seconds {20|1} --workers WORKERS", "docs/comparisons/kinds.md"),
     "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", DEFAULT_SEARCH),
     "margins-of-others": (
         "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",

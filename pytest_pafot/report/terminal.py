@@ -211,7 +211,6 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
 
 def _figures(search: SearchSummary) -> str:
     counts = (
-        (search.shrink_runs, "more to shrink"),
         (search.known_runs, "not run again"),
         (search.failing, "failing"),
         (search.npc, "npc at fault"),
@@ -224,7 +223,8 @@ def _figures(search: SearchSummary) -> str:
     )
     told = [f"{count} {what}" for count, what in counts if count or what == "failing"]
     told += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
-    return ", ".join([f"{plural(search.runs, 'run')} in {search.seconds:.1f} s", *told])
+    runs = plural(search.runs, "run") + (f" and {search.shrink_runs} to shrink" if search.shrink_runs else "")
+    return ", ".join([f"{runs} in {search.seconds:.1f} s", *told])
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

@@ -5,17 +5,19 @@ The straight roads are there to compare with.
     python -m tests.benchmarks.every_road [--seeds 5] [--generations 10] [--environments merge-v1 ...]
         [--check-every 1]
 
-A short search per environment, ego and seed. Prints how many genes are reached, the share of invalid runs, how the
-runs end, and the findings by signature; checks the NPC limits and the fixed point of every n-th run, and confirms
-every collision by ``env.step``. Ends with an error where one of these fails.
+A short search per environment, ego and seed. Prints how many genes are reached, how many runs are invalid or end
+without a collision, and the collisions by signature; versions of an environment of which all that is equal share a row.
+Checks the NPC limits and the fixed point of every n-th run, and confirms every collision by ``env.step``. Prints how
+many runs and collisions these were, and ends with an error where one of these fails.
 """
 
 from __future__ import annotations
 
-import time
+import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby, product
 from typing import Any
 
 from highway_env.vehicle.behavior import IDMVehicle
@@ -91,16 +93,13 @@ class Tally:
         if differs:
             self.faults.append(f"{trace.executed.canonical()}: not confirmed, {differs}")
 
-    def row(self, env_id: str, ego: str, seconds: float) -> str:
-        """A line of the table."""
-        invalid = self.outcomes[Outcome.INVALID] / max(self.runs, 1)
-        ends = ", ".join(f"{count} {name}" for name, count in self.outcomes.most_common())
-        finds = ", ".join(f"{name} {count}" for name, count in self.signatures.most_common())
-        return (
-            f"| {env_id} | {ego} | {self.runs} | {self.reached / max(self.started, 1):.0%} | {invalid:.0%} | {ends} | "
-            f"{finds or '-'} | {self.confirmed}/{self.signatures.total()} | {len(self.faults)} | "
-            f"{1e3 * seconds / max(self.runs, 1):.0f} |"
-        )
+    def cells(self) -> str:
+        """What the table tells."""
+        others = sorted(set(self.outcomes) - {Outcome.SAFE, Outcome.INVALID, Outcome.COLLISION})
+        ends = [str(self.outcomes[Outcome.SAFE]), *(f"{self.outcomes[each]} `{each}`" for each in others)]
+        finds = "; ".join(f"{count} {name}" for name, count in self.signatures.most_common())
+        reached = self.reached / max(self.started, 1)
+        return f"{self.runs} | {reached:.0%} | {self.outcomes[Outcome.INVALID]} | {' + '.join(ends)} | {finds or '-'}"
 
 
 def limits_broken(trace: Trace, world: World) -> list[str]:
@@ -110,22 +109,34 @@ def limits_broken(trace: Trace, world: World) -> list[str]:
     return violations(trace, world)
 
 
+def searched(env_id: str, ego: str, arguments: argparse.Namespace) -> Tally:
+    """All searches with one ego on one environment."""
+    tally = Tally(World(env_id), EGOS[ego], arguments.check_every)
+    for seed in range(arguments.seeds):
+        search = PafotSearch(space_of(tally.world))
+        for _ in run_campaign(search, tally.evaluate, generations=arguments.generations, seed=seed):
+            pass
+    return tally
+
+
 def main() -> None:
     arguments = options(
         __doc__, environments=(*STRAIGHT, *ENVIRONMENTS), egos=EGOS, seeds=5, generations=10, check_every=1
     )
-    head = "environment", "ego", "runs", "genes reached", "invalid", "runs end", "finds", "confirmed", "faults"
-    print_head(*head, "ms a run")
+    print_head("environment", "ego", "runs", "genes reached", "invalid", "no collision", "collisions")
     faults: list[str] = []
-    for env_id in arguments.environments:
-        for ego in arguments.egos:
-            tally, seconds = Tally(World(env_id), EGOS[ego], arguments.check_every), time.process_time()
-            for seed in range(arguments.seeds):
-                search = PafotSearch(space_of(tally.world))
-                for _ in run_campaign(search, tally.evaluate, generations=arguments.generations, seed=seed):
-                    pass
-            print(tally.row(env_id, ego, time.process_time() - seconds), flush=True)
-            faults += [f"{env_id} {ego}: {fault}" for fault in tally.faults]
+    runs = confirmed = 0
+    for family, versions in groupby(arguments.environments, key=lambda env_id: env_id.rpartition("-v")[0]):
+        for ego, env_ids in product(arguments.egos, [list(versions)]):
+            alike: dict[str, list[str]] = {}
+            for env_id in env_ids:
+                tally = searched(env_id, ego, arguments)
+                alike.setdefault(tally.cells(), []).append(env_id.removeprefix(family))
+                runs, confirmed = runs + tally.runs, confirmed + tally.confirmed
+                faults += [f"{env_id} {ego}: {fault}" for fault in tally.faults]
+            for cells, named in alike.items():
+                print(f"| {family}{', '.join(named)} | {ego} | {cells} |", flush=True)
+    print(f"\n{runs} runs, {confirmed} collisions confirmed, {len(faults)} faults")
     if faults:
         raise SystemExit("\n".join(faults))
 
