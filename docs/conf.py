@@ -103,12 +103,13 @@ def closest(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nod
     if node.get("refdomain") != "py":
         return None
     domain, last = env.domains.python_domain, f".{node['reftarget'].rpartition('.')[2]}"
-    found = {entry.docname: name for name, entry in domain.objects.items() if f".{name}".endswith(last)}
+    # One object has several names where it is imported elsewhere, and one place.
+    found = {(entry.docname, entry.node_id) for name, entry in domain.objects.items() if f".{name}".endswith(last)}
     if len(found) != 1:
         return None
-    ((docname, name),) = found.items()
+    ((docname, place),) = found
     address = app.builder.get_relative_uri(node["refdoc"], docname)
-    return nodes.reference("", "", content, internal=True, refuri=f"{address}#{name}")
+    return nodes.reference("", "", content, internal=True, refuri=f"{address}#{place}")
 
 
 def pictures() -> Iterator[Path]:
@@ -150,6 +151,25 @@ def found(app: Sphinx, exception: Exception | None) -> None:
         shutil.copyfile(page, Path(app.outdir) / _FIRST_FIND.relative_to(DOCS).with_name(page.name))
 
 
+def led(app: Sphinx, exception: Exception | None) -> None:
+    """See that links to a place on a page lead to one that the page has.
+
+    Raises:
+        ExtensionError: where one leads nowhere.
+    """
+    pages = [Path(app.outdir, f"{name}.html").resolve() for name in app.env.found_docs] if exception is None else []
+    texts = {page: page.read_text(encoding="utf-8") for page in pages}
+    places = {page: set(re.findall(r'\sid="([^"]*)"', text)) for page, text in texts.items()}
+    dead = [
+        f"{page.relative_to(app.outdir)}: {target}#{place}"
+        for page, text in texts.items()
+        for target, place in re.findall(r'href="([^":#]*)#([^"]+)"', text)
+        if place not in places.get((page.parent / target).resolve() if target else page, {place})
+    ]
+    if dead:
+        raise ExtensionError("links to places that their pages do not have:\n" + "\n".join(sorted(set(dead))))
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     for change in (contributing, navigated, themed):
@@ -159,3 +179,4 @@ def setup(app: Sphinx) -> None:
     app.connect("missing-reference", closest)
     app.connect("build-finished", copied)
     app.connect("build-finished", found)
+    app.connect("build-finished", led)
