@@ -170,6 +170,7 @@ def replay_highway(rules: Rules, scenario: Scenario, ads_factory: AdsFactory) ->
         "simulation_frequency": rules.physics_hz,
         "policy_frequency": rules.ads_hz,
         "action": {"type": "ContinuousAction"},
+        "observation": {"type": "AttributesObservation", "attributes": ()},  # nobody sees it, and others cost more
     }
     env = _reset(gymnasium.make("highway-v0", config=config, disable_env_checker=True), scenario)
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
