@@ -1,6 +1,7 @@
 """A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
 
 import os
+from importlib import metadata
 from pathlib import Path
 
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
@@ -46,6 +47,18 @@ def ads():
 SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
 """Marker arguments of ten-second scenarios, all with the same start."""
 
+NOT_NAMED = (
+    "doctest",
+    "junitxml",
+    "legacypath",
+    "pastebin",
+    "setuponly",
+    "setupplan",
+    "stepwise",
+    "unraisableexception",  # collects all garbage at the end of each session
+)
+"""Parts of pytest that a session goes without whose options do not name them: they take a fifth of a short session."""
+
 
 class Project:
     """A folder with tests, and what a session in it shows."""
@@ -69,8 +82,8 @@ class Project:
             fresh: in an interpreter that has imported nothing yet.
         """
         parallel = ["xdist"] if any(str(arg).startswith(("-n", "--dist")) for arg in args) else []
-        # unraisableexception collects all garbage at the end of each session, which is slow and shows nothing here.
-        names = ["pafot", *parallel, *plugins, "no:unraisableexception"]
+        named = "".join(map(str, args)).replace("-", "")
+        names = [*(f"no:{name}" for name in NOT_NAMED if name not in named), "pafot", *parallel, *plugins]
         options = [part for name in names for part in ("-p", name)]
         if generations is not None:
             options.append(f"--pafot-generations={generations}")
@@ -140,13 +153,20 @@ class Project:
 
 
 @pytest.fixture(scope="session")
+def distributions():
+    """Installed packages in which pytest may find plugins, of all that it would read again in each session."""
+    return [each for each in metadata.distributions() if each.entry_points.select(group="pytest11")]
+
+
+@pytest.fixture(scope="session")
 def found():
     """The corpus files of every search that one session does for all tests."""
     return {}
 
 
 @pytest.fixture
-def project(pytester, monkeypatch, found):
+def project(pytester, monkeypatch, distributions, found):
+    monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
     for name in (
         "CI",
         "BUILD_NUMBER",

@@ -172,10 +172,10 @@ def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
 
 def test_stepwise_starts_over_after_a_find_and_then_goes_on_at_it(project):
     project.write(ONE_SIGNATURE)
-    project.run("--sw", generations=None)
+    project.run("--stepwise", generations=None)
     # Looked at closely: pytest starts over whenever the number of tests has changed, which a find does.
-    project.run("--sw", generations=None).assert_outcomes(passed=1, failed=1)
-    project.run("--sw", generations=None).assert_outcomes(failed=1, deselected=1)
+    project.run("--stepwise", generations=None).assert_outcomes(passed=1, failed=1)
+    project.run("--stepwise", generations=None).assert_outcomes(failed=1, deselected=1)
 
 
 def test_an_xfail_mark_of_the_function_covers_its_search_and_its_finds(project):
