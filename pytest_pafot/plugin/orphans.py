@@ -16,7 +16,6 @@ import pytest
 
 from pytest_pafot.corpus.layout import files_in, module_named, modules_in, relative, safe_name
 from pytest_pafot.corpus.saved import read_saved_file
-from pytest_pafot.files import way_out
 
 _TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
 
@@ -86,6 +85,8 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             file.unlink(missing_ok=True)  # Another session may have been faster.
             removed.append(file)
         except OSError as error:
+            from pytest_pafot.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
+
             fix = way_out(error, "then prune again")
             failures.append(f"--pafot-prune: {file}: not removed: {error.strerror or error}; {fix}")
     for folder in dict.fromkeys(file.parent for file in removed):
