@@ -178,17 +178,31 @@ def test_an_episode_is_not_driven_where_its_picture_cannot_be_written(tmp_path, 
     assert told.startswith(f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken'}: ")
 
 
-@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-@pytest.mark.parametrize("name", ["runs", "results.csv", "report.md", "constant_speed-planner-2.png"])
-def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, name):
-    taken = tmp_path / name
-    taken.touch() if name == "runs" else taken.mkdir()
-    arguments = ("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path))
+def tells_what_is_taken(arguments, taken, capsys):
     assert rate(*arguments) == 2
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"rate: --out: expected a folder that can be written, received {taken}: ")
     assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
-    taken.unlink() if name == "runs" else taken.rmdir()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+def test_rows_that_cannot_be_written_at_last_are_told_and_the_same_command_goes_on(tmp_path, capsys):
+    arguments = ("--ads", "constant_speed@planner", "--episodes", "1", "--out", str(tmp_path))
+    taken = tmp_path / "runs"
+    taken.touch()
+    tells_what_is_taken(arguments, taken, capsys)
+    taken.unlink()
+    assert rate(*arguments) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys):
+    arguments = ("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path))
+    for name in ("results.csv", "constant_speed-planner-2.png", "report.md"):
+        taken = tmp_path / name
+        taken.mkdir()
+        tells_what_is_taken(arguments, taken, capsys)
+        taken.rmdir()
     assert rate(*arguments) == 0
 
 
