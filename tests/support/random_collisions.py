@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from example_ads import constant_speed, defects, idm_mobil
-from pytest_pafot import Highway, Scenario, Trace, World
+from pytest_pafot import Highway, Scenario, Trace
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.world.reference_drivers import REFERENCES
-from tests.support.road_cases import space_of
+from tests.support.road_cases import space_of, world_of
 from tests.support.sound_driver import SoundLaneChanger
 
 ATTEMPTS = 400
@@ -140,7 +140,7 @@ def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
     """
     rng = random.Random(f"{policy} {number} {seed}")
     for _ in range(ATTEMPTS):
-        world = motorway(rng) if policy in ON_A_MOTORWAY else other_road(rng.choice(ROADS))
+        world = motorway(rng) if policy in ON_A_MOTORWAY else world_of(rng.choice(ROADS))
         drawn = np.random.default_rng(rng.getrandbits(60))
         scenario = sample(space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2)), drawn)
         trace = world.rollout(scenario, POLICIES[policy](rng))
@@ -173,9 +173,3 @@ def space(world: Highway, rng: random.Random) -> SearchSpace:
         ego_lane=rng.randrange(1, world.lanes - 1),
         ego_speed=round(rng.uniform(0.4, 1.0) * world.speed_limit, 1),
     )
-
-
-@functools.cache
-def other_road(env_id: str) -> World:
-    """Made once."""
-    return World(env_id)

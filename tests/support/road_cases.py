@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
 
+from pytest_pafot import World
 from pytest_pafot.searching.space import space_on
 from pytest_pafot.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
 from pytest_pafot.world.protocol import road_start
@@ -18,6 +20,13 @@ ENVIRONMENTS = (
     "roundabout-generic-v0", "roundabout-generic-v1", "two-way-v0", "u-turn-v0", "u-turn-v1",
 )  # fmt: skip
 """highway-env's, but for its straight roads, its parking lots and those with more than one ego."""
+ROADS = tuple(
+    env_id
+    for env_id in ENVIRONMENTS
+    if env_id.endswith("-v1") or env_id in ("intersection-v0", "lane-keeping-v0", "two-way-v0")
+)
+"""Each road and route once: versions differ in what a policy sees and does, which counts for no ego that drives itself.
+The first of the intersection has a route of its own."""
 
 ON_LANE_MARGIN = 0.1
 """By how much a corner may be beyond the edge of all lanes [m]."""
@@ -25,6 +34,12 @@ IN_A_GAP_MARGIN = 0.6
 """The same in some roundabouts [m]: between two lanes there is a gap of 6 m with a bend of 50 degrees in it, in which
 whoever stays on the way is beside both."""
 WITH_GAPS = ("roundabout-v0", "roundabout-v1")
+
+
+@functools.cache
+def world_of(env_id, duration=None):
+    """Made once, since the survey of a road takes as long as many runs on it."""
+    return World(env_id, duration=duration)
 
 
 def space_of(world, npcs=2):
