@@ -31,17 +31,38 @@ def never_collides(run):
     assert not run.collision, run.explain()
 
 
+def searched(corpus="corpus", resume="states", **options):
+    given = {**SHORT, "ads": constant_speed.make, "holds": never_collides, "corpus": corpus, "resume": resume}
+    return pafot.explore(**(given | options))
+
+
 @pytest.fixture
 def search(tmp_path, monkeypatch):
     """Searches in a folder of its own, with the states of all searches in one of it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(state_file, "SHARE", 0)  # a state at each border, however long it takes to write
-
-    def searched(corpus="corpus", resume="states", **options):
-        given = {**SHORT, "ads": constant_speed.make, "holds": never_collides, "corpus": corpus, "resume": resume}
-        return pafot.explore(**(given | options))
-
     return searched
+
+
+@pytest.fixture(scope="module")
+def after_7_runs(tmp_path_factory):
+    """The name and the text of the state of a search."""
+    folder = tmp_path_factory.mktemp("begun")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        searched(runs=7)
+    path = state_of(folder)
+    return path.name, path.read_text()
+
+
+@pytest.fixture
+def begun(search, tmp_path, after_7_runs):
+    """The state of a search that can go on."""
+    name, text = after_7_runs
+    path = tmp_path / "states" / name
+    path.parent.mkdir()
+    path.write_text(text)
+    return path
 
 
 def files(folder):
@@ -186,13 +207,16 @@ def refused(search, match, **options):
         ({"decision_limit": 60.0}, "decision_limit None in the file, 60.0 now"),
     ],
 )
-def test_a_state_of_other_settings_is_refused_with_both_named(search, tmp_path, options, match):
-    search(runs=4)
-    before = state_of(tmp_path).read_text()
+def test_a_state_of_other_settings_is_refused_with_both_named(search, begun, options, match):
+    before = begun.read_text()
     text = refused(search, match, **options)
-    assert text.startswith(str(state_of(tmp_path)))
+    assert text.startswith(str(begun))
     assert "delete the file to begin the search anew" in text
-    assert state_of(tmp_path).read_text() == before
+    assert begun.read_text() == before
+
+
+def test_a_state_of_the_same_settings_goes_on(search, begun):
+    assert search(runs=1).summary.runs == 8
 
 
 def changed(change):
@@ -232,18 +256,17 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, tmp_path, fault):
-    search(runs=7)
-    path, (change, expected) = state_of(tmp_path), FAULTS[fault]
-    content = change(path.read_text())
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    before = path.read_bytes()
+def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, begun, fault):
+    change, expected = FAULTS[fault]
+    content = change(begun.read_text())
+    begun.write_bytes(content if isinstance(content, bytes) else content.encode())
+    before = begun.read_bytes()
     assert "delete the file" in refused(search, expected)
-    assert path.read_bytes() == before
+    assert begun.read_bytes() == before
 
 
-def test_a_file_that_is_too_large_is_refused_unread(search, tmp_path, monkeypatch):
-    search(runs=4)
+@pytest.mark.usefixtures("begun")
+def test_a_file_that_is_too_large_is_refused_unread(search, monkeypatch):
     monkeypatch.setattr(state_file, "MAX_BYTES", 1000)
     refused(search, "expected at most 1000 bytes, received more")
 
