@@ -57,8 +57,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     "`pafot.Weights(...)`, a function `Trace -> float`, higher is worse, or its `module:function`. Without one, each "
     "algorithm's own: `av-fuzzer` has one, all others take the default.",
     "blame": '`"any"`; or `"ego"`: the function is called only where the ego is responsible for the collision, '
-    'alone or together with an NPC, or where there is none; or `"preventable"`: likewise, and what it asserts then is a failure only where a '
-    "reference driver would have prevented it.",
+    'alone or together with an NPC, or where there is none; or `"preventable"`: likewise, and what it asserts then is '
+    "a failure only where a reference driver would have prevented it.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
 }
 """Arguments whose meaning no other docstring has."""
