@@ -74,8 +74,8 @@ class Algorithm(Protocol[StateT]):
 class Drawing(Generic[StateT]):
     """The scenarios of a generation, which can be run while others are still drawn.
 
-    Iterated over, it asks an algorithm and gives its scenarios. One that has a method ``draw``, a generator of the same
-    scenarios that returns the same state, draws each when it is read.
+    Iterated over, it asks an algorithm and gives its scenarios. A :class:`GenerationalSearch` draws each when it is
+    read, unless it has an ``ask`` of its own.
     """
 
     def __init__(self, algorithm: Algorithm[StateT], state: StateT, rng: Rng) -> None:
@@ -95,9 +95,8 @@ class Drawing(Generic[StateT]):
         return self._state
 
     def _drawn(self, algorithm: Algorithm[StateT], rng: Rng) -> Iterator[Scenario]:
-        draw = getattr(algorithm, "draw", None)
-        if draw is not None:
-            self._state = yield from draw(self._state, rng)
+        if isinstance(algorithm, GenerationalSearch) and type(algorithm).ask is GenerationalSearch.ask:
+            self._state = yield from algorithm.draw(self._state, rng)
             return
         self._state, scenarios = algorithm.ask(self._state, rng)
         yield from scenarios
@@ -163,8 +162,10 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
 
     def ask(self, state: GenerationStateT, rng: Rng) -> tuple[GenerationStateT, tuple[Scenario, ...]]:
         """The scenarios of the next generation."""
-        drawing = Drawing(self, state, rng)
-        return drawing.finished(), tuple(drawing.scenarios)
+        check_ask(state.asked)
+        state, proposed = self.propose(state, rng)
+        asked = tuple(proposed)
+        return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
     def draw(self, state: GenerationStateT, rng: Rng) -> Generator[Scenario, None, GenerationStateT]:
         """What :meth:`ask` gives, one by one, for a :class:`Drawing`."""

@@ -90,6 +90,18 @@ def test_the_first_scenario_of_a_generation_is_foreseen_before_the_next_is_drawn
     assert told == ["foreseen"] * 4 + ["drawn", "foreseen"] * 4
 
 
+def test_an_algorithm_with_an_ask_of_its_own_is_asked_by_it(cheap_world):
+    asked = []
+
+    class Asked(RandomSearch):
+        def ask(self, state, rng):
+            asked.append(state.generation)
+            return RandomSearch.ask(self, state, rng)
+
+    list(run_campaign(Asked(), cheap_world(), generations=2, seed=1))
+    assert asked == [0, 1]
+
+
 def test_another_seed_is_another_search(cheap_world):
     first, second = (list(run_campaign(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2))
     assert of(Evaluated, first) != of(Evaluated, second)
