@@ -9,7 +9,6 @@ import select
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -31,11 +30,15 @@ SEEN = (
 LONGEST_LINE = 1 << 20
 """Of an answer [bytes]."""
 LAST_WORDS = 2000
-"""Characters of a program's stderr that the error of its end tells."""
+"""How much of the end of its stderr the error of a program that has ended shows [bytes]."""
+WORDS = 4000
+"""How much of a program's stderr the session passes on from the beginning of a run, and from its end [bytes]."""
 GRACE = 1.0
 """How long a program may take to end once its input has ended [s]."""
 SLICE = 0.2
 """Longest wait that nothing interrupts, where the hang limit cannot send a signal [s]."""
+CHUNK = 1 << 16
+"""Bytes read from a pipe at once."""
 
 
 class ProgramEnded(Exception):  # noqa: N818  (named in findings as the fault it is)
@@ -71,7 +74,7 @@ class ProgramLoader:
         idle = _idle(self)
         while idle:
             program = idle.pop()
-            if program.is_running:
+            if program.is_ready:
                 return ProgramAds(self, program)
         return ProgramAds(self, Program(self.command))
 
@@ -106,13 +109,15 @@ class ProgramAds:
 
     def close(self) -> None:
         """Say what the program has said; it ends, or waits for the next run if it has answered everything."""
-        sys.stderr.write(self._program.said())
-        if self._is_asked:
-            self._program.kill()
-        if self._loader.keep and not self._is_asked:
-            _idle(self._loader).append(self._program)
-        else:
-            self._program.end()
+        try:
+            sys.stderr.write(self._program.said())
+        finally:
+            if self._is_asked:
+                self._program.kill()
+            if self._loader.keep and not self._is_asked:
+                _idle(self._loader).append(self._program)
+            else:
+                self._program.end()
 
 
 def line_of(observation: Any, *, reset: bool) -> bytes:
@@ -134,8 +139,8 @@ def action_of(line: bytes) -> Any:
         BadAction: where it says none of these.
     """
     answer = None
-    with suppress(ValueError):
-        answer = json.loads(line)
+    with suppress(ValueError, RecursionError):  # no JSON, no text, a number of 5000 digits, or 100,000 brackets
+        answer = json.loads(line, object_pairs_hook=_without_repetition)
     if isinstance(answer, dict) and "reset" in answer:  # it has the acceleration and the steering of now
         again = shown(line.decode("utf-8", "replace"))
         raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
@@ -151,8 +156,19 @@ def action_of(line: bytes) -> Any:
     )
 
 
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse an object with a repeated key: libraries differ in which of the values they take."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        raise ValueError("a key is repeated")
+    return values
+
+
 class Program:
     """A program under way, which ends when nobody needs it any more, or with this process.
+
+    It leads a process group of its own, all of which is killed once the program has ended, also where it ends by
+    itself: what it leaves running would hold the pipes open, and keep the machine busy.
 
     Raises:
         AdsFactoryError: when it cannot be started.
@@ -161,24 +177,25 @@ class Program:
     def __init__(self, command: Sequence[str]) -> None:
         self._name = os.path.basename(command[0])  # noqa: PTH119  (of any text)
         self._buffer = bytearray()
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (a pipe would have to be read all the time)
-        self._heard = 0
+        self._words = bytearray()
+        self._left_out = 0
         try:
             self._process = subprocess.Popen(  # noqa: S603  (the user's own program)
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._errors,
+                stderr=subprocess.PIPE,
                 bufsize=0,
                 process_group=0,
             )
         except OSError as error:
-            self._errors.close()
             received = f"{list(command)} ({error.strerror})"
             raise refused("a program that can be started", received, "correct the path, or build it first") from None
-        self._to: Any = self._process.stdin
-        self._from: Any = self._process.stdout
-        self.end = Finalize(self, _end, (self._process, self._errors), exitpriority=0)
+        self._to, self._from, self._errors = (
+            pipe.fileno() for pipe in (self._process.stdin, self._process.stdout, self._process.stderr) if pipe
+        )
+        self._sources = [self._from, self._errors]
+        self.end = Finalize(self, _end, (self._process,), exitpriority=0)
         """Ends the program, once; called by itself where this is forgotten, and when this process ends in order.
 
         Unlike a finalizer of ``weakref`` it is called in processes of the pool, too, and not in forked ones for others.
@@ -187,12 +204,19 @@ class Program:
     @property
     def is_running(self) -> bool:
         """Whether it has not ended."""
-        return self._process.poll() is None
+        return not _has_ended(self._process, 0.0)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it waits for a line: it has not ended, and has said nothing since its last answer."""
+        with suppress(ProgramEnded, BadAction):
+            self._hear(0.0)
+            return not self._buffer
+        return False
 
     def kill(self) -> None:
         """End it at once, with all that it has started."""
-        if self.is_running:
-            os.killpg(self._process.pid, signal.SIGKILL)
+        _kill(self._process)
 
     def ask(self, line: bytes, timeout: float | None) -> bytes:
         """The line that the program answers to a line.
@@ -207,32 +231,49 @@ class Program:
             BadAction: when it says more than one line, or a long one.
         """
         pending, started = memoryview(line), time.monotonic()
-        if select.select([self._from], [], [], 0)[0]:
-            self._read()
+        self._hear(0.0)
         while b"\n" not in self._buffer or pending:
             if self._buffer and len(pending) == len(line):
                 raise _more(self._line())
             if timeout is not None and time.monotonic() - started > timeout:
                 raise ProgramTimeout(f"{self._name} did not answer within {timeout:g} s")
-            can_read, can_write, _ = select.select([self._from], [self._to] if pending else [], [], SLICE)
-            if can_read:
-                self._read()
-            elif can_write:
+            if self._hear(SLICE, is_asking=bool(pending)):
                 pending = pending[self._write(pending[: select.PIPE_BUF]) :]
         answer = self._line()
         if self._buffer:
             raise _more(self._line())
         return answer
 
+    def _hear(self, seconds: float, *, is_asking: bool = False) -> bool:
+        """Wait up to a time [s] for what the program says, and read it; return whether it takes more of the pending line.
+
+        Its stderr is read here, too, so that a program that fills that pipe goes on to answer.
+        """
+        pipes = select.poll()  # and not select.select, which refuses descriptors from 1024
+        for source in self._sources:
+            pipes.register(source, select.POLLIN)
+        if is_asking:
+            pipes.register(self._to, select.POLLOUT)
+        ready = {descriptor for descriptor, _ in pipes.poll(1000.0 * seconds)}
+        if self._errors in ready:
+            self._read_words()
+        if self._from in ready:
+            self._read()
+        elif self._to in ready:
+            return True
+        elif not self.is_running and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
+            self._gone()  # A process that it has started may hold the pipe open.
+        return False
+
     def _write(self, part: memoryview) -> int:
         """Of so much a pipe always takes all at once where it takes anything."""
         try:
-            return os.write(self._to.fileno(), part)
+            return os.write(self._to, part)
         except BrokenPipeError:
-            self._gone()
+            self._gone("input")
 
     def _read(self) -> None:
-        part = os.read(self._from.fileno(), 1 << 16)
+        part = os.read(self._from, CHUNK)
         if not part:
             self._gone()
         self._buffer += part
@@ -240,35 +281,54 @@ class Program:
             begins = shown(bytes(self._buffer[:80]))
             raise BadAction(f"expected a line of at most {LONGEST_LINE} bytes, received one that begins with {begins}")
 
+    def _read_words(self) -> None:
+        """Keep the beginning and the end of what it writes to stderr: nobody reads megabytes, and they cost memory."""
+        part = os.read(self._errors, CHUNK)
+        if not part:
+            self._sources.remove(self._errors)
+        self._words += part
+        middle = max(0, len(self._words) - 2 * WORDS)
+        del self._words[WORDS : WORDS + middle]
+        self._left_out += middle
+
     def _line(self) -> bytes:
         line, _, rest = bytes(self._buffer).partition(b"\n")
         self._buffer[:] = rest
         return line
 
-    def _gone(self) -> NoReturn:
+    def _gone(self, closed: str = "output") -> NoReturn:
         """The program has closed an end of its; it is over, or as good as that."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(GRACE)
+        _has_ended(self._process, GRACE)
         code = self._process.returncode
-        how = "closed its output" if code is None else f"ended with exit code {code}"
+        how = f"closed its {closed}" if code is None else f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was ended by signal {-code}, {signal.strsignal(-code)},"
         error = ProgramEnded(f"{self._name} {how} in the place of an answer")
-        words = self.said(is_told=False)[-LAST_WORDS:]
-        if words:
+        self._read_rest()
+        if self._words:
+            words = self._words[-LAST_WORDS:].decode("utf-8", "replace")
             error.add_note(f"the end of its stderr:\n{words}")
         raise error
 
-    def said(self, *, is_told: bool = True) -> str:
-        """What the program has written to its stderr since it was last told."""
-        # Program and session share the file's position, which is the program's: neither reading at a place nor cutting
-        # the file moves it. What was cut off is a hole.
-        descriptor = self._errors.fileno()
-        text = os.pread(descriptor, max(0, os.fstat(descriptor).st_size - self._heard), self._heard)
-        if is_told:
-            self._heard += len(text)
-            os.ftruncate(descriptor, 0)
-        return text.decode("utf-8", "replace")
+    def _read_rest(self) -> None:
+        """Read what the pipe of stderr holds; a limit on it, as a program may fill it faster than it is read."""
+        for _ in range(LONGEST_LINE // CHUNK):
+            pipe = select.poll()
+            pipe.register(self._errors, select.POLLIN)
+            if self._errors not in self._sources or not pipe.poll(0):
+                return
+            self._read_words()
+
+    def said(self) -> str:
+        """What the program has written to stderr since the last call, without the middle where that is long."""
+        self._read_rest()
+        words, left_out = bytes(self._words), self._left_out
+        self._words.clear()
+        self._left_out = 0
+        if left_out:
+            note = f"\n[... {left_out} bytes that {self._name} wrote to stderr are left out ...]\n"
+            words = words[:WORDS] + note.encode() + words[WORDS:]
+        return words.decode("utf-8", "replace")
 
 
 def _more(line: bytes) -> BadAction:
@@ -277,14 +337,44 @@ def _more(line: bytes) -> BadAction:
     )
 
 
-def _end(process: subprocess.Popen[bytes], errors: Any) -> None:
-    """Close a program's pipes, and kill what has not ended soon after."""
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            pipe.close()
-    try:
-        process.wait(GRACE)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
+def _has_ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
+    """Return whether a program ends within a time [s]; then the rest of its group is killed.
+
+    At once, since the system may use the group's number again as soon as the group is empty.
+    """
+    if process.returncode is None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
+            _kill_group(process)
+    return process.returncode is not None
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a program that has not ended, and its group."""
+    if process.returncode is None:
+        _kill_group(process)
         process.wait()
-    errors.close()
+
+
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
+    with suppress(ProcessLookupError, PermissionError):  # none is left, or it runs as another user
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Close a program's input and output, and kill what has not ended soon after."""
+    pipes: Any = (process.stdin, process.stdout, process.stderr)
+    *both, errors = pipes
+    for pipe in both:
+        pipe.close()
+    words, until = select.poll(), time.monotonic() + GRACE
+    words.register(errors, select.POLLIN)
+    try:
+        while not _has_ended(process, 0.0) and (left := until - time.monotonic()) > 0.0:
+            # Its stderr is read on, since its last words must neither block nor kill it.
+            if words.poll(1000.0 * min(left, SLICE / 10)) and not os.read(errors.fileno(), CHUNK):
+                _has_ended(process, left)
+                break
+    finally:  # also where the user interrupts this
+        _kill(process)
+        errors.close()

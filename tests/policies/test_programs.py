@@ -16,6 +16,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.policies import programs
 from pytest_pafot.world import Observation, VehicleState
+from pytest_pafot.world.kernel.action import BadAction
 
 CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
 ROAD = pafot.Highway(duration=4.0)
@@ -173,6 +174,73 @@ def test_a_program_that_hangs_is_ended_by_the_hang_limit_of_the_world(tmp_path):
     error = pafot.Highway(duration=4.0, hang_limit=0.3).rollout(CUT_IN, ads).error
     assert error is not None
     assert error.kind == "Hang"
+
+
+STARTS_ANOTHER = """
+    import subprocess
+    if number == 0:  # it inherits stdout and stderr, and says at its end that nobody has killed it
+        subprocess.Popen(["sh", "-c", "sleep 10; echo lived >&0"], stdin=open({path!r}, "w"))
+    {ending} if number == 1 else answer(acceleration=0.0, steering=0.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("ending", "message"),
+    [
+        ("answer(acceleration=0.0, steering=0.0)", "no error"),
+        ("os._exit(3)", "ended with exit code 3 in the place of an answer"),
+        ("os.abort()", "was ended by signal 6, Aborted, in the place of an answer"),
+    ],
+)
+def test_what_a_program_has_started_ends_with_it(ending, message, tmp_path):
+    path = str(tmp_path / "lives")
+    os.mkfifo(path)
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK)) as lives:
+        error = ROAD.rollout(
+            CUT_IN, program(tmp_path, STARTS_ANOTHER.format(path=path, ending=ending), keep=False)
+        ).error
+        os.set_blocking(lives.fileno(), True)
+        assert lives.read() == ""  # up to the end of the last that could write
+    assert message in (error.message if error else "no error")
+
+
+def test_a_program_that_has_spoken_unasked_drives_no_other_run(tmp_path):
+    loader = program(tmp_path, "answer(action=os.getpid())")
+    first = loader()
+    first([1])
+    first._program._buffer += b"{}\n"  # which would be the answer to the first observation of the next
+    first.close()
+    second = loader()
+    assert second([1]) != first._program._process.pid
+    second.close()
+
+
+def test_a_program_that_writes_much_to_its_stderr_costs_neither_answers_nor_pages(tmp_path, capfd):
+    ads = program(tmp_path, "sys.stderr.write('begin' + 'x' * 200_000 + 'end\\n'); answer(action=number)")()
+    assert [ads([1]) for _ in range(3)] == [0, 1, 2]
+    ads.close()
+    said = capfd.readouterr().err
+    assert said.startswith("beginxx")
+    assert re.search(r"xx\n\[\.\.\. 592027 bytes that .* wrote to stderr are left out \.\.\.\]\nxx", said)
+    assert said.endswith("xxend\n")
+    assert len(said) < 2 * programs.WORDS + 100
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[" * 100_000,
+        b'{"lane":' * 100_000,
+        b'{"acceleration": ' + b"9" * 5000 + b', "steering": 0}',
+        b'{"acceleration": 0, "acceleration": -9, "steering": 0}',
+        b'{"acceleration": 0, "steering": 0, "\xff": 0}',
+        b'{"acceleration": 0, "steering": 0\0}',
+        b"",
+    ],
+)
+def test_an_answer_that_no_reader_understands_is_a_bad_action(line):
+    with pytest.raises(BadAction, match="expected a line of JSON with the keys acceleration and steering"):
+        programs.action_of(line)
 
 
 def test_the_last_words_of_a_program_are_in_the_finding(tmp_path, capfd):
