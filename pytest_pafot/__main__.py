@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+from contextlib import suppress
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -51,10 +53,28 @@ def main(arguments: list[str] | None = None) -> int:
     arguments_given = parser.parse_args(given)
     try:
         code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
+        sys.stdout.flush()
     except KeyboardInterrupt:  # compare and rate say what is kept
         sys.stderr.write(f"\n{arguments_given.command}: interrupted\n")
         return 130
+    except OSError as error:
+        if error.filename is not None:  # not of the standard output, which has no name
+            raise
+        return _without_output(arguments_given.command, error)
     return code
+
+
+def _without_output(command: str, error: OSError) -> int:
+    """Say that the standard output cannot be written; the exit code."""
+    from pytest_pafot.files import way_out  # noqa: PLC0415
+
+    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a name, no path)
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # Python writes what is left of it when it ends.
+    if isinstance(error, BrokenPipeError):  # `| head` has read enough, which is no fault
+        return 128 + 13
+    expected, fix = "a standard output that can be written", way_out(error, "or send it to another place")
+    sys.stderr.write(f"{command}: expected {expected}, received {error.strerror}; {fix}\n")
+    return 2
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from pathlib import Path
 from pytest_pafot.campaign.saved_scenario import SavedScenario, load
 from pytest_pafot.comparison.command import BAD_USE
 from pytest_pafot.comparison.plan import PlanError, ads_factory
+from pytest_pafot.comparison.resumable import written_into
 from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.errors import AdsFactoryError, CorpusError, WorldError
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
@@ -45,9 +46,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             raise ExportError(field="--ads", expected=expected, received=received)
         driven = saved.replay(ads_factory(arguments.ads))
         for name, content in export(saved.finding, driven.trace).items():
-            write_whole(arguments.out / name, content)
+            with written_into(arguments.out):
+                write_whole(arguments.out / name, content)
             sys.stdout.write(f"{arguments.out / name}\n")
-    except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError, OSError) as error:
+    except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
         sys.stderr.write(f"export: {error}\n")
         return BAD_USE
     sys.stderr.write(_departure(saved, driven))

@@ -245,7 +245,7 @@ class Program:
         return answer
 
     def _hear(self, seconds: float, *, is_asking: bool = False) -> bool:
-        """Wait up to a time [s] for what the program says, and read it; return whether it takes more of the pending line.
+        """Wait up to a time [s] for what the program says, and read it; return whether it takes more of its line.
 
         Its stderr is read here, too, so that a program that fills that pipe goes on to answer.
         """

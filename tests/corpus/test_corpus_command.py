@@ -1,7 +1,10 @@
 """``python -m pytest_pafot corpus``: which saved scenarios there are, without running them."""
 
 import json
+import os
+import sys
 from datetime import date
+from pathlib import Path
 
 import pytest
 
@@ -43,3 +46,20 @@ def test_a_file_that_cannot_be_read_is_told_and_counted_and_the_exit_code_is_1(f
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
     assert main(["corpus", "list", str(tmp_path / "none")]) == 2
     assert "corpus: expected a folder, received" in capsys.readouterr().err
+
+
+def test_an_output_that_cannot_be_written_is_a_line_and_one_that_has_read_enough_is_none(folder, monkeypatch, capsys):
+    end, start = os.pipe()
+    os.close(end)
+    with os.fdopen(start, "w") as head, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", head)
+        assert main(["corpus", "list", str(folder)]) == 141  # as of a program that SIGPIPE has ended
+    assert capsys.readouterr().err == ""
+    if Path("/dev/full").exists():
+        with Path("/dev/full").open("w") as full, monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", full)
+            assert main(["corpus", "list", str(folder)]) == 2
+        assert capsys.readouterr().err == (
+            "corpus: expected a standard output that can be written, received No space left on device; "
+            "free some space on the disk, or send it to another place\n"
+        )

@@ -45,6 +45,26 @@ def test_a_finding_is_found_by_its_name_below_the_folder_of_the_command(tmp_path
     assert "received 'collision-xfail', which 2 files have: other/collision-xfail.pafot.yaml, tests/corpus/" in told
 
 
+@pytest.mark.parametrize(
+    ("below", "received"),
+    [
+        ("file", "{}: File exists; a file lies where a folder should be: rename or delete it, or give another folder"),
+        ("file/new", "{}: Not a directory; a file lies where a folder should be: rename or delete it, or give another"),
+        ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
+        ("taken", "{}/collision-xfail.csv: Is a directory; a folder of that name lies there: rename or delete it, or"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_refused_with_the_way_out(below, received, tmp_path, capsys):
+    (tmp_path / "file").touch()
+    (tmp_path / "taken" / "collision-xfail.csv").mkdir(parents=True)
+    out = tmp_path / below
+    assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", out) == 2
+    told, error = capsys.readouterr()
+    assert told == ""
+    assert error.startswith(f"export: --out: expected a folder that can be written, received {received.format(out)}")
+    assert error.count("\n") == 1
+
+
 def test_a_run_that_is_not_the_saved_one_is_written_and_told(tmp_path, capsys):
     assert export(FILE, "--to", "csv", "--ads", "idm_mobil", "--out", tmp_path) == 0
     told = capsys.readouterr().err
