@@ -3,9 +3,13 @@
 Without a C compiler the modules run interpreted.
 """
 
+import os
 import re
+import sys
 import tomllib
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
@@ -23,6 +27,8 @@ FLAGS = [
 ]
 
 
+BUILD = "build"
+"""The folder that holds what is generated and compiled, as setuptools names it."""
 EXAMPLES = "example_ads"
 EXAMPLES_INSTALLED = f"pytest_pafot.{EXAMPLES}"  # no package of a general name among the user's own
 
@@ -76,8 +82,28 @@ def extensions() -> list[Extension]:
         return []
     sources = [types.with_suffix(".py") for folder in FOLDERS for types in sorted(folder.glob("*.pxd"))]
     found = [Extension(".".join(source.with_suffix("").parts), [source.as_posix()]) for source in sources]
-    modules: list[Extension] = cythonize(found, compiler_directives=DIRECTIVES, build_dir="build")
+    processes = os.cpu_count() or 1
+    modules: list[Extension] = cythonize(found, compiler_directives=DIRECTIVES, build_dir=BUILD, nthreads=processes)
     return modules
+
+
+@contextmanager
+def one_build_at_a_time() -> Iterator[None]:
+    """Wait for the end of another build in this folder: both write the same files, and remove some of them.
+
+    The later one finds compiled what the earlier one has left. The system ends the lock of a build that is killed.
+    """
+    if os.name != "posix" or "develop" in sys.argv:  # which runs pip, and that this file: it would wait for itself
+        yield
+        return
+    import fcntl  # noqa: PLC0415
+
+    folder = Path(BUILD)
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        with suppress(OSError):  # on a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 LINK = re.compile(r"(!?)\[([^][]*)\]\((?![a-z]+:|#)([^()\s]+)\)")
@@ -102,12 +128,13 @@ def long_description(readme: str, address: str | None, version: str) -> str:
 
 if __name__ == "__main__":
     project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
-    setup(
-        packages=packages(),
-        ext_modules=extensions(),
-        cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
-        long_description=long_description(
-            Path("README.md").read_text(encoding="utf-8"), project["urls"].get("Source"), project["version"]
-        ),
-        long_description_content_type="text/markdown",
-    )
+    with one_build_at_a_time():
+        setup(
+            packages=packages(),
+            ext_modules=extensions(),
+            cmdclass={"build_ext": AllOrNothing, "build_py": WithoutExampleTests},
+            long_description=long_description(
+                Path("README.md").read_text(encoding="utf-8"), project["urls"].get("Source"), project["version"]
+            ),
+            long_description_content_type="text/markdown",
+        )

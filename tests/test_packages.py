@@ -1,9 +1,11 @@
 """What a package index shows, and the checks before a release: each refuses what it is there to refuse."""
 
+import os
 import re
 import runpy
 import tomllib
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,8 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TARGET = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
-long_description = runpy.run_path(str(ROOT / "setup.py"))["long_description"]
+SETUP = runpy.run_path(str(ROOT / "setup.py"))
+long_description = SETUP["long_description"]
 
 
 @pytest.fixture
@@ -165,3 +168,24 @@ def test_the_first_find_is_made_by_the_files_that_the_readme_shows(check):
     assert sorted(files) == ["conftest.py", "test_safety.py"]
     assert "class MyPlanner" in files["conftest.py"]
     assert "@pafot.search" in files["test_safety.py"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs locks of POSIX")
+def test_two_builds_in_one_folder_wait_for_each_other(tmp_path, monkeypatch):
+    import fcntl
+
+    def is_free():
+        with (tmp_path / "build" / "lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+            return True
+
+    monkeypatch.chdir(tmp_path)
+    for failure in (None, RuntimeError):
+        with suppress(RuntimeError), SETUP["one_build_at_a_time"]():
+            assert not is_free()
+            if failure:
+                raise failure
+        assert is_free()
