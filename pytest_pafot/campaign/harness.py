@@ -24,6 +24,7 @@ from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.trace import Trace
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload
+from pytest_pafot.world.driving.failure import exits, let_through
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +143,12 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
         raise RequestError(str(error)) from None
     except skips() as error:  # of the factory: what the ADS raises is in the trace
         raise RequestError(no_skip(f"the factory of {whose}", error)) from None
+    except exits() as error:
+        let_through(error)
+        raise RequestError(
+            f"expected the factory of {whose} to leave the session alone, received pytest.exit({str(error)!r}); raise "
+            "an exception of another kind"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,7 +115,7 @@ class Replays:
                 )
         with harness.recording(job) as record:
             record.write(scenario)
-            if trace is None:  # What raised in another process, or cannot be sent from there, is to be seen here.
+            if trace is None:
                 with refusals():
                     trace = world.rollout(scenario, harness.ads)
             run = harness.seen(trace, world)

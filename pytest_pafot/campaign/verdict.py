@@ -16,7 +16,7 @@ from pytest_pafot.grid import Cell
 from pytest_pafot.rejection import Rejected
 from pytest_pafot.run import ReferenceOutcome, Run, preventing, reference_outcome
 from pytest_pafot.trace import Outcome
-from pytest_pafot.world.driving.failure import UNFIT, let_through
+from pytest_pafot.world.driving.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
 """The user's function with everything but the run filled in; it asserts, and returns None."""
@@ -123,7 +123,8 @@ def _asked(run: Run, test: Test, test_file: str) -> Verdict:
     except RequestError:
         raise
     except UNFIT as error:
-        let_through(error)
+        if is_interruption(error):
+            raise
         failure = raised_failure(error, test_file)
         return Verdict(kind="failed", exception=error, failure=failure, checks=tuple(recording.checks))
     if result is not None:

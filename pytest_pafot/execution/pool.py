@@ -34,6 +34,9 @@ ResultT = TypeVar("ResultT")
 GRACE = 5.0
 """How much longer than its limit one decision may take, or a process be silent, before it is ended [s]."""
 
+IGNORED = 0.5
+"""How long a decision in a process of its own may ignore its interruption: less, since only that process ends [s]."""
+
 FAREWELL = 2.0
 """How long a process may take to end by itself [s]; what its libraries started ends with it then."""
 
@@ -87,7 +90,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     _: KW_ONLY
     method: str
     patience: float
-    grace: float = GRACE
+    grace: float = IGNORED
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
     clock: Callable[[], float] = time.monotonic
@@ -312,7 +315,8 @@ class _Worker(Generic[TaskT]):
         except (EOFError, OSError):
             return None
         except Exception as error:  # noqa: BLE001  (made of what cannot be had here)
-            is_done, said = True, error
+            expected = "expected a result that can be read in the session, received one that raises there"
+            is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
         else:
@@ -377,10 +381,20 @@ def _serve(
         while connection.poll(idle) and (given := connection.recv()) is not None:
             task, along = given
             try:
-                said = pickle.dumps((True, work(task, tell, *along)))  # what cannot be sent is an error as well
+                said = _sendable(work(task, tell, *along))
             except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
+
+
+def _sendable(result: object) -> bytes:
+    try:
+        return pickle.dumps((True, result))
+    except Exception as error:
+        raise RuntimeError(
+            "expected a result that can be sent to the session, received one that cannot be pickled: "
+            f"{type(error).__name__}: {error}; let the ADS return plain numbers"
+        ) from error
 
 
 def _portable(error: BaseException) -> Exception:

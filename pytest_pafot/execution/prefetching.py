@@ -11,7 +11,7 @@ from concurrent.futures import Executor
 from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.executors import ExecutorPool
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_from
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_apart, trace_from
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.text import plural
 from pytest_pafot.trace import Trace
@@ -171,8 +171,8 @@ class Isolated(Processes):
             return [] if self._pool.failure or self._pool.unable else self._pool.notes
         return [] if self._pool is None else [recovery_note(each) for each in self._pool.recovered]
 
-    def take(self, scenario: Scenario, *, afresh: bool) -> Trace | None:
-        """The trace of a run; None where only this process can show what was raised beside the ADS.
+    def take(self, scenario: Scenario, *, afresh: bool) -> Trace:
+        """The trace of a run. What was raised in the other process is raised here, and nothing is repeated here.
 
         Of an executor's workers that may be what they lack, so that such a run is refused.
         """
@@ -191,4 +191,4 @@ class Isolated(Processes):
                 f"{type(first).__name__}: {first}; let the workers have what the run needs, or search without "
                 "--pafot-isolate, where this process makes such runs"
             )
-        return trace_from(answer)
+        return trace_apart(answer)

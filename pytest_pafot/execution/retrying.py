@@ -8,11 +8,12 @@ up from run to run, such as memory. That scenario is then called a finding after
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Answer, Job, LostRun
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun
 from pytest_pafot.execution.separate_runs import answers_apart
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.trace import Outcome, Trace
@@ -58,7 +59,8 @@ def retry(
         return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None
     if job is not None and not leftover.is_tried:
-        answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
+        with suppress(ExecutionError):  # The first run of the search says so.
+            answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
     if answers is None and leftover.is_lock_step:
         run_here(leftover)
         return Retried()

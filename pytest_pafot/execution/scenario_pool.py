@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.captured_output import CapturedOutput, capture_output
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.scenario import Scenario
@@ -25,6 +25,12 @@ from pytest_pafot.world import protocol
 METHOD = "fork" if sys.platform == "linux" else "spawn"
 """Forked processes have the factory and the fixtures that it uses. Elsewhere the systems' own libraries do not survive
 it, and the factory must be one that can be pickled."""
+
+NOT_REPEATED = (
+    "This was raised in the process in which alone the ADS may run, and is not repeated in the session. Where it works "
+    "in the session, the ADS or its factory uses what another process cannot have, such as CUDA, a thread or a "
+    "connection: open that in the factory, and not before it."
+)
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 Timed: TypeAlias = tuple[Trace, CapturedOutput, float]
@@ -80,7 +86,7 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
             ) from None
     patience = protocol.hang_limit(job.world) + GRACE
-    return WorkerPool(work, size, method=METHOD, patience=patience, grace=GRACE, ended=partial(_forget, job))
+    return WorkerPool(work, size, method=METHOD, patience=patience, grace=min(IGNORED, GRACE), ended=partial(_forget, job))
 
 
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object, floors: Floors = NONE) -> Timed:
@@ -121,6 +127,22 @@ def trace_from(answer: Answer) -> Trace | None:
     trace, output, _ = answer
     output.repeat()
     return trace
+
+
+def trace_apart(answer: Answer) -> Trace:
+    """The trace of an answer from where alone the ADS may run: what was raised there is raised here as well.
+
+    Raises:
+        Exception: why there is no trace. To run the scenario here would show the same error, or end this process.
+    """
+    __tracebackhide__ = True
+    trace = trace_from(answer)
+    if trace is not None:
+        return trace
+    if isinstance(answer, Exception):
+        answer.add_note(NOT_REPEATED)
+        raise answer
+    raise TypeError(f"answer: expected a trace or an exception, received {answer!r:.100}")
 
 
 def expectation(lost: LostRun) -> Expect:

@@ -140,7 +140,7 @@ def test_an_error_that_cannot_travel_is_told_in_words(pool_of, error, text):
 def test_a_result_that_cannot_be_sent_is_told_in_words():
     with WorkerPool(lambda number, tell: lambda: number, 1, method="fork", patience=30.0) as pool:
         pool.expect([0])
-        assert "pickle" in str(pool.fetch(0))
+        assert "a result that can be sent to the session, received one that cannot be pickled" in str(pool.fetch(0))
 
 
 def test_what_is_not_fetched_is_forgotten_with_the_next_tasks(pool_of):

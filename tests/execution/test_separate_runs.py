@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -10,7 +11,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.retrying import retry
-from pytest_pafot.execution.scenario_pool import Job
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import answers_apart, run_apart
 from tests.support.toy_world import Toy, scenario
 
@@ -75,18 +76,35 @@ def test_a_process_counts_as_lost_that_lived_when_it_was_tried_again(job_of, tmp
 
 
 @needs_fork
-def test_what_raises_beside_the_ads_is_to_be_run_in_this_process(job_of):
+def test_what_the_verdict_raises_is_seen_where_it_counts(job_of):
     def fail(trace):
         raise LookupError("no such fixture")
 
-    assert run_apart(job_of(idle), ONE, fail, isolate=False, in_own_session=pytest.fail) is None
+    assert run_apart(job_of(idle), ONE, fail, isolate=False, in_own_session=pytest.fail).scenario == ONE
+
+
+def open_nothing():
+    raise OSError("cannot re-initialize CUDA")
+
+
+@needs_fork
+@pytest.mark.parametrize("isolate", [True, False])
+def test_what_the_factory_raises_is_the_outcome_and_is_not_repeated_here(job_of, isolate):
+    job = replace(job_of(idle), ads=open_nothing)
+    kind = OSError if isolate else ExecutionError
+    with pytest.raises(kind, match="cannot re-initialize CUDA") as raised:
+        run_apart(job, ONE, praise, isolate=isolate, in_own_session=pytest.fail)
+    told = "".join([str(raised.value), *getattr(raised.value, "__notes__", ())])
+    assert "open that in the factory, and not before it" in told
+    assert ("delete the file" in told) is not isolate
 
 
 def test_where_no_process_can_be_forked_a_session_of_its_own_goes_first(job_of, no_fork):
     went = []
     assert run_apart(job_of(idle), ONE, praise, isolate=False, in_own_session=lambda: went.append(1)) is None
     assert went == [1]
-    assert answers_apart(job_of(idle), [ONE], praise, isolate=True) is None, "its factory cannot be pickled"
+    with pytest.raises(ExecutionError, match="must be one that can be pickled"):
+        run_apart(job_of(idle), ONE, praise, isolate=True, in_own_session=pytest.fail)
 
 
 class TestRetrying:

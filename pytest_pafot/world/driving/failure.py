@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bdb
+import signal
 import sys
 import traceback
 from types import TracebackType
@@ -21,27 +22,43 @@ OWN = ("pytest_pafot.world.", "pytest_pafot.policies.")
 TIMEOUT_PLUGINS = ("pytest_timeout",)
 """Their failure says that the time of a test is over, and nothing of the code that ran just then."""
 
+DEBUGGER = "_pytest.debugging"
+"""The module in which pytest ends the session when the user quits the debugger."""
 
-def is_interruption(error: BaseException) -> bool:
+
+def exits() -> tuple[type[BaseException], ...]:
+    """What ``pytest.exit()`` raises: whoever calls it has imported pytest, which this room does not know."""
+    return (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
+
+
+def is_interruption(error: BaseException, *, is_of_ads: bool = False) -> bool:
     """Whether an exception ends a session, a debugger's or the time of a test, and says nothing of who raised it.
 
     Everything else that comes out of the user's code is its own doing, whatever it derives from: a panic of a native
-    library, a cancelled task, or ``pytest.skip()``, which nobody would hear of.
+    library, a cancelled task, or ``pytest.skip()``, which nobody would hear of. A test function may call
+    ``pytest.exit()``, and an ADS may not: with a status of 0 the session would pass.
     """
     if isinstance(error, BaseExceptionGroup):
-        return any(is_interruption(each) for each in error.exceptions)
-    # What `pytest.exit()` raises: whoever calls it has imported pytest, which this room does not know.
-    exits = (sys.modules["pytest"].exit.Exception,) if "pytest" in sys.modules else ()
-    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit, *exits)):
+        return any(is_interruption(each, is_of_ads=is_of_ads) for each in error.exceptions)
+    if isinstance(error, (KeyboardInterrupt, bdb.BdbQuit)):
         return True
+    if isinstance(error, exits()):
+        return not is_of_ads or (getattr(error, "returncode", None) != 0 and _is_from_outside(error))
     modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
     return any(module.partition(".")[0] in TIMEOUT_PLUGINS for module in modules)
 
 
 def let_through(error: BaseException) -> None:
-    """Raise again what is an interruption; called where any exception is caught."""
-    if is_interruption(error):
+    """Raise again what is an interruption; called where any exception of an ADS is caught."""
+    if is_interruption(error, is_of_ads=True):
         raise error
+
+
+def _is_from_outside(error: BaseException) -> bool:
+    """Whether a debugger or the handler of a signal, such as SIGTERM, raised an exception, wherever it arrived."""
+    handlers = [getattr(signal.getsignal(number), "__code__", None) for number in signal.valid_signals()]
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return any(frame.f_globals.get("__name__") == DEBUGGER or frame.f_code in handlers for frame in frames)
 
 
 def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
