@@ -11,7 +11,15 @@ from concurrent.futures import Executor
 from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.executors import ExecutorPool
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, ScenarioPool, pool_for, recovery_note, trace_apart, trace_from
+from pytest_pafot.execution.scenario_pool import (
+    ExecutionError,
+    Job,
+    ScenarioPool,
+    pool_for,
+    recovery_note,
+    trace_apart,
+    trace_from,
+)
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.text import plural
 from pytest_pafot.trace import Trace

@@ -85,8 +85,8 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 "where processes cannot be forked, the ADS factory must be one that can be pickled, such as a class of "
                 f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
             ) from None
-    patience = protocol.hang_limit(job.world) + GRACE
-    return WorkerPool(work, size, method=METHOD, patience=patience, grace=min(IGNORED, GRACE), ended=partial(_forget, job))
+    patience, grace = protocol.hang_limit(job.world) + GRACE, min(IGNORED, GRACE)
+    return WorkerPool(work, size, method=METHOD, patience=patience, grace=grace, ended=partial(_forget, job))
 
 
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object, floors: Floors = NONE) -> Timed:

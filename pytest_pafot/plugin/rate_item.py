@@ -39,7 +39,9 @@ class Rates:
             ads = request.ads
             factory = checked_factory(pyfuncitem.funcargs[ads], ads) if isinstance(ads, str) else ads
             with session_ends_if_stuck(pyfuncitem):
-                rate = request.measured(factory, workers_of(pyfuncitem.config))
+                settings = resolve(pyfuncitem.config, {}, fresh_seed=0)
+                workers = 1 if is_worker(pyfuncitem.config) else settings.workers
+                rate = request.measured(factory, workers, isolate=settings.isolate)
         except (RequestError, OptionError, WorldError, AdsFactoryError, ProcessLostError) as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         messages.send(pyfuncitem, "rate", {"text": f"{pyfuncitem.nodeid}: {rate.sentence}"})
@@ -51,12 +53,3 @@ class Rates:
         given = {name: pyfuncitem.funcargs[name] for name in names if name in pyfuncitem.funcargs}
         pyfuncitem.obj(**(given | ({RATE_ARG: rate} if RATE_ARG in names else {})))
         return True
-
-
-def workers_of(config: pytest.Config) -> int:
-    """How many processes drive episodes: as ``--pafot-workers`` says, one under pytest-xdist.
-
-    Raises:
-        OptionError: naming the source, what was expected and received.
-    """
-    return 1 if is_worker(config) else resolve(config, {}, fresh_seed=0).workers

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -55,16 +56,25 @@ class RateRequest:
     confidence: float | None = None
     planner: bool = False
 
-    def measured(self, factory: Callable[..., Any], workers: int = 1) -> Rate:
-        """Drive the episodes, in so many processes where they can be forked.
+    def measured(self, factory: Callable[..., Any], workers: int = 1, *, isolate: bool = False) -> Rate:
+        """Drive the episodes, in so many processes where they can be forked; with ``isolate`` none in this one.
 
         Raises:
             ProcessLostError: where one of them does not come back.
+            RequestError: with ``isolate``, where they cannot be forked, and the factory cannot be pickled.
         """
         name = self.ads if isinstance(self.ads, str) else getattr(factory, "__name__", repr(factory))
         seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
-        if workers == 1 or METHOD != "fork":
+        if not isolate and (workers == 1 or METHOD != "fork"):
             return Rate(ads=name, rows=tuple(map(work, seeds)))
+        if METHOD != "fork":
+            try:
+                pickle.dumps(work)
+            except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
+                raise RequestError(
+                    "--pafot-isolate: where processes cannot be forked, the ADS factory must be one that can be "
+                    f"pickled, such as a class of a module, received one that raises {type(error).__name__}: {error}"
+                ) from None
         preload(factory)
         patience = self.world.hang_limit + GRACE
         with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:

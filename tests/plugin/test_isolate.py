@@ -146,6 +146,15 @@ def test_so_it_is_in_the_first_run_of_all(isolated):
     assert project.only_id.startswith("crash-")
 
 
+def test_what_only_another_process_raises_is_the_outcome_and_no_decision_is_made_here(isolated):
+    more = "import json\n\ndef breaks(observation):\n    note()\n    json.dumps = None\n    return 0.0, 0.0\n"
+    project = isolated("breaks", more)
+    result = project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=1)
+    result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not repeated in the session*"])
+    assert result.parseoutcomes()["passed"] == 1
+    assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}
+
+
 def test_under_xdist_as_well(isolated):
     pytest.importorskip("xdist")
     project = isolated("drive", DIES)

@@ -116,6 +116,7 @@ RAISED = {
     "raise GeneratorExit": "GeneratorExit",
     "raise BaseExceptionGroup('many', [Panic()])": "BaseExceptionGroup",
     "pafot.reject()": "Rejected",
+    "pytest.exit('green', returncode=0)": "Exit",
 }
 
 
@@ -142,8 +143,17 @@ class TestWhatAnAdsRaisesIsAFinding:
         result.assert_outcomes(failed=2)
         result.stdout.fnmatch_lines(["*8 failing*", "*--pafot-workers=2: in use after 1 run of this process*"])
 
-    def test_but_for_the_end_of_the_session(self, project):
-        project.write(RAISING.replace("RAISE", "pytest.exit('enough')"))
-        result = project.run()
-        result.stdout.fnmatch_lines(["*ended: interrupted*", "*Exit: enough*"])
+    def test_but_for_an_interrupt(self, project):
+        project.write(RAISING.replace("RAISE", "raise KeyboardInterrupt"))
+        result = project.run(no_reraise_ctrlc=True)
+        result.stdout.fnmatch_lines(["*ended: interrupted*"])
         assert (result.ret, project.files) == (pytest.ExitCode.INTERRUPTED, [])
+
+    def test_a_factory_that_ends_the_session_fails_its_search(self, project):
+        ends = "def ends():\n    pytest.exit('green', returncode=0)\n\n"
+        project.write(ends + "@pafot.search(SHORT, ads=ends)\ndef test_drive(run):\n    pass\n")
+        result = project.run()
+        result.assert_outcomes(failed=1)
+        result.stdout.fnmatch_lines(
+            ["*expected the factory of the ADS to leave the session alone, received pytest.exit*"]
+        )

@@ -107,7 +107,8 @@ def test_a_mark_with_an_argument_by_position_fails_the_test_with_its_name(projec
 
 
 @pytest.mark.processes
-def test_several_processes_give_the_same_rate(project):
+@pytest.mark.parametrize("option", ["--pafot-workers=2", "--pafot-isolate"])
+def test_other_processes_give_the_same_rate(project, option):
     project.write(
         "made = []\n\n"
         + rated(
@@ -117,7 +118,7 @@ def test_several_processes_give_the_same_rate(project):
             "rate",
         ).replace("@pafot", "def make():\n    made.append(1)\n    return lambda seen: (0.0, 0.0)\n\n\n@pafot")
     )
-    project.run("--pafot-workers=2").assert_outcomes(passed=1)
+    project.run(option).assert_outcomes(passed=1)
 
 
 @pytest.mark.processes

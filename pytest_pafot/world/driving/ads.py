@@ -13,6 +13,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from pytest_pafot.errors import AdsFactoryError
+from pytest_pafot.world.driving.hang_guard import one_process
 from pytest_pafot.world.driving.seeing import PlannerSight, SeeingAds
 from pytest_pafot.world.kernel.action import (
     Drive,
@@ -131,7 +132,8 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
         )
     _check_call(factory, arguments)
     try:
-        ads = factory(**arguments)
+        with one_process():
+            ads = factory(**arguments)
     except TypeError as error:
         if re.search(r"__init__\(\) missing .*'position'", str(error)):
             error.add_note(

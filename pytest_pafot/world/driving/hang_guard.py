@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import mmap
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
+
+from pytest_pafot.errors import AdsFactoryError
 
 LONGEST_PAUSE = 1.0
 """Between two looks at the decisions under way [s]."""
 IDLE_LOOKS = 5
 """After so many looks with no run under way the watching thread ends."""
+COPY_LATE = 0.05
+"""How much later than this process a copy of it may come to the end of what the ADS does [s]."""
 LONGEST_TIMER = 1e6
 """A timer for more than this is as good as none, and systems refuse what is much longer [s]."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
@@ -49,6 +54,47 @@ def last_resort(resort: LastResort) -> Iterator[None]:
         yield
     finally:
         _WATCHDOG.set_resort(before)
+
+
+class OneProcess:
+    """The process that calls an ADS, which can fork it. To be used in a ``with`` statement around the ADS's code.
+
+    A copy that the ADS lets run on would run the rest of the session too, with all that this writes and prints. It is
+    noticed by its process id and ends where the statement does. There the process that it is a copy of raises an
+    ``AdsFactoryError``.
+    """
+
+    def __init__(self) -> None:
+        self.pid = os.getpid()
+        self.forked_at: float | None = None
+        self._noticed = mmap.mmap(-1, 1)  # A byte that is shared with all copies.
+
+    def __enter__(self) -> OneProcess:
+        self.forked_at = None
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
+        if os.getpid() != self.pid:
+            self._noticed[0] = 1
+            os._exit(1)  # Nothing is flushed: what the buffers hold is also in those of the other process.
+        if self.forked_at is not None:
+            self._wait_for_copies(self.forked_at)
+        if self._noticed[0] and kind is None:
+            self._noticed[0] = 0
+            raise AdsFactoryError(
+                "ads: expected an ADS that ends the processes that it forks, received one that lets a copy of this "
+                "process run on; the copy was ended and has written nothing. End it by os._exit() where os.fork() "
+                "gives 0, or use multiprocessing or subprocess"
+            )
+
+    def _wait_for_copies(self, forked_at: float) -> None:
+        """Give a copy as much time as this process has taken since, while there is any child."""
+        now, self.forked_at = time.perf_counter(), None
+        until = now + (now - forked_at) + COPY_LATE
+        with suppress(ChildProcessError, AttributeError):  # Not every system can look without taking what it sees.
+            while not self._noticed[0] and time.perf_counter() < until:
+                os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                time.sleep(0.001)
 
 
 class AdsHang(BaseException):
@@ -84,18 +130,23 @@ class HangGuard:
         self._target = threading.get_ident()
         self._by_signal = hasattr(signal, "pthread_kill") and threading.current_thread() is threading.main_thread()
         self._previous: Any = None
+        self._process = one_process()
 
     def __enter__(self) -> HangGuard:
+        self._process.__enter__()
         if self._by_signal:
             self._previous = signal.signal(signal.SIGUSR1, self._received) or signal.SIG_DFL
         _WATCHDOG.watch(self)
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.decision_ends()
-        _WATCHDOG.leave(self)
-        if self._by_signal:
-            signal.signal(signal.SIGUSR1, self._previous)
+    def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
+        try:
+            self._process.__exit__(kind)
+        finally:
+            self.decision_ends()
+            _WATCHDOG.leave(self)
+            if self._by_signal:
+                signal.signal(signal.SIGUSR1, self._previous)
 
     @property
     def pause(self) -> float:
@@ -160,6 +211,7 @@ class _Watchdog:
         self._thread: threading.Thread | None = None
         self._pause = LONGEST_PAUSE
         self._resort: LastResort | None = None
+        self.process = OneProcess()
         self._timed: float | None = None
         """The limit that the timer runs for [s]; None where it does not run."""
 
@@ -190,6 +242,10 @@ class _Watchdog:
         """The forked process has no thread that runs the timer, and would wait for its end."""
         with self._lock:
             self._stop_timer()
+
+    def after_fork(self) -> None:
+        """In the process that was forked."""
+        self.process.forked_at = time.perf_counter()
 
     def _run(self) -> None:
         idle = 0
@@ -256,6 +312,15 @@ def _let_it_arrive() -> None:
         return
 
 
+def one_process() -> OneProcess:
+    """What notices copies of this process; the same object each time, since a run takes a millisecond."""
+    return _WATCHDOG.process
+
+
 _WATCHDOG = _Watchdog()
 if hasattr(os, "register_at_fork"):  # a forked process has no other thread, and a lock that one held stays locked
-    os.register_at_fork(before=_WATCHDOG.before_fork, after_in_child=_WATCHDOG.__init__)  # type: ignore[misc]
+    os.register_at_fork(
+        before=_WATCHDOG.before_fork,
+        after_in_parent=_WATCHDOG.after_fork,
+        after_in_child=_WATCHDOG.__init__,  # type: ignore[misc]
+    )

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import unittest
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -73,9 +74,11 @@ FAULTS = [
     ValueError(), TypeError("x"), StopIteration(), SystemExit(2), ExceptionGroup("g", [ValueError("y")]), Panic("rust"),
     GeneratorExit(), asyncio.CancelledError(), BaseExceptionGroup("g", [SystemExit(2)]), unittest.SkipTest("no map"),
     pytest.skip.Exception("no GPU"), pytest.fail.Exception("no map"), pytest.xfail.Exception("never"),
+    pytest.exit.Exception("enough"), pytest.exit.Exception("green", 0),
+    ExceptionGroup("g", [pytest.exit.Exception("green", 0)]),
 ]  # fmt: skip
 INTERRUPTIONS = [
-    KeyboardInterrupt(), bdb.BdbQuit(), pytest.exit.Exception("enough"),
+    KeyboardInterrupt(), bdb.BdbQuit(),
     BaseExceptionGroup("g", [ValueError("y"), BaseExceptionGroup("h", [KeyboardInterrupt()])]),
 ]  # fmt: skip
 
@@ -89,6 +92,20 @@ def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault)
     trace = world.rollout(SCENARIO, failing_after(1, fail, idle))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, type(fault).__name__)
     assert type(fault).__name__ in trace.error.traceback
+
+
+@pytest.mark.parametrize(("status", "ends_the_session"), [(None, True), (0, False)])
+def test_the_handler_of_a_signal_may_end_the_session_but_not_as_passed(status, ends_the_session):
+    def handler(number, frame):
+        pytest.exit("terminated", returncode=status)
+
+    before = signal.signal(signal.SIGTERM, handler)
+    try:
+        ads = failing_after(1, lambda: signal.raise_signal(signal.SIGTERM), (0.0, 0.0))
+        with pytest.raises(pytest.exit.Exception) if ends_the_session else nullcontext():
+            assert Highway().rollout(SCENARIO, ads).error.kind == "Exit"
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():

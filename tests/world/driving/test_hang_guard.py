@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bdb
 import contextlib
+import ctypes
 import os
 import signal
 import subprocess
@@ -12,8 +13,12 @@ import time
 
 import pytest
 
+from pytest_pafot.errors import AdsFactoryError
+from pytest_pafot.world import Highway
 from pytest_pafot.world.driving import hang_guard
+from pytest_pafot.world.driving.ads import make_ads
 from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
+from tests.world.driving.test_ads import SCENARIO
 
 
 @pytest.fixture
@@ -22,6 +27,62 @@ def watchdog(monkeypatch):
     monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 0.01)
     monkeypatch.setattr(hang_guard, "_WATCHDOG", fresh := hang_guard._Watchdog())
     return fresh
+
+
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="no process can be forked")
+
+
+def fork_and_go_on():
+    pid = os.fork()
+    if pid:
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+
+
+def fork_behind_python():
+    pid = ctypes.CDLL(None).fork()
+    if pid:
+        os.waitpid(pid, 0)
+
+
+def forks_once(fork, when):
+    """A factory of ADSs that fork in the factory, or in the first decision."""
+
+    def ads():
+        if when == "factory":
+            fork()
+        return lambda seen: (fork() if when == "decision" and seen.time == 0 else None, (0.0, 0.0))[1]
+
+    return ads
+
+
+@forks
+@pytest.mark.parametrize("fork", [fork_and_go_on, fork_behind_python])
+@pytest.mark.parametrize("when", ["factory", "decision"])
+def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(fork, when):
+    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+        Highway(duration=2.0).rollout(SCENARIO, forks_once(fork, when))
+    assert Highway(duration=2.0).rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).error is None
+
+
+@forks
+@pytest.mark.parametrize("when", ["factory", "decision"])
+def test_a_process_that_the_ads_forks_and_ends_is_its_own(when):
+    def fork():
+        pid = os.fork()
+        if not pid:
+            os._exit(0)
+        assert os.waitpid(pid, 0)[1] == 0
+
+    assert Highway(duration=2.0).rollout(SCENARIO, forks_once(fork, when)).error is None
+
+
+@forks
+def test_a_copy_that_comes_later_is_waited_for(monkeypatch):
+    monkeypatch.setattr(hang_guard, "COPY_LATE", 60.0)
+    pids = []
+    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+        make_ads(lambda: pids.append(os.fork()))
+    os.waitpid(pids[0], 0)
 
 
 def hang(limit):
