@@ -253,11 +253,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
             (self._answers if is_hang else self._suspects)[task] = lost
 
     def _remove(self, worker: _Worker[TaskT]) -> None:
-        """End a process and let nothing of it remain, nor, on Linux, of programs in groups of their own under it."""
-        with suppress(OSError):  # As children of a process that lives, their ids are nobody else's.
-            for child in map(int, Path(f"/proc/{worker.pid}/task/{worker.pid}/children").read_text("utf-8").split()):
-                if os.getpgid(child) == child:
-                    os.killpg(child, signal.SIGKILL)
+        """End a process and let nothing of it remain, nor, on Linux, of what it has started."""
+        _end_children(worker.pid)
         worker.process.kill()
         worker.process.join()
         worker.connection.close()
@@ -344,6 +341,16 @@ def ending(code: int | None) -> str:
     return f"ended with exit code {code}"
 
 
+def _end_children(pid: int) -> None:
+    """End what a process has started, in groups of its own too. While it lives, their ids are nobody else's."""
+    for listed in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            for child in map(int, listed.read_text("utf-8").split()):
+                _end_children(child)
+                with suppress(OSError):
+                    os.kill(child, signal.SIGKILL) if os.getpgid(child) != child else os.killpg(child, signal.SIGKILL)
+
+
 def _serve(
     work: Work[Any],
     connection: Connection,
@@ -366,6 +373,7 @@ def _serve(
 
     def end() -> None:
         stuck.value = 1
+        time.sleep(2 * POLL)  # The pool ends it meanwhile, and what it has started, which it would leave behind.
         os._exit(1)
 
     gc.freeze()  # Else it would look for garbage in its copy of all that is in the session, and so make that copy.

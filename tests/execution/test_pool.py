@@ -4,17 +4,20 @@ import faulthandler
 import gc
 import multiprocessing
 import os
+import select
 import signal
 import subprocess
 import sys
 import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from pytest_pafot.execution import pool as execution_pool
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
@@ -92,6 +95,31 @@ def test_processes_run_at_the_same_time(pool_of, tmp_path):
     pool = pool_of(meet)
     pool.expect(TASKS[:2])
     assert fetched(pool, TASKS[:2]) == [0, 1]
+
+
+@pytest.mark.parametrize("is_stuck", [False, True])
+def test_what_a_process_has_started_ends_with_it(pool_of, is_stuck):
+    read, write = os.pipe()
+
+    def start(number):
+        subprocess.Popen(["sh", "-c", "sleep 600; :"], pass_fds=[write])
+        os.write(write, b".")
+        with HangGuard(0.01 if is_stuck else 60.0) as guard:
+            guard.decision_starts()
+            while True:
+                with suppress(AdsHang):
+                    time.sleep(0.01)
+
+    pool = pool_of(start, 1, grace=0.01)
+    pool.expect([0])
+    os.close(write)
+    assert os.read(read, 1) == b"."
+    if is_stuck:
+        assert "ignored the interruption" in pool.fetch(0).how
+    pool.close(at_once=True)
+    assert select.select([read], [], [], 30.0)[0], "the program holds its end"
+    assert os.read(read, 1) == b""
+    os.close(read)
 
 
 def test_what_is_raised_is_an_answer_and_says_where(pool_of):
