@@ -83,7 +83,7 @@ class Replays:
         try:
             if codec.is_code(finding.world):
                 return codec.named(finding.world, self.harness.world)
-            world = codec.from_dict(finding.world)
+            world = codec.of_file(finding.world, finding.scenario, self.harness.world)
             protocol.check_fits(world, finding.scenario)
         except ScenarioError as error:
             raise RequestError(str(located(saved.path, "scenario", error))) from None
@@ -153,7 +153,7 @@ class Replays:
         label: str = replay_label(finding, run, failure, self.harness.versions)
         if finding.expect.is_crash:
             label = "drifted" if verdict.failed else "fixed"  # The process lives, whatever the run shows.
-        if label == "fixed" and (codec.changes(finding.world, self.harness.world) or self.sight_change(finding)):
+        if label == "fixed" and (self.world_changes(finding) or self.sight_change(finding)):
             label = "drifted"  # It passes elsewhere than where it failed, or sees otherwise.
         if verdict.discarded:
             return label, run, verdict
@@ -168,6 +168,11 @@ class Replays:
         if passes is False or (passes and label == "fixed"):
             label = "fixed before" if passes else "fixed"
         return label, run, verdict
+
+    def world_changes(self, finding: Finding) -> list[str]:
+        """What differs between the world of a file and that of its replay: the test's, or one whose run it cuts."""
+        own = self.harness.world
+        return codec.changes(finding.world, own) or codec.cuts(finding.world, finding.scenario, own)
 
     def sight_change(self, finding: Finding) -> list[str]:
         """How the ADS of the test sees, where that is not as the file tells: it is the test's that runs."""
@@ -188,7 +193,7 @@ class Replays:
             for name, version in sorted(finding.found.versions.items())
             if versions.get(name) != version
         ]
-        changed += [*codec.changes(finding.world, self.harness.world), *self.ads_changes(finding)]
+        changed += [*self.world_changes(finding), *self.ads_changes(finding)]
         expect = finding.expect
         then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
         if expect.check is not None:

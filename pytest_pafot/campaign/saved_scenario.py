@@ -70,7 +70,7 @@ class SavedScenario(Shown):
             )
             raise reader.located(self.path, "world", code)
         try:
-            return codec.from_dict(self.finding.world)
+            return codec.of_file(self.finding.world, self.scenario)
         except (WorldError, TypeError, ValueError) as error:
             raise reader.located(self.path, "world", error) from None
 

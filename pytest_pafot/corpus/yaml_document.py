@@ -18,6 +18,8 @@ from pytest_pafot.findings.finding import MAX_DEPTH
 
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4
+MOST_VALUES = 40_000
+"""Of a document. A file as it is written is too large before it has so many; each takes some 10 microseconds."""
 
 Place = tuple[str | int, ...]
 """Keys and indices from the top of the document."""
@@ -91,6 +93,7 @@ class _Builder:
         self.path = path
         self.loader = loader
         self.lines: Lines = {}
+        self.values = 0
 
     def document(self) -> tuple[Any, Lines]:
         self._next(yaml.StreamStartEvent)
@@ -110,6 +113,9 @@ class _Builder:
 
     def _value(self, place: Place, event: Any) -> Any:
         self.lines[place] = _line(event)
+        self.values += 1
+        if self.values > MOST_VALUES:
+            raise self._error(event, f"at most {MOST_VALUES} values", "more", "delete or shorten the file")
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
             name = f"the alias or anchor {event.anchor!r:.40}"
             raise self._error(event, "plain values", name, "write the value out")

@@ -9,6 +9,7 @@ the class, or has the environment, that the file tells.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from importlib import metadata
@@ -17,11 +18,13 @@ from typing import Any
 
 from pytest_pafot.errors import WorldError
 from pytest_pafot.findings.finding import check_plain
-from pytest_pafot.world.gym_world import World
+from pytest_pafot.scenario import Scenario
+from pytest_pafot.world import protocol
+from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import WorldLike, missing
-from pytest_pafot.world.validation import plain_data
+from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 GROUP = "pytest_pafot.worlds"
 """Of entry points; each is a class with ``from_dict(data)`` and ``to_dict()``, under the name of its kind."""
@@ -37,6 +40,9 @@ OTHER_VEHICLES = "highway_env.vehicle.behavior.IDMVehicle"
 
 NAMED_BY = ("kind", "class", "env_id")
 """What must be as in the file where the test names the world. All else may have changed since, and is told."""
+
+LONGEST_DECISION = 600.0
+"""What a decision in the world of a file may take at most where no test names another world [s]."""
 
 MAX_TOLD = 3
 
@@ -158,6 +164,75 @@ def _kind_of(cls: type[Any]) -> str | None:
         if entry.module.partition(".")[0] == package and _loaded(entry) is cls:
             return entry.name
     return None
+
+
+def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> WorldLike:
+    """The world that a file describes, within the limits of the one that the test names, as :func:`within` says.
+
+    Raises:
+        WorldError: as :func:`from_dict`, and for a registered world beyond these limits, which nobody can cut but its
+            package.
+    """
+    world = from_dict(within(data, scenario, own))
+    if own is None or data.get("kind") in BUILT_IN:
+        return world
+    for what, asked, most in (
+        ("decisions", protocol.hang_limit(world), protocol.hang_limit(own)),
+        ("runs", min(world.longest_run, scenario.genes * scenario.gene_seconds), own.longest_run),
+    ):
+        if asked > most + 1e-9:
+            expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
+            raise WorldError(field="world.data", expected=expected, received=received, fix="let that world have more")
+    return world
+
+
+def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
+    """The world of a file, in which its scenario takes no longer than one may in the world that the test names.
+
+    A file may come from anyone, and how long a session lasts is not for it to say. A decision may take as long as in
+    the test's own world, and a run has at most as many ticks as the longest one there: it is cut, so that it is the
+    beginning of what the file describes. A file that asks for no more means what it always meant.
+
+    Args:
+        data: of the file; what is wrong with it stays as it is.
+        scenario: of the file.
+        own: the world that the test names; None where there is no test.
+    """
+    limits: dict[str, float] = {}
+    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else protocol.hang_limit(own)
+    if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
+        limits["hang_limit"] = most_seconds
+    if own is not None and data.get("kind") in BUILT_IN:
+        longest = _longest(data, own)
+        if min(_asked(data), scenario.genes * scenario.gene_seconds) > longest + 1e-9:
+            limits["duration"] = longest
+    return {**data, **limits}
+
+
+def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
+    """Where the run of a file is cut, since none in the world that the test names is so long."""
+    longest = within(data, scenario, own).get("duration")
+    return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
+
+
+def _longest(data: Mapping[str, Any], own: Any) -> float:
+    """How long a run may last at the rate of a file to have as many ticks as the longest in the test's world [s]."""
+    config = data.get("config")
+    rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
+    try:
+        seconds, own_rate = float(own.longest_run), getattr(own, "physics_hz", None)
+    except WorldError:  # which every search of the test says
+        return math.inf
+    if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
+        return seconds
+    return seconds * own_rate / rate
+
+
+def _asked(data: Mapping[str, Any]) -> float:
+    """How long a run of a built-in world lasts by its file, where nothing ends it early [s]."""
+    config = data.get("config")
+    given = [data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None]
+    return next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
 
 
 def is_code(data: Mapping[str, Any]) -> bool:

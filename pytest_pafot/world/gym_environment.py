@@ -45,13 +45,30 @@ LARGEST: Mapping[str, float] = MappingProxyType(
         "stack_size": 100,
         "observation_shape": 2000,
         "actions_per_axis": 100,
+        "scaling": 1000,
     }
 )
 """Options of highway-env's environments whose size is the size of the work, with the largest that takes seconds."""
+SMALLEST: Mapping[str, float] = MappingProxyType({"scaling": 0.01, "grid_step": 0.05})
+"""Options that highway-env divides by: pixels a metre, and metres a cell, by which it also walks along each lane."""
+LONGEST: Mapping[str, int] = MappingProxyType(
+    {
+        **dict.fromkeys(("features", "attributes", "scales"), 50),  # highway-env's vehicles have 13 features
+        "target_speeds": 100,
+        "observation_configs": 20,
+        "observation_shape": 2,
+        "weights": 3,
+    }
+)
+"""Options that are lists, with the most entries that they may have."""
 NESTED = ("observation_config", "observation_configs", "action_config")
 """Options that are observations and actions themselves."""
 MOST_CELLS = 250_000
 """Of an occupancy grid."""
+MOST_NUMBERS = 10_000_000
+"""Of one observation: 40 features of the largest grid, or four images of 1920 by 1080 pixels."""
+LEAST_NUMBERS = MOST_NUMBERS // 20
+"""What each part of an observation counts for at least, since even a small one takes milliseconds."""
 
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """Wrappers that ``gymnasium.make`` itself puts around any environment.
@@ -250,8 +267,12 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
         if name in given:
             checked_whole(f"config.{name}", given[name], *bounds)
     if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
-        given = {name: given[name] for name in ("observation", "action") if name in given}
+        given = {name: given[name] for name in ("observation", "action", "scaling") if name in given}
     _check_size("config", given)
+    if (numbers := _numbers(given.get("observation"), config)) > MOST_NUMBERS:
+        expected, received = f"at most {MOST_NUMBERS} numbers", f"about {numbers:.0f}"
+        fix = "give it fewer features, parts or images, or make it coarser"
+        raise WorldError(field="config.observation", expected=expected, received=received, fix=fix)
 
 
 def _check_size(place: str, config: Any) -> None:
@@ -260,22 +281,68 @@ def _check_size(place: str, config: Any) -> None:
             _check_size(f"{place}[{index}]", inner)
     if not isinstance(config, Mapping):
         return
-    for name, value in config.items():
-        most = LARGEST.get(name, math.inf)
-        numbers = [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, (int, float))]
-        if any(abs(each) > most for each in numbers):
-            expected = f"at most {most:g}, so that an environment is made in seconds"
-            raise WorldError(field=f"{place}.{name}", expected=expected, received=repr(value))
-        _check_size(f"{place}.{name}", value)
-    size: Any = config.get("grid_size", ((-27.5, 27.5), (-27.5, 27.5)))
-    step: Any = config.get("grid_step")
-    try:
-        cells = math.prod(abs(high - low) / abs(width) for (low, high), width in zip(size, step, strict=True))
-    except (TypeError, ValueError, ZeroDivisionError):
-        return  # no grid, or one that the environment refuses
-    if cells > MOST_CELLS:
+    cells = _cells(config) if config.get("type") == "OccupancyGrid" else 0.0
+    if not cells <= MOST_CELLS:
         expected = f"a grid of at most {MOST_CELLS} cells"
         raise WorldError(field=f"{place}.grid_step", expected=expected, received=f"one of {cells:.0f}")
+    for name, value in config.items():
+        if limit := _exceeded(name, value):
+            expected, received = f"{limit}, so that an environment is made in seconds", f"{value!r:.100}"
+            raise WorldError(field=f"{place}.{name}", expected=expected, received=received)
+        _check_size(f"{place}.{name}", value)
+
+
+def _exceeded(name: str, value: Any) -> str:
+    """The limit of an option that its value or the entries of its list exceed; empty where there is none."""
+    entries = value if isinstance(value, (list, tuple)) else [value]
+    numbers = [abs(each) for each in entries if isinstance(each, (int, float))]
+    if _length(value, 0) > LONGEST.get(name, math.inf):
+        return f"at most {LONGEST[name]} entries"
+    if name == "weights" and len(numbers) < len(entries):  # each column of a matrix would be an image of its own
+        return "one number for each colour"
+    if any(each > LARGEST.get(name, math.inf) for each in numbers):
+        return f"at most {LARGEST[name]:g}"
+    return f"at least {SMALLEST[name]:g}" if any(0 < each < SMALLEST.get(name, 0) for each in numbers) else ""
+
+
+def _length(value: Any, default: int) -> int:
+    """Of a list, or of a text or mapping, which highway-env takes for one."""
+    return len(value) if isinstance(value, (list, tuple, str, Mapping)) else default
+
+
+def _cells(grid: Mapping[str, Any]) -> float:
+    """The number of cells of an occupancy grid; infinite where it is none of two dimensions, as highway-env needs."""
+    size, step = grid.get("grid_size"), grid.get("grid_step")
+    try:
+        (low_x, high_x), (low_y, high_y) = ((-27.5, 27.5), (-27.5, 27.5)) if size is None else size
+        x, y = (5.0, 5.0) if step is None else step
+        return float(abs((high_x - low_x) / x) * abs((high_y - low_y) / y))
+    except (TypeError, ValueError, ArithmeticError):
+        return math.inf
+
+
+def _numbers(observation: Any, config: Mapping[str, Any]) -> float:
+    """About how many numbers highway-env computes for an observation; those that other limits hold are not counted."""
+    if not isinstance(observation, Mapping):
+        return 0.0
+
+    def product(*values: Any) -> float:
+        numbers = [each for value in values for each in (value if isinstance(value, (list, tuple)) else [value])]
+        return math.prod(min(abs(each), 1e9) for each in numbers if isinstance(each, (int, float)))
+
+    parts = observation.get("observation_configs") or [observation.get("observation_config")]
+    inner = sum(_numbers(part, config) for part in parts) if isinstance(parts, (list, tuple)) else 0.0
+    own, kind = 0.0, observation.get("type")
+    if kind == "OccupancyGrid":
+        own = _cells(observation) * _length(observation.get("features"), 4)
+    elif kind == "GrayscaleObservation":
+        own = product(observation.get("observation_shape"), observation.get("stack_size"))
+    elif kind == "TimeToCollision":
+        action = config.get("action")
+        speeds = action.get("target_speeds") if isinstance(action, Mapping) else None
+        rate, lanes = config.get("policy_frequency", 15), config.get("lanes_count", 4)
+        own = product(observation.get("horizon", 10), rate, lanes, _length(speeds, 3))
+    return inner + max(own, LEAST_NUMBERS)
 
 
 def _check_config(env_id: str, given: dict[str, Any], env: Any) -> None:
