@@ -57,7 +57,16 @@ class Harness:
             data = codec.described(world)
             preload(self.ads)
         owner = owner or self.node_id
-        return Job(world=world, ads=self.ads, records=self.records, owner=owner, world_data=data, root=self.root)
+        memory = self.request.settings.memory
+        return Job(
+            world=world,
+            ads=self.ads,
+            records=self.records,
+            owner=owner,
+            world_data=data,
+            root=self.root,
+            memory=memory,
+        )
 
     def seen(self, trace: Trace, world: Any = None) -> Run:
         """The run that a trace is the record of, in the world of new scenarios unless another is given."""

@@ -196,6 +196,13 @@ OPTIONS: tuple[Option, ...] = (
         default=False,
     ),
     Option(
+        "memory",
+        "integer",
+        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may take beyond what it begins with; 0 for "
+        "any. Then allocations in it fail, which is a find. Three quarters of the machine's, shared among the workers, "
+        "or 2048 where that is more. On Linux.",
+    ),
+    Option(
         "dask",
         "address",
         "Have the workers of the scheduler at ADDRESS simulate the scenarios of a generation; needs "
@@ -281,6 +288,7 @@ class Settings:
     save: str
     workers: int
     isolate: bool
+    memory: int | None  # by the machine where it is None
     report: str | None
     profile: str
     strict_drift: bool

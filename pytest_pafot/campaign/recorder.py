@@ -16,6 +16,7 @@ from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
+from pytest_pafot.execution.pool import OUT_OF_MEMORY
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived
 from pytest_pafot.findings.portable import portable
@@ -236,6 +237,8 @@ def _headline(lost: LostRun) -> str:
 
 def cause(lost: LostRun, way_out: str) -> str:
     """Why a process may not come back, with the way out where the scenario is not to blame."""
+    if lost.how == OUT_OF_MEMORY:
+        return "the ADS takes more and more of it, or needs so much (then give --pafot-memory more)"
     if not lost.is_hang:
         return "by a crash of native code, an exit or a lack of memory"
     return (

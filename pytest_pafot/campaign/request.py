@@ -66,6 +66,7 @@ class SearchArguments(TypedDict, total=False):
     save: str
     workers: int | str
     isolate: bool
+    memory: int
     report: str
     profile: str
     strict_drift: bool

@@ -40,8 +40,9 @@ class Saved(NamedTuple):
 
     @property
     def needs_own_process(self) -> bool:
-        """Whether running it may end the process, or never end."""
-        return self.is_crash or (self.finding is not None and self.finding.expect.outcome == "hang")
+        """Whether running it may end the process, never end, or take all memory."""
+        expect = None if self.finding is None else self.finding.expect
+        return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 
     def __repr__(self) -> str:
         return f"<saved {self.id}>"

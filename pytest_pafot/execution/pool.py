@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import time
 import traceback
 import warnings
@@ -39,6 +40,12 @@ IGNORED = 0.5
 
 FAREWELL = 2.0
 """How long a process may take to end by itself [s]; what its libraries started ends with it then."""
+
+OUT_OF_MEMORY = "ran out of the memory that it may take (--pafot-memory)"
+"""How a process ended whose allocations failed where nobody could say so but itself."""
+
+STUCK, EXHAUSTED = 1, 2
+"""Why a process ended itself: a decision would not end, or it had no more memory."""
 
 POLL = 0.5
 """How long to wait for answers at most before looking whether those who owe one still live [s]."""
@@ -80,6 +87,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         method: by which processes are started, see :mod:`multiprocessing`.
         patience: how long a process may run without answering a signal, as Python does between two instructions [s].
         grace: how much longer than its limit one decision of an ADS may take that ignores its interruption [s].
+        memory: how many bytes more than it begins with a process may take, or None for any number. Beyond, allocations
+            fail, in it and in what it starts, which has the same limit. It is held on Linux alone.
         idle: how long a process may wait for a task before it ends by itself [s], or None for ever.
         ended: told the id of each process of the pool when it has ended.
         clock: monotonic [s].
@@ -91,6 +100,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     method: str
     patience: float
     grace: float = IGNORED
+    memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
     clock: Callable[[], float] = time.monotonic
@@ -202,7 +212,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks: nobody's doing.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.idle)
+                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -236,7 +246,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._answers[task] = said
                 return
             is_gone = True
-        if worker.stuck.value:
+        if worker.gave_up.value == EXHAUSTED:
+            self._lose(task, worker, OUT_OF_MEMORY)
+        elif worker.gave_up.value == STUCK:
             how = f"ignored the interruption of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
@@ -266,17 +278,23 @@ class _Worker(Generic[TaskT]):
     """One process, as the pool sees it: ``share`` is what it says is done of its task, where it has one."""
 
     def __init__(
-        self, context: Any, work: Work[Any], others: list[Connection], grace: float, idle: float | None
+        self,
+        context: Any,
+        work: Work[Any],
+        others: list[Connection],
+        grace: float,
+        memory: int | None,
+        idle: float | None,
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
-        self.stuck = context.RawValue("b", 0)  # whether it ended itself since a decision would not
+        self.gave_up = context.RawValue("b", 0)  # why it ended itself, where it did
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.stuck, grace, idle)
+        arguments = (work, end, inherited, self._beats, self.gave_up, grace, memory, idle)
         # As a daemon it is ended, and not waited for, where a worker of an executor ends that has it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings():
@@ -356,8 +374,9 @@ def _serve(
     connection: Connection,
     inherited: list[Connection],
     beats: Any,
-    stuck: Any,
+    gave_up: Any,
     grace: float,
+    memory: int | None,
     idle: float | None,
 ) -> None:
     """In a process of the pool: run tasks until there are no more, or nobody waits for them.
@@ -371,8 +390,8 @@ def _serve(
     def beat(*signalled: object) -> None:
         beats.value += 1
 
-    def end() -> None:
-        stuck.value = 1
+    def end(why: int = STUCK) -> None:
+        gave_up.value = why
         time.sleep(2 * POLL)  # The pool ends it meanwhile, and what it has started, which it would leave behind.
         os._exit(1)
 
@@ -385,11 +404,16 @@ def _serve(
     if hasattr(signal, "SIGUSR2"):
         signal.signal(signal.SIGUSR2, beat)
     beat()
+    if memory is not None:
+        _limit_memory(memory)
     with last_resort(LastResort(end=end, grace=grace)), suppress(EOFError, OSError):
         while connection.poll(idle) and (given := connection.recv()) is not None:
             task, along = given
             try:
                 said = _sendable(work(task, tell, *along))
+            except MemoryError:  # To repeat it in the session would take the memory of the session.
+                end(EXHAUSTED)
+                return
             except BaseException as error:  # noqa: BLE001  (nothing is lost: it is raised again where that can be seen)
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
@@ -398,11 +422,29 @@ def _serve(
 def _sendable(result: object) -> bytes:
     try:
         return pickle.dumps((True, result))
+    except MemoryError:
+        raise
     except Exception as error:
         raise RuntimeError(
             "expected a result that can be sent to the session, received one that cannot be pickled: "
             f"{type(error).__name__}: {error}; let the ADS return plain numbers"
         ) from error
+
+
+def _limit_memory(more: int) -> None:
+    """Let allocations of this process fail once it has so many bytes more than now.
+
+    What counts is the memory that it could write to and shares with nobody: not the address space that CUDA and
+    allocators reserve, nor the code of libraries. Only Linux counts like that.
+    """
+    if sys.platform != "linux":
+        return
+    import resource  # noqa: PLC0415  (not there on Windows)
+
+    now = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    most = min(now + more, sys.maxsize if soft == resource.RLIM_INFINITY else soft)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
 def _portable(error: BaseException) -> Exception:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 import time
@@ -31,6 +32,9 @@ NOT_REPEATED = (
     "in the session, the ADS or its factory uses what another process cannot have, such as CUDA, a thread or a "
     "connection: open that in the factory, and not before it."
 )
+
+LEAST_MEMORY = 2 << 30
+"""What each process may take at least unless an option says otherwise: libraries set aside some before they need it."""
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 Timed: TypeAlias = tuple[Trace, CapturedOutput, float]
@@ -62,6 +66,8 @@ class Job:
     """Folder of the project, whose modules travel with the ADS where it runs on other machines."""
     read: Callable[[Trace, Floors], None] = _read_nothing
     """What another process reads from a run that it has made; the trace keeps it. Near-misses have floors."""
+    memory: int | None = None
+    """How many MB a process may take beyond what it begins with; 0 for any number, None for its share of all."""
     reference: str = ""
     """What to call the ADS where it is the reference of a search; empty for the one that is tested."""
 
@@ -86,7 +92,27 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
                 f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
             ) from None
     patience, grace = protocol.hang_limit(job.world) + GRACE, min(IGNORED, GRACE)
-    return WorkerPool(work, size, method=METHOD, patience=patience, grace=grace, ended=partial(_forget, job))
+    return WorkerPool(
+        work,
+        size,
+        method=METHOD,
+        patience=patience,
+        grace=grace,
+        memory=_memory(job, size),
+        ended=partial(_forget, job),
+    )
+
+
+def _memory(job: Job, size: int) -> int | None:
+    """How many bytes more than it begins with each of so many processes may take."""
+    if job.memory is not None:
+        return job.memory << 20 or None
+    if METHOD != "fork":
+        return None
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    with suppress(OSError, ValueError):  # "max" where the container has all of the machine's
+        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text("ascii")))
+    return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
 def _run_recorded(job: Job, record: CrashRecord, scenario: Scenario, tell: object, floors: Floors = NONE) -> Timed:

@@ -225,7 +225,7 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
         return math.inf
     if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
         return seconds
-    return seconds * own_rate / rate
+    return float(seconds * own_rate / rate)
 
 
 def _asked(data: Mapping[str, Any]) -> float:

@@ -339,6 +339,12 @@ def test_a_huge_file_is_refused_unread(path):
     assert "at most 256 KiB" in str(fault(path, TEXT + "#" * 256 * 1024))
 
 
+@pytest.mark.parametrize("values", ["1," * 100_000, "[]," * 60_000, "{a: 1}," * 30_000])
+def test_more_values_than_a_written_file_has_are_refused(path, values):
+    error = fault(path, f"pafot: 2\nworld: {{kind: own, data: [{values}]}}\n")
+    assert (error.expected, error.line) == ("at most 40000 values", 2)
+
+
 def test_a_sparse_file_of_any_size_costs_nothing(path):
     with path.open("wb") as file:
         file.truncate(1 << 40)

@@ -464,3 +464,20 @@ def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_o
         warnings.simplefilter("error")
         pool.expect([0])
         assert pool.fetch(0) == 0
+
+
+def test_a_process_without_memory_is_lost_by_name_and_the_others_go_on(pool_of):
+    def greedy(number):
+        if number == 1:
+            bytearray(1 << 32)
+        if number == 2:
+            program = "try:\n bytearray(1 << 32)\nexcept MemoryError:\n print('none')"
+            assert subprocess.check_output([sys.executable, "-c", program], text=True) == "none\n"
+
+    pool = pool_of(greedy, memory=1 << 28)
+    pool.expect(TASKS[:4])
+    answers = fetched(pool, TASKS[:4])
+    assert isinstance(answers[1], ProcessLostError)
+    assert answers[1].how == execution_pool.OUT_OF_MEMORY
+    assert [answers[0], *answers[2:]] == [0, 4, 9]
+    assert pool.recovered == []

@@ -193,6 +193,13 @@ def test_a_replay_uses_the_world_of_the_file(saved):
     saved.run(generations=0).assert_outcomes(passed=1, skipped=1)
 
 
+def test_a_replay_that_passes_where_its_run_is_cut_is_drifted_and_not_fixed(saved):
+    saved.write(FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace("'x'", "'safe'"))
+    result = saved.run(generations=0)
+    result.assert_outcomes(passed=1, skipped=1)
+    result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration 10.0 in the file, 0.4 now*"])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

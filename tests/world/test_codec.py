@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
+from pytest_pafot.world.codec import cuts, of_file
 
 positive = st.floats(0.1, 20)
 limits = st.builds(
@@ -161,3 +162,35 @@ def test_a_file_may_name_highway_envs_own_vehicle_classes():
 
 def test_reading_a_world_makes_no_environment():
     from_dict({"kind": "gym", "env_id": "not-registered-v0"})
+
+
+SIX_GENES = Scenario(npcs=((PositionInstruction(1, 20.0),) * 6,))
+"""A minute, where the world lets it last so long."""
+
+
+def test_a_file_makes_no_run_or_decision_longer_than_in_the_world_of_the_test():
+    data = Highway(duration=60.0, hang_limit=86400.0).to_dict()
+    own = Highway(duration=20.0, hang_limit=5.0)
+    assert of_file(data, SIX_GENES, own) == Highway(duration=20.0, hang_limit=5.0)
+    assert cuts(data, SIX_GENES, own) == ["world.duration 60.0 in the file, 20.0 now"]
+    assert of_file(data, SIX_GENES).hang_limit == 600.0
+    fast = Highway(duration=60.0, physics_hz=1000).to_dict()
+    assert of_file(fast, SIX_GENES, own).duration == pytest.approx(20 * 15 / 1000)
+
+
+def test_a_file_within_the_limits_of_the_test_means_what_it_says():
+    short = Scenario(npcs=((PositionInstruction(1, 20.0),) * 2,))
+    data = Highway(duration=60.0, hang_limit=5.0).to_dict()
+    for own in (Highway(duration=20.0), Highway(duration=60.0, hang_limit=5.0), Highway(duration=3600.0)):
+        assert of_file(data, short, own) == Highway(duration=60.0, hang_limit=5.0)
+        assert cuts(data, short, own) == []
+
+
+@pytest.mark.parametrize(
+    "config", [{"simulation_frequency": 1000, "policy_frequency": 1, "duration": 400}, {"duration": 10**400}, {}, None]
+)
+def test_a_gym_world_in_a_file_is_cut_before_its_environment_is_made(config):
+    data = {"kind": "gym", "env_id": "highway-v0", "config": config, "duration": None}
+    world = of_file(data, SIX_GENES, Highway(duration=20.0))
+    assert world.duration == pytest.approx(20 * 15 / (config or {}).get("simulation_frequency", 15), rel=1e-9)
+    assert "environment" not in vars(world)

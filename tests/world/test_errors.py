@@ -116,12 +116,54 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
         ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [10**6, 10**6],
                                         "stack_size": 4, "weights": [0.2, 0.6, 0.2]}},
          "config.observation.observation_shape: expected at most 2000, so that "),
+        ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 1000, "features": ["x"] * 50_000}},
+         "config.observation.features: expected at most 50 entries, so that "),
+        ("highway-v0", {"observation": {"type": "OccupancyGrid", "features": "x" * 100_000}},
+         "config.observation.features: expected at most 50 entries, so that "),
+        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": 0.001}},
+         "config.observation.grid_step: expected a grid of at most 250000 cells, received one of inf"),
+        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[-math.inf, math.inf], [0, 1]]}},
+         "config.observation.grid_step: expected a grid of at most 250000 cells, received one of inf"),
+        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[0, 0.1]] * 2, "grid_step": [1e-3] * 2}},
+         "config.observation.grid_step: expected at least 0.05, so that "),
+        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
+                                        "weights": [0.2, 0.6, 0.2], "scaling": 1e-5}},
+         "config.observation.scaling: expected at least 0.01, so that "),
+        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
+                                        "weights": [[0.1] * 5000] * 3}},
+         "config.observation.weights: expected one number for each colour, so that "),
+        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [2000, 2000],
+                                        "stack_size": 100, "weights": [0.2, 0.6, 0.2]}},
+         "config.observation: expected at most 10000000 numbers, received about 400000000; give it fewer features, "),
+        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [500, 500, 500],
+                                        "stack_size": 1, "weights": [0.2, 0.6, 0.2]}},
+         "config.observation.observation_shape: expected at most 2 entries, so that "),
+        ("two-way-v0", {"observation": {"type": "TimeToCollision", "horizon": 1000}, "policy_frequency": 1000,
+                        "simulation_frequency": 1000}, "config.observation: expected at most 10000000 numbers, "),
+        ("highway-v0", {"observation": {"type": "TupleObservation", "observation_configs": [
+            {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 20}] * 20}},
+         "config.observation: expected at most 10000000 numbers, "),
     ],
     ids=lambda value: str(value)[:40],
 )  # fmt: skip
 def test_an_environment_that_would_take_minutes_to_make_is_refused_at_once(env_id, config, message):
     with raises(message):
         World(env_id, config=config).check()
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        {"type": "Kinematics", "vehicles_count": 100, "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]},
+        {"type": "OccupancyGrid", "grid_size": [[-32, 32], [-32, 32]], "grid_step": [0.5, 0.5]},
+        {"type": "LidarObservation", "cells": 3600},
+        {"type": "TimeToCollision", "horizon": 10},
+        {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]},
+    ],
+    ids=lambda observation: observation["type"],
+)
+def test_a_large_observation_that_takes_milliseconds_is_accepted(observation):
+    World("highway-v0", config={"observation": observation}).check()
 
 
 def test_how_much_random_traffic_a_configuration_asks_for_does_not_matter():
