@@ -40,6 +40,7 @@ LARGEST: Mapping[str, float] = MappingProxyType(
         "roundabout_radius": 1000,
         **{f"{part}_merge_length": 5000 for part in ("before", "converge", "parallel", "after")},
         "vehicles_count": 1000,
+        "controlled_vehicles": 10,
         "cells": 10_000,
         "horizon": 1000,
         "stack_size": 100,

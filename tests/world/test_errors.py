@@ -104,6 +104,7 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
     [
         ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
         ("highway-v0", {"lanes_count": math.inf}, "config.lanes_count: expected at most 20, so that "),
+        ("exit-v0", {"controlled_vehicles": 10**9}, "config.controlled_vehicles: expected at most 10, so that "),
         ("exit-v0", {"lanes_count": 100}, "config.lanes_count: expected at most 20, so that "),
         ("roundabout-generic-v0", {"roundabout_radius": 10**5}, "config.roundabout_radius: expected at most 1000, "),
         ("merge-generic-v0", {"after_merge_length": 10**6}, "config.after_merge_length: expected at most 5000, so "),
