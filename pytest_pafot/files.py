@@ -10,10 +10,11 @@ import contextlib
 import errno
 import os
 import secrets
+import stat
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, TypeVar, cast
 
 from pytest_pafot.locks import hold, is_held, pid_of
 
@@ -32,6 +33,7 @@ _WAYS_OUT: Mapping[int, str] = MappingProxyType(
         errno.EEXIST: "a file lies where a folder should be: rename or delete it, {}",
         errno.EISDIR: "a folder of that name lies there: rename or delete it, {}",
         errno.ENOENT: "make the folder that it is to lie in, {}",
+        errno.EINVAL: "a link or a special file is in its place: delete that, {}",
         errno.ELOOP: "a link on the way leads to itself: remove it, {}",
         errno.EMFILE: "close the files that the ADS and the tests open, or raise the limit of open files (ulimit -n)",
         errno.ENFILE: "close files that programs of this machine have open, or raise its limit of open files",
@@ -66,16 +68,44 @@ def way_out(error: OSError, elsewhere: str) -> str:
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
 
 
+def open_regular(path: Path, mode: str = "rb") -> BinaryIO:
+    """Open a file in a binary mode, if it is a regular one: no link is followed, no pipe and no device is touched.
+
+    Raises:
+        OSError: when it is something else, or cannot be opened.
+    """
+    with contextlib.suppress(FileNotFoundError):  # a mode that makes the file goes on
+        _check_regular(path, path.lstat())  # before it is opened, which alone has effects on some devices
+    file = cast("BinaryIO", open(path, mode, opener=_open_in_place))  # noqa: SIM115  (the caller closes it)
+    try:
+        _check_regular(path, os.fstat(file.fileno()))  # it may be another one by now
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
 def remove_unfinished(folder: Path) -> None:
     """Remove what processes that were killed left half written; what a live one writes stays."""
     for path in folder.glob(f"{TEMPORARY}*.tmp"):
         with contextlib.suppress(OSError):  # what cannot be removed does no harm: nobody reads a file of its name
-            with path.open("r+b") as file:
+            with open_regular(path, "r+b") as file:
                 if is_held(file.fileno(), pid_of(path)):
                     continue
                 with contextlib.suppress(PermissionError):  # Windows removes no open file
                     path.unlink(missing_ok=True)  # while the lock is held, so that nobody begins to write it
             path.unlink(missing_ok=True)
+
+
+def _check_regular(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        what = "a link" if stat.S_ISLNK(status.st_mode) else "a folder" if stat.S_ISDIR(status.st_mode) else ""
+        raise OSError(errno.EINVAL, what or "something else", str(path))
+
+
+def _open_in_place(path: str, flags: int) -> int:
+    """Open what has the name itself; a pipe that nobody writes to does not block. Windows knows neither flag."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
 def _through_temporary(path: Path, content: bytes, finish: Callable[[Path, Path], T]) -> T:

@@ -16,9 +16,11 @@ from pytest_pafot.campaign.harness import Harness, source_file
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
+from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import Search, SearchResult, time_limit
 from pytest_pafot.campaign.summary import SearchSummary
-from pytest_pafot.corpus.layout import folder_of_test
+from pytest_pafot.corpus.layout import folder_of_test, link_below
+from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.run import Run
 from pytest_pafot.searching.events import Evaluated
@@ -148,6 +150,12 @@ def _searched(
         raise request.error("against", f"expected a factory or its module:factory, received {name!r}")
 
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
+    folder = folder_of_test(Path(module), test, str(corpus), Path())
+    link = link_below(corpus, folder)
+    if link is not None:
+        raise request.error("corpus", refusal(link))
+    if settings.resume is not None:
+        check_states(settings.resume, Path.cwd())
     harness = Harness(
         request=request,
         world=build_world(request, Highway()),
@@ -156,7 +164,7 @@ def _searched(
         test_file=source_file(holds),
         node_id=node_id,
         saved_node_id=lambda id_: f"{node_id.removesuffix(']')}{'-' if node_id.endswith(']') else '['}saved-{id_}]",
-        folder=folder_of_test(Path(module), test, str(corpus), Path()),
+        folder=folder,
         records=scratch / "records",
         root=Path.cwd(),
         versions=installed_versions(),

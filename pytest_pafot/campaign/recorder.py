@@ -115,6 +115,8 @@ class Recorder:
                     told.kept.file.unlink(missing_ok=True)
             except OSError:
                 self.tell(told)
+        if not any(told.kept.file for told in held):
+            return  # The folders may lie behind a link, where nothing was saved.
         with suppress(OSError):  # They hold something else.
             for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
                 folder.rmdir()

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.events import Kept
@@ -15,7 +16,8 @@ from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.random_beginning import RandomBeginning
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.state_file import FLAG, Counts, EarlierFind, StateFile, state_path
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.layout import link_below
+from pytest_pafot.corpus.saved import Saved, refusal
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.scenario import Scenario
@@ -29,6 +31,17 @@ from pytest_pafot.world.driving.perception import sight_of
 
 MAX_SAVED = BY_NAME["max_saved"].flag
 SAVES_NONE = f"{BY_NAME['save'].flag}=none"
+
+
+def check_states(resume: str, here: Path) -> None:
+    """Refuse a folder of states that lies behind a link: states are written and removed there.
+
+    Raises:
+        RequestError: where one is below the folder that a relative path counts from.
+    """
+    link = None if Path(resume).is_absolute() else link_below(here, here / resume)
+    if link is not None:
+        raise RequestError(f"{FLAG}: {refusal(link)}")
 
 
 @dataclass(slots=True, kw_only=True)

@@ -218,16 +218,25 @@ class Search:
         return summary, fault
 
     def _retried(self, leftover: Leftover) -> Retried:
-        """What came of the record of a process that died: what it ran runs again, in the world that it ran in."""
+        """What came of the record of a process that died: what it ran runs again, in the world that it ran in.
+
+        Where that cannot be made, it is only reported.
+        """
         harness, world = self.harness, self.harness.world
         if leftover.world not in (None, harness.job().world_data):
             try:
                 world = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
             except (WorldError, TypeError, ValueError):
                 world = None
+        if world is None:
+            note = (
+                f"a process (pid {leftover.pid}) died while it ran {leftover.scenarios!r:.300} in a world that cannot "
+                f"be made here now, {dict(leftover.world or {})!r:.200}; it is no finding, since nobody can try it again"
+            )
+            return Retried(notes=(note,), pending=leftover)
         return retry(
             leftover,
-            None if world is None else harness.job(world),
+            harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
             keep=self._loop.recorder.keep_crash,

@@ -6,6 +6,7 @@ limited and checked, and says at most how a search goes on.
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -21,7 +22,7 @@ from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.layout import safe_name
 from pytest_pafot.errors import FieldError
-from pytest_pafot.files import way_out, write_whole
+from pytest_pafot.files import open_regular, way_out, write_whole
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.locks import hold
 from pytest_pafot.scenario import Scenario
@@ -99,6 +100,10 @@ class Counts:
     health: Health
 
 
+class NoNumberError(ValueError):
+    """A word for a number, such as NaN, which JSON does not have."""
+
+
 def state_path(folder: Path, node_id: str) -> Path:
     """The file of a test's search in the folder of all states."""
     return folder / f"{safe_name(node_id)}.json"
@@ -130,12 +135,14 @@ class StateFile:
         """Keep other sessions from the state: of two that begin at the same one, the later to end would undo the other.
 
         Raises:
-            RequestError: where another one has it.
+            RequestError: where another one has it, or a link is in the place of the file that says so.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            file = self.path.with_suffix(LOCK).open("ab")
-        except OSError:
+            file = open_regular(self.path.with_suffix(LOCK), "ab")
+        except OSError as error:
+            if error.errno == errno.EINVAL:
+                raise self._unreadable(self.path.with_suffix(LOCK), error) from None
             return  # Nothing can be written here; the state itself says so.
         if not hold(file.fileno(), is_inherited=False):  # A worker that a killed session leaves behind does no harm.
             file.close()
@@ -168,9 +175,12 @@ class StateFile:
             return None
         version = data.get("version")
         if version != VERSION:
-            self._refuse(f"a state of version {VERSION}", f"version {version!r:.40}")
+            # What is no state may be a secret, of which nothing is shown.
+            self._refuse(
+                f"a state of version {VERSION}", f"version {version if isinstance(version, int) else 'unknown'}"
+            )
         if set(data) != set(PARTS):
-            self._refuse(f"the keys {', '.join(PARTS)}", f"{', '.join(data)!s:.200}")
+            self._refuse(f"the keys {', '.join(PARTS)}", "others")
         if not isinstance(data["settings"], dict):
             self._refuse("settings: a mapping", f"{data['settings']!r:.60}")
         differ = codec.differences("", data["settings"], self.settings)
@@ -246,24 +256,29 @@ class StateFile:
 
     def _data(self) -> dict[str, Any] | None:
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 content = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
             return None
         except OSError as error:
-            fix = way_out(error, f"or give another folder with {FLAG}")
-            raise RequestError(
-                f"{self.path}: expected a file that can be read, received: {error.strerror or error}; {fix}"
-            ) from None
+            raise self._unreadable(self.path, error) from None
         if len(content) > MAX_BYTES:
             self._refuse(f"at most {MAX_BYTES} bytes", "more")
         try:
             data = json.loads(content, parse_constant=_no_constant)
-        except (ValueError, RecursionError) as error:
-            self._refuse("the JSON of a search's state", f"{type(error).__name__}: {error!s:.100}")
+        except NoNumberError as error:
+            self._refuse("the JSON of a search's state", str(error))
+        except json.JSONDecodeError as error:
+            self._refuse("the JSON of a search's state", f"JSON with a fault in line {error.lineno}")
+        except (ValueError, RecursionError) as error:  # whose text may quote the file
+            self._refuse("the JSON of a search's state", type(error).__name__)
         if not isinstance(data, dict):
-            self._refuse("a mapping", f"{data!r:.60}")
+            self._refuse("a mapping", f"a {type(data).__name__}")
         return data
+
+    def _unreadable(self, path: Path, error: OSError) -> RequestError:
+        fix = way_out(error, f"or give another folder with {FLAG}")
+        return RequestError(f"{path}: expected a file that can be read, received: {error.strerror or error}; {fix}")
 
     def _refuse(self, expected: str, received: str) -> NoReturn:
         raise self.refused(f"expected {expected}, received {received}")
@@ -278,4 +293,4 @@ def _json(data: Any) -> str:
 
 
 def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise NoNumberError(f"{name} is no number of JSON")

@@ -27,15 +27,21 @@ _RESERVED = re.compile(r"(?:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.
 
 def files_in(folder: Path) -> list[Path]:
     """The corpus files in a folder, sorted by name; none in one that is missing or cannot be listed."""
-    try:
-        return sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
-    except OSError:
-        return []  # It has no items; whoever writes a finding into it is told what is wrong with it.
+    # One that cannot be listed has no items; whoever writes a finding into it is told what is wrong with it.
+    return [path for path in entries_of(folder) if path.name.endswith(SUFFIX)]
 
 
 def modules_in(root: Path) -> list[Path]:
     """The folders of a corpus, each of a module, by name; none where there is no corpus."""
-    return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    return [path for path in entries_of(root) if path.is_dir()]
+
+
+def entries_of(folder: Path) -> list[Path]:
+    """All that a folder holds, by name; nothing where it is missing or cannot be listed."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
 
 
 def files_below(root: Path) -> list[Path]:
@@ -67,6 +73,24 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
         return folder / test_file.parent.relative_to(rootpath)
     except ValueError:
         return folder
+
+
+def link_below(base: Path, path: Path) -> Path | None:
+    """The first link on the way from a folder, which may itself be one, down to a path; None where there is none."""
+    way = [each for each in (path, *path.parents) if each != base and each.is_relative_to(base)]
+    return next((each for each in reversed(way) if each.is_symlink()), None)
+
+
+def chosen_folder(test_file: Path, corpus: str) -> Path:
+    """The folder on the way to a corpus that the user has chosen: a link below it may come from anybody."""
+    return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
+
+
+def link_out(test_file: Path, corpus: str, rootpath: Path) -> Path | None:
+    """The link by which the corpus that serves a test file lies out of the project; None where it does not."""
+    root = corpus_root(test_file, corpus, rootpath)
+    link = link_below(chosen_folder(test_file, corpus), root)
+    return None if Path(os.path.realpath(root)).is_relative_to(os.path.realpath(rootpath)) else link
 
 
 def is_corpus(path: Path, corpus: Path) -> bool:

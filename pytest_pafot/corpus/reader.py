@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import date
@@ -22,9 +21,10 @@ from pytest_pafot.corpus.fields import Field
 from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.schema import VERSION, VERSIONS
-from pytest_pafot.corpus.yaml_document import MAX_BYTES, parse
+from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import CorpusError, FieldError
+from pytest_pafot.files import open_regular
 from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.grid import Cell
@@ -45,11 +45,12 @@ def load(path: str | os.PathLike[str]) -> Finding:
         CorpusError: on any fault, with the place and the way out.
     """
     path = Path(path)
-    return parsed(path, _content(path))
+    return parsed(path, content_of(path))
 
 
 def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Finding:
     """The finding in the content of a file; see :func:`load`. ``loader`` is for :func:`yaml_document.parse`."""
+    __tracebackhide__ = True  # pytest's --showlocals would print the content
     top = _top(path, content, loader)
     name = path.name.removesuffix(SUFFIX)
     if not path.name.endswith(SUFFIX) or not is_id(name):
@@ -80,35 +81,64 @@ def located(path: Path, part: str, error: Exception) -> CorpusError:
     The error came of that part when it was built or run.
     """
     try:
-        return _rule_broken(_top(path, _content(path)).at(part), error)
+        return _rule_broken(_top(path, content_of(path)).at(part), error)
     except CorpusError as changed:  # the file is another one by now
         return changed
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
+    """The content of a corpus file; of one that is too large, as much as shows that.
+
+    Raises:
+        CorpusError: for a file that cannot be read, and for a link that leads out of its corpus.
+    """
     try:
-        status = path.stat()
-        if stat.S_ISREG(status.st_mode):
-            with path.open("rb") as file:
-                return file.read(MAX_BYTES + 1)
-        received = "a folder" if stat.S_ISDIR(status.st_mode) else "something else"
+        with open_regular(_at_the_end_of_links(path)) as file:
+            return file.read(MAX_BYTES + 1)
     except OSError as error:
         received = error.strerror or str(error)
     raise CorpusError(path, "a file that can be read", received)
 
 
+def _at_the_end_of_links(path: Path) -> Path:
+    """Where a file is read, given that it may be a link, or in a folder that is one.
+
+    A link may lead to another saved scenario of its corpus, which is the folder around those of a module and of a test.
+    Tools that keep every file behind a link lead elsewhere, but not to where others could: git-annex to its store,
+    which no commit can have a file in, build systems such as Bazel to the same place of another tree.
+
+    Raises:
+        CorpusError: for a link that leads out of its corpus.
+    """
+    path = path.absolute()
+    real, folder = Path(os.path.realpath(path)), Path(os.path.realpath(path.parent))
+    if real == folder / path.name or real.name.endswith(SUFFIX):
+        if real.is_relative_to(os.path.realpath(path.parents[:3][-1])):
+            return real
+        if path.is_symlink() and real.parts[-4:] == path.parts[-4:]:
+            return real
+    if any(real.is_relative_to(os.path.realpath(above / ".git" / "annex" / "objects")) for above in path.parents):
+        return real
+    fix = "put the file itself in its place, or delete the link"
+    raise CorpusError(path, "a file of its corpus", "a link that leads out of it", fix)
+
+
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
     """The document in the content of a file, as one of the version that is written."""
+    __tracebackhide__ = True
     value, lines = parse(path, content, loader)
     top = Field(path, lines, (), value)
-    fields = top.any_mapping()
-    if "pafot" not in fields:  # it comes first: of a newer version, nothing else can be judged
+    if not isinstance(value, dict):
+        raise top.error("a mapping (key: value)", received=NOT_SHOWN)
+    if "pafot" not in value:  # it comes first: of a newer version, nothing else can be judged
         raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
-    version = fields["pafot"]
-    if isinstance(version.value, bool) or not isinstance(version.value, int) or version.value not in VERSIONS:
+    version = top.at("pafot")
+    is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
+    if not is_whole or version.value not in VERSIONS:
         known = " or ".join(map(str, VERSIONS))
         fix = f"install the pytest-pafot that wrote it; this one reads versions {known}"
-        raise version.error(f"the format version {known}", fix)
+        # Without a version the file may be anybody's, a secret with that key included.
+        raise version.error(f"the format version {known}", fix, None if is_whole else "no whole number")
     return replace(top, value=upgraded(top.value)) if version.value == 1 else top
 
 

@@ -62,3 +62,16 @@ def read_saved_file(path: Path) -> Saved:
 def saved_in(folder: Path) -> list[Saved]:
     """All files of one test, by id."""
     return [read_saved_file(path) for path in files_in(folder)]
+
+
+def refused_in(folder: Path, link: Path) -> list[Saved]:
+    """The same of a corpus that is not read, since a link leads to it out of the project."""
+    return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]
+
+
+def refusal(link: Path) -> str:
+    """Why nothing is read, written or removed behind a link to a folder, with the way out."""
+    return (
+        f"expected a folder, received the link {link}, behind which may be anybody's files; "
+        "put the folder itself in its place, or give the one that you mean by its absolute path"
+    )

@@ -1,7 +1,7 @@
 """YAML as untrusted input: plain data with line numbers, and nothing else that YAML can do.
 
 No aliases, anchors, tags, merge keys, repeated keys or second documents, and dates in one place alone; limited in
-size and depth.
+size and depth. Errors show the content of saved scenarios alone: another file of that name may be a secret.
 """
 
 from __future__ import annotations
@@ -32,6 +32,11 @@ _PLAIN_TAGS = frozenset(_PREFIX + name for name in ("null", "bool", "int", "floa
 _NUMBER_LIKE = re.compile(r"[-+]?(?:\.?[0-9][0-9_]*(?:[.:][0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xob][0-9a-fA-F_]+)")
 _NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:e[-+][0-9]+)?)?|-?\.inf|\.nan")
 _WORD = re.compile(r"true|false|null|")
+_IS_SAVED = re.compile(
+    rb"(?:\xef\xbb\xbf)?(?:[ \t]*(?:#[^\n]*)?\r?\n)*pafot:[ \t]+[0-9]+[ \t]*(?:#[^\n]*)?\r?(?:\n|\Z)"
+)
+"""How saved scenarios begin, comments aside, by which those that are faulty are known."""
+NOT_SHOWN = "a file that does not begin as a saved scenario does, so that nothing of it is shown"
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Lines = dict[Place, int]
@@ -48,6 +53,21 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
     Raises:
         CorpusError: on a fault in the text or the syntax, and for anything that is not plain data.
     """
+    __tracebackhide__ = True  # pytest's --showlocals would print the content
+    if len(content) > MAX_BYTES:
+        raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
+    if not content.removeprefix(b"\xef\xbb\xbf").strip():
+        raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
+    try:
+        return _parsed(path, content, base)
+    except CorpusError as error:
+        if _IS_SAVED.match(content):
+            raise
+        raise CorpusError(path, error.expected, NOT_SHOWN, error.fix, line=error.line) from None
+
+
+def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
+    __tracebackhide__ = True
     text = _decoded(path, content)
     # The compiled loader takes these in places where the other one does not; a file is to be read alike everywhere.
     is_odd = "\t" in text or "?" in text
@@ -65,15 +85,12 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
 
 
 def _decoded(path: Path, content: bytes) -> str:
-    if len(content) > MAX_BYTES:
-        raise CorpusError(path, f"at most {MAX_BYTES // 1024} KiB", "a larger file", "delete or shorten it")
+    __tracebackhide__ = True
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
         raise CorpusError(path, "text in UTF-8", received, "save it as UTF-8", line=line) from None
-    if not text.strip():
-        raise CorpusError(path, "a saved scenario", "an empty file", "restore it from version control, or delete it")
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"

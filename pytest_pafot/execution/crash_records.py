@@ -3,13 +3,20 @@
 Each process writes a file of its own and holds a lock on it; the system releases the lock however the process
 ends. A file that nobody holds is what a process left behind. Process ids would not do alone: in containers each
 session may have the same one.
+
+A record is signed, with a key that this user has on this machine, for the folder that it lies in. One that comes with
+a pull request, from another project or from another machine has no such signature, and no search takes it up.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
+import secrets
+import stat
+import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
+from pytest_pafot.files import open_regular, write_if_free
 from pytest_pafot.locks import hold, is_held, pid_of
 from pytest_pafot.scenario import Scenario, ScenarioError
 
@@ -24,6 +32,9 @@ SUFFIX = ".inflight"
 TRIED = ".tried"
 """Before the suffix of a record whose scenario was run again and came to its end."""
 MAX_BYTES = 1 << 20
+KEY_BYTES = 32
+_SIGNATURE = b', "signature": "'
+"""Before the last value of a record, which is for all that comes before this."""
 
 
 class CrashRecordError(Exception):
@@ -52,6 +63,7 @@ class CrashRecord:
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder
+        self._sealed: hashlib.blake2b | None = None
         self._owner = json.dumps(owner)
         self._world = json.dumps(dict(world) if world is not None else None)
 
@@ -65,12 +77,12 @@ class CrashRecord:
         process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
         if reference:
             process += f', "reference": {json.dumps(reference)}'
-        self._put(f'{{{process}, "scenario": {alone}{together}}}\n'.encode())
+        self._put(f'{{{process}, "scenario": {alone}{together}'.encode())
 
     def clear(self) -> None:
         """Nothing is in flight."""
         if self._descriptor is not None:
-            self._put(b"\n")
+            self._put(b"")
 
     def close(self) -> None:
         """Remove the record; a later :meth:`write` begins a new one."""
@@ -89,19 +101,23 @@ class CrashRecord:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _put(self, line: bytes) -> None:
+    def _put(self, record: bytes) -> None:
         if self.error is not None:
             return
         try:
-            if self._descriptor is None:
+            if self._descriptor is None or self._sealed is None:
+                self._sealed = _seal(self._folder)
                 self._descriptor, self._path = _create(self._folder)
+            if record:
+                record += b'%b%b"}' % (_SIGNATURE, _signature(self._sealed, record))
             os.lseek(self._descriptor, 0, os.SEEK_SET)
-            os.write(self._descriptor, line)  # the first line counts; longer ones before it need no truncation
+            os.write(self._descriptor, record + b"\n")  # the first line counts; longer ones before it stay
         except OSError as error:
             self.error = CrashRecordError(self._folder, error)
 
 
 def _create(folder: Path) -> tuple[int, Path]:
+    _refuse_link(folder)
     folder.mkdir(parents=True, exist_ok=True)
     while True:
         descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
@@ -109,6 +125,54 @@ def _create(folder: Path) -> tuple[int, Path]:
             return descriptor, Path(name)
         os.close(descriptor)
         Path(name).unlink(missing_ok=True)
+
+
+def _refuse_link(folder: Path) -> None:
+    if folder.is_symlink():
+        raise OSError(errno.EINVAL, "a link, behind which nothing is written or removed", str(folder))
+
+
+def _seal(folder: Path) -> hashlib.blake2b:
+    """What signs the records of a folder, as yet without one."""
+    return hashlib.blake2b(os.fsencode(os.path.realpath(folder)) + b"\0", key=_key(), digest_size=16)
+
+
+def _signature(seal: hashlib.blake2b, record: bytes) -> bytes:
+    seal = seal.copy()
+    seal.update(record)
+    return seal.hexdigest().encode()
+
+
+def _key() -> bytes:
+    """The key of this user on this machine, made when it is first asked for.
+
+    It lies in the folder for temporary files, where no repository has files. Without it, after a restart of the machine
+    perhaps, older records are not believed any more, and that is all.
+
+    Raises:
+        OSError: when there can be none, or others could have put it there.
+    """
+    folder = Path(tempfile.gettempdir(), "pytest-pafot")
+    is_of_others = False
+    if sys.platform != "win32":  # where each user has a folder for temporary files
+        folder = folder.with_name(f"pytest-pafot-{os.getuid()}")
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        if sys.platform != "win32":
+            is_of_others = status.st_uid != os.getuid() or status.st_mode & 0o077 != 0
+        if is_of_others or not stat.S_ISDIR(status.st_mode):
+            raise PermissionError(errno.EPERM, "others may write there")
+        path = folder / "key"
+        if not os.path.lexists(path):
+            write_if_free(path, secrets.token_bytes(KEY_BYTES))
+        with open_regular(path) as file:
+            key = file.read(KEY_BYTES + 1)
+        if len(key) != KEY_BYTES:
+            raise OSError(errno.EINVAL, "a damaged key")
+    except OSError as error:
+        raise OSError(error.errno, f"{error.strerror or error}: {folder}, where the key of the records is") from error
+    return key
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +184,7 @@ class Leftover:
         scenarios: in flight: one, or several in lock step, one of which it was; none where the record cannot be read.
         world: that they ran in, as plain data, or None.
         reference: what to call the policy that drove in the place of the ADS; empty where that drove itself.
+        is_own: whether a session of this user wrote it in this folder. Anybody may have written another one.
     """
 
     path: Path
@@ -128,6 +193,7 @@ class Leftover:
     scenarios: tuple[Scenario, ...] = ()
     world: Mapping[str, Any] | None = None
     reference: str = ""
+    is_own: bool = False
 
     @property
     def scenario(self) -> Scenario | None:
@@ -167,6 +233,7 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
         CrashRecordError: when the folder cannot be read.
     """
     try:
+        _refuse_link(folder)
         found = [_leftover(path) for path in sorted(folder.iterdir()) if path.name.endswith(SUFFIX)]
     except FileNotFoundError:
         return ()
@@ -176,23 +243,26 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """The leftovers of one owner; none in a folder that cannot be read: writing there fails as well, and says so."""
+    """The leftovers of one owner that a session of this user wrote.
+
+    There are none in a folder that cannot be read: writing there fails as well, and says so.
+    """
     try:
-        return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
+        return [leftover for leftover in leftovers(folder) if leftover.is_own and leftover.owner == owner]
     except CrashRecordError:
         return []
 
 
 def _leftover(path: Path) -> Leftover | None:
     try:
-        with path.open("r+b") as file:
+        with open_regular(path, "r+b") as file:
             if is_held(file.fileno(), pid_of(path)):
                 return None
             file.seek(0)
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
         return None  # it has gone meanwhile, or belongs to somebody else
-    leftover = Leftover(path=path, pid=pid_of(path))
+    leftover = Leftover(path=path, pid=pid_of(path), is_own=_is_signed(line, path.parent))
     if not line.strip():
         leftover.discard()  # it tells nothing
         return None
@@ -204,3 +274,13 @@ def _leftover(path: Path) -> Leftover | None:
         return replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover
+
+
+def _is_signed(line: bytes, folder: Path) -> bool:
+    record, _, end = line.rpartition(_SIGNATURE)
+    if not record:
+        return False
+    try:
+        return secrets.compare_digest(end, _signature(_seal(folder), record) + b'"}')
+    except OSError:
+        return False

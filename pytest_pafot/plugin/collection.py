@@ -13,7 +13,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
-from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.corpus.saved import Saved, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
@@ -92,11 +92,12 @@ class Collection:
             return []
         module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
         name = layout.safe_name(qualified_name(definition))
-        folders = sorted(module_folder.iterdir()) if module_folder.is_dir() else []
+        folders = layout.entries_of(module_folder)
+        link = layout.link_out(definition.path, corpus, self._rootpath)
         found: dict[str, Saved] = {}
         for folder in folders:
             if folder.name.partition("@")[0] == name or "~" in folder.name:  # a digest says nothing of the function
-                for saved in saved_in(folder):
+                for saved in saved_in(folder) if link is None else refused_in(folder, link):
                     self._saved[saved.path] = found[saved.id] = saved
         return found.values()
 

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import files_in, module_named, modules_in, relative, safe_name
+from pytest_pafot.corpus.layout import entries_of, files_in, module_named, modules_in, relative, safe_name
 from pytest_pafot.corpus.saved import read_saved_file
 
-_TEST_LINE = re.compile(rb"^test:\s*(.+?)\s*$", re.MULTILINE)
+# A node id and nothing else: the name of a test is shown of broken files, too, and a file may be anything.
+_TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 
 
 class Unrun(NamedTuple):
@@ -56,7 +57,7 @@ def find_orphans(collected: Collected) -> dict[Path, list[Path]]:
         folder: _own_files(folder, directory, collected.rootpath)
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
-        for folder in sorted(filter(_is_of_one_test, module.iterdir()))
+        for folder in filter(_is_of_one_test, entries_of(module))
         if _is_orphan(folder, directory, collected)
     }
 
@@ -98,7 +99,7 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
 def _is_of_one_test(folder: Path) -> bool:
     """Whether it holds saved scenarios and no folders: those of one corpus for all lie side by side with modules."""
-    return bool(files_in(folder)) and not any(path.is_dir() for path in folder.iterdir())
+    return bool(files_in(folder)) and not any(path.is_dir() for path in entries_of(folder))
 
 
 def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
@@ -122,9 +123,12 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
 
 def _named_test(file: Path) -> str:
     """The node id of the test that a saved scenario names, also where it is broken; empty where it names none."""
+    from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
+    from pytest_pafot.errors import CorpusError  # noqa: PLC0415
+
     try:
-        line = _TEST_LINE.search(file.read_bytes()[:65536])
-    except OSError:
+        line = _TEST_LINE.search(content_of(file))
+    except CorpusError:
         return ""
     return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
 

@@ -37,7 +37,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     finding = saved.finding
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
-    harness = harness_of(item, request)
+    harness = harness_of(item, request, writes=False)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     path, lost = relative(saved.path, harness.root), None
     try:

@@ -18,13 +18,15 @@ from pytest_pafot.campaign.against import reference_of
 from pytest_pafot.campaign.confirmation import NOT_REPEATED
 from pytest_pafot.campaign.events import FindTold, Kept, Listener, SearchEvent, SearchStarted
 from pytest_pafot.campaign.harness import Harness, checked_factory, source_file
-from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
+from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
 from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import PlainFailure, Test
-from pytest_pafot.corpus.layout import folder_of_test
+from pytest_pafot.corpus.layout import chosen_folder, folder_of_test, link_below
+from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
@@ -48,17 +50,24 @@ DRAWS = (
 )
 
 
-def harness_of(item: pytest.Function, request: Request) -> Harness:
-    """What an item whose fixtures are set up runs and judges with.
+def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
+    """What an item whose fixtures are set up runs and judges with; ``writes`` says whether it may save anything.
 
     Raises:
-        RequestError: when a fixture gives something that cannot be used.
+        RequestError: when a fixture gives something that cannot be used, or it would write behind a link.
     """
     world = build_world(request, item.funcargs[WORLD_FIXTURE])
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
-    remove_unfinished(folder)
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
+    here = item.config.invocation_params.dir
+    link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
+    if link is None:
+        remove_unfinished(folder)
+    elif writes and request.settings.save != "none":
+        raise RequestError(f"{BY_NAME['corpus'].flag}: {refusal(link)}")
+    if writes and resume is not None:
+        check_states(resume, here)
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
@@ -76,7 +85,7 @@ def harness_of(item: pytest.Function, request: Request) -> Harness:
         versions=installed_versions(),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name)),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
-        states=None if resume is None else item.config.invocation_params.dir / resume,
+        states=None if resume is None else here / resume,
     )
 
 

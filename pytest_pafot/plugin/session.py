@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
-from pytest_pafot.corpus.layout import corpus_root
+from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.plugin.option_sources import resolve
 
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
@@ -82,8 +82,15 @@ def base_line(config: pytest.Config) -> str:
 
 
 def records_folder(item: pytest.Item, settings: Settings) -> Path:
-    """A folder in pytest's cache, which no repository keeps; without a cache the corpus."""
-    return _cached_folder(item.config) or corpus_root(item.path, settings.corpus, item.config.rootpath)
+    """A folder in pytest's cache, which no repository keeps; without a cache the corpus.
+
+    Where a link is on the way it is that, which is refused as a folder of records.
+    """
+    cached = _cached_folder(item.config)
+    if cached is not None:
+        return cached
+    corpus = corpus_root(item.path, settings.corpus, item.config.rootpath)
+    return link_below(chosen_folder(item.path, settings.corpus), corpus) or corpus
 
 
 def misspelt(environ: Mapping[str, str]) -> list[str]:
@@ -115,12 +122,17 @@ def unclaimed(config: pytest.Config) -> list[str]:
     return [
         f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
         f"that test takes it up when it runs, or delete {each.path}"
+        if each.is_own
+        else f"{each.path}: expected the record of a process that died here, received one that no session of this "
+        "user wrote in this folder, or not on this machine; nothing of it is believed; delete it"
         for each in found
     ]
 
 
 def _cached_folder(config: pytest.Config) -> Path | None:
     try:
-        return Path(config.cache.mkdir("pafot"))
-    except (AttributeError, OSError):  # No cache plugin, or a read-only checkout: the record itself says what is wrong
+        link = link_below(config.rootpath, config.rootpath / config.getini("cache_dir") / "d" / "pafot")
+        return link or Path(config.cache.mkdir("pafot"))
+    # No cache plugin, or a read-only checkout: the record itself says what is wrong.
+    except (AttributeError, ValueError, OSError):
         return None

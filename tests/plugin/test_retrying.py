@@ -159,14 +159,25 @@ def test_where_no_process_can_tell_one_death_is_enough(project, monkeypatch):
 
 @pytest.mark.parametrize(
     ("act", "world"),
-    [("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict()), ("None", {"kind": "mine"})],
-    ids=["the ADS raises there", "it hangs there", "the world is no more"],
+    [("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict())],
+    ids=["the ADS raises there", "it hangs there"],
 )
 def test_a_run_that_says_nothing_of_the_death_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)
     replayed(project).stdout.fnmatch_lines(["*if it was killed from outside, delete the file"])
     assert project.only_id.startswith("crash-")
+
+
+def test_a_record_whose_world_cannot_be_made_is_reported_and_no_find(project):
+    write(project, "None")
+    project.leave_behind(OWNER, world={"kind": "mine"})
+    result = replayed(project)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(
+        ["*note: a process (pid *) died while it ran * in a world that cannot be made here now*"]
+    )
+    assert (project.files, records(project)) == ([], [])
 
 
 @forks
