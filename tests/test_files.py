@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot import files, locks
-from pytest_pafot.files import remove_unfinished, write_if_free, write_whole
+from pytest_pafot.files import open_regular, remove_unfinished, write_if_free, write_whole
 
 
 @pytest.fixture
@@ -163,6 +163,41 @@ def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypa
     process.wait()
     remove_unfinished(path.parent)
     assert not temporary.exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_only_a_regular_file_is_opened_and_no_link_is_followed(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("mine")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(secret)
+    (tmp_path / "dangling").symlink_to(tmp_path / "none")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for mode in ("rb", "r+b", "ab"):
+        for name in ("link", "dangling", "loop", "zero", "pipe", "."):
+            with pytest.raises(OSError, match=r"a link|a folder|something else"):
+                open_regular(tmp_path / name, mode)
+    with open_regular(tmp_path / "new", "ab") as file:
+        file.write(b"content")
+    with open_regular(tmp_path / "new") as file:
+        assert file.read() == b"content"
+    assert secret.read_text() == "mine"
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_a_write_replaces_a_link_and_leaves_what_it_leads_to(path, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("mine")
+    path.parent.mkdir(parents=True)
+    temporary = path.parent / ".pafot-1-00.tmp"
+    for link in (path, temporary):
+        link.symlink_to(secret)
+    assert not write_if_free(path, b"content")
+    write_whole(path, b"content")
+    assert (path.read_text(), path.is_symlink(), temporary.is_symlink()) == ("content", False, True)
+    assert secret.read_text() == "mine"
 
 
 def test_a_temporary_file_of_an_earlier_version_goes(path):

@@ -231,7 +231,7 @@ class Search:
         if world is None:
             note = (
                 f"a process (pid {leftover.pid}) died while it ran {leftover.scenarios!r:.300} in a world that cannot "
-                f"be made here now, {dict(leftover.world or {})!r:.200}; it is no finding, since nobody can try it again"
+                f"be made here now, {dict(leftover.world or {})!r:.200}; nobody can try it again, so it is no finding"
             )
             return Retried(notes=(note,), pending=leftover)
         return retry(

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -263,6 +264,36 @@ def test_a_file_that_is_no_state_is_refused_and_left_as_it_is(search, begun, fau
     before = begun.read_bytes()
     assert "delete the file" in refused(search, expected)
     assert begun.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "secret",
+    ['{"version": 1, "HUSH": "HUSH"}', '{"version": "HUSH"}', '"HUSH"', '["HUSH"]', "HUSH=1", '{"a": "\\HUSH"}'],
+)
+def test_nothing_of_a_file_that_is_no_state_is_shown(search, begun, secret):
+    begun.write_text(secret)
+    assert "HUSH" not in refused(search, "expected")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+@pytest.mark.parametrize("place", ["state", "lock", "folder", "corpus"])
+def test_no_link_is_followed_for_a_state_or_a_corpus(search, begun, tmp_path, place):
+    secret, folder = tmp_path / "secret", tmp_path / "elsewhere"
+    secret.write_text('{"version": "HUSH"}')
+    link = {"state": begun, "lock": begun.with_suffix(".lock"), "folder": begun.parent, "corpus": tmp_path / "corpus"}
+    if place == "folder":
+        begun.parent.rename(folder)
+    elif place == "corpus":
+        link["corpus"].mkdir()
+        link["corpus"] /= "test_it"
+        folder.mkdir()
+    else:
+        link[place].unlink(missing_ok=True)
+    link[place].symlink_to(folder if place in ("folder", "corpus") else secret)
+    before = [*folder.rglob("*")]
+    assert "HUSH" not in refused(search, "received.* link")
+    assert (secret.read_text(), [*folder.rglob("*")]) == ('{"version": "HUSH"}', before)
+    assert link[place].is_symlink()
 
 
 @pytest.mark.usefixtures("begun")

@@ -20,6 +20,7 @@ from tests.support.work import calls_in
 
 NAME = "front-2-1f3a9c.pafot.yaml"
 TEXT = text_of(plain_finding())
+links = pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
 LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
@@ -376,6 +377,126 @@ def test_a_named_pipe_does_not_block(path):
     os.mkfifo(path)
     with pytest.raises(CorpusError, match="received something else"):
         load(path)
+
+
+SECRETS = {
+    "netrc": b"machine github.com login bot password HUSH\n",
+    "env": b"HUSH=1\nTOKEN='HUSH'\n",
+    "passwd": b"root:x:0:0:HUSH:/root:/bin/bash\n",
+    "mapping": b"HUSH: HUSH\ntoken: [HUSH]\n",
+    "own key": b"pafot: {token: HUSH}\nHUSH: 1\n",
+    "own text": b"pafot: HUSH\n",
+    "list": b"- HUSH\n",
+    "JSON": b'{"HUSH": "HUSH", "pafot": "HUSH"}',
+    "repeated key": b"HUSH: 1\nHUSH: 2\n",
+    "anchor": b"a: &HUSH 1\n",
+    "alias": b"a: *HUSH\n",
+    "tag": b"a: !HUSH 1\n",
+    "date": b"HUSH: 2026-11-20\n",
+    "number": b"HUSH: 0x4855\n",
+    "key of another type": b"0x48555348: 1\n",
+    "syntax": b"HUSH: [HUSH\nHUSH: %HUSH\n",
+    "two documents": b"--- HUSH\n--- HUSH\n",
+    "not UTF-8": b"HUSH \xa4 HUSH\n",
+    "not text": b"HUSH\x1b\x00HUSH",
+    "a scenario further down": b"HUSH HUSH: [\npafot: 2\nHUSH: HUSH\n",
+}
+
+
+@pytest.mark.parametrize("secret", SECRETS.values(), ids=list(SECRETS))
+def test_nothing_of_a_file_that_is_no_saved_scenario_is_shown(path, secret):
+    error = fault(path, secret)
+    text = str(error).replace(str(path), "")
+    assert not any(word in text for word in ("HUSH", "github", "48", "20", "a4", "1b", "001B")), text
+    assert "\n" not in text
+
+
+def test_a_saved_scenario_shows_its_faults_after_comments_and_with_its_version_at_the_end(path):
+    assert "'oops'" in str(fault(path, f"# mine\n\n{swapped('seed: 7', 'seed: oops')}"))
+    late = swapped("pafot: 2 ", "# ").replace("seed: 7", "seed: oops") + "pafot: 2\n"
+    assert "'oops'" in str(fault(path, late))
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Of a file in a corpus, with all its folders."""
+    place = tmp_path / "project" / "pafot_corpus" / "test_it" / "test_it" / NAME
+    place.parent.mkdir(parents=True)
+    return place
+
+
+def refused(place):
+    with pytest.raises(CorpusError) as caught:
+        load(place)
+    assert str(caught.value) == (
+        f"{place}: expected a file of its corpus, received a link that leads out of it; put the file itself in its "
+        "place, or delete the link"
+    )
+
+
+@links
+@pytest.mark.parametrize(
+    "target", ["secret", "valid.pafot.yaml", "none", "/dev/zero", "/proc/self/environ", "/", "pipe"]
+)
+def test_a_link_that_leads_out_of_its_corpus_is_refused_whatever_is_there(tmp_path, place, target):
+    (tmp_path / "secret").write_text("HUSH")
+    (tmp_path / "valid.pafot.yaml").write_text(TEXT)
+    os.mkfifo(tmp_path / "pipe")
+    place.symlink_to(tmp_path / target)
+    refused(place)
+    place.unlink()
+    (place.parent / "one").symlink_to(tmp_path / target)
+    place.symlink_to("one")  # a chain
+    refused(place)
+
+
+@links
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_file_in_a_folder_that_is_a_link_out_of_the_corpus_is_refused(tmp_path, place, level):
+    place.write_text(TEXT)
+    folder = place.parents[level]
+    folder.rename(tmp_path / folder.name)
+    folder.symlink_to(tmp_path / folder.name)
+    refused(place)
+
+
+@links
+def test_links_that_stay_in_the_corpus_are_read_if_they_lead_to_a_saved_scenario(place):
+    real = place.parents[1] / "test_other" / "front-2-1f3a9c.pafot.yaml"
+    real.parent.mkdir()
+    real.write_text(TEXT)
+    place.symlink_to(real)
+    assert load(place) == plain_finding()
+    place.unlink()
+    place.parent.rmdir()
+    place.parent.symlink_to("test_other")
+    assert load(place) == plain_finding()
+    place.with_name("two.pafot.yaml").symlink_to("notes.txt")
+    refused(place.with_name("two.pafot.yaml"))
+
+
+@links
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_link_within_the_corpus_to_what_is_no_file_does_not_block(place):
+    os.mkfifo(place.with_name("pipe.pafot.yaml"))
+    place.symlink_to("pipe.pafot.yaml")
+    with pytest.raises(CorpusError, match="received something else"):
+        load(place)
+
+
+@links
+def test_the_stores_of_git_annex_and_the_trees_of_build_systems_are_read(tmp_path, place):
+    store = tmp_path / "project" / ".git" / "annex" / "objects" / "k" / "SHA256E-s9--1f.yaml"
+    store.parent.mkdir(parents=True)
+    store.write_text(TEXT)
+    place.symlink_to(os.path.relpath(store, place.parent))
+    assert load(place) == plain_finding()
+    place.unlink()
+    source = tmp_path / "source" / place.relative_to(tmp_path / "project")
+    source.parent.mkdir(parents=True)
+    source.write_text(TEXT)
+    place.symlink_to(source)
+    assert load(place) == plain_finding()
 
 
 @pytest.mark.parametrize("cut", range(0, len(TEXT) - len('# xfail: "reason"\n') - 1, 7))

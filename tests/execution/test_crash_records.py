@@ -10,7 +10,7 @@ from hypothesis import given
 
 from pytest_pafot import locks
 from pytest_pafot.execution import crash_records
-from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, leftovers
+from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, left_by, leftovers
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from tests.findings.builders import scenarios
 
@@ -150,6 +150,67 @@ def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     abandoned(tmp_path, "77-x.inflight", content)
     (left,) = leftovers(tmp_path)
     assert (left.pid, left.owner, left.scenarios) == (77, "", ())
+
+
+def test_a_record_is_believed_in_its_folder_with_its_content_alone(tmp_path, monkeypatch):
+    own, other = tmp_path / "own", tmp_path / "other"
+    with child(own, "os._exit(9)") as process:
+        process.wait()
+    (path,) = own.iterdir()
+    record = path.read_bytes()
+    assert [left.scenarios for left in left_by(OWNER, own)] == [(SCENARIO,)]
+    changed = record.split(b"\n", 1)[0].replace(b"25.0", b"24.0")
+    unsigned = record.split(b', "signature"', 1)[0] + b"}"
+    for name, content in {"1-a": changed, "2-b": unsigned, "3-c": unsigned[:-1] + b', "signature": ""}'}.items():
+        abandoned(own, f"{name}.inflight", content + b"\n")
+    abandoned(other, "1-x.inflight", record)
+    assert [left.path for left in left_by(OWNER, own)] == [path]
+    assert (len(leftovers(own)), [left.is_own for left in leftovers(other)]) == (4, [False])
+    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(other))  # with another key: of another user
+    assert left_by(OWNER, own) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files on Windows")
+@pytest.mark.parametrize("fault", ["open to others", "a link", "empty", "key is a link"])
+def test_a_key_that_others_could_have_put_there_is_not_used(tmp_path, monkeypatch, fault):
+    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(tmp_path))
+    home = tmp_path / f"pytest-pafot-{os.getuid()}"
+    secret = tmp_path / "secret"
+    secret.write_bytes(b"k" * 32)
+    if fault == "a link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        home.symlink_to(tmp_path / "elsewhere")
+    else:
+        home.mkdir(mode=0o755 if fault == "open to others" else 0o700)
+        (home / "key").symlink_to(secret) if "key" in fault else (home / "key").write_bytes(b"")
+    with CrashRecord(tmp_path / "records", OWNER) as record:
+        record.write(SCENARIO)
+    assert "a hard crash of this process will not name" in str(record.error)
+    assert str(home) in str(record.error)
+    assert leftovers(tmp_path / "records") == ()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_no_link_is_followed_in_or_to_the_folder_of_records(tmp_path):
+    folder, secret = tmp_path / "records", tmp_path / "secret"
+    secret.write_text('{"owner": "HUSH"}')
+    folder.mkdir()
+    blank = tmp_path / "blank"
+    blank.write_text("\n")
+    os.mkfifo(folder / "1-pipe.inflight")
+    for number, target in enumerate([secret, blank, tmp_path / "none", "/dev/zero", "5-x.inflight"]):
+        (folder / f"{number + 2}-x.inflight").symlink_to(target)
+    before = sorted(folder.iterdir())
+    assert leftovers(folder) == ()
+    (tmp_path / "link").symlink_to(folder)
+    (folder / "9-x.inflight").write_text("\n")  # which would be removed
+    with pytest.raises(CrashRecordError, match="a link, behind which nothing"):
+        leftovers(tmp_path / "link")
+    with CrashRecord(tmp_path / "link", OWNER) as record:
+        record.write(SCENARIO)
+    assert "a link" in str(record.error)
+    assert sorted(folder.iterdir()) == sorted([*before, folder / "9-x.inflight"])
+    assert (blank.read_text(), secret.exists()) == ("\n", True)
 
 
 def test_only_records_are_looked_at(tmp_path):

@@ -1,0 +1,121 @@
+"""Links that a pull request may bring: nothing behind them is shown, written or removed."""
+
+import os
+import shutil
+
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+
+SECRET = "machine github.com login bot password HUSH\n"
+
+
+@pytest.fixture
+def elsewhere(tmp_path_factory):
+    """A folder out of the project, with a secret and what a search would clean up."""
+    folder = tmp_path_factory.mktemp("elsewhere")
+    (folder / ".netrc").write_text(SECRET)
+    (folder / ".pafot-1-00.tmp").write_text("not a file of a search")
+    return folder
+
+
+def all_in(folder):
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsewhere):
+    (failing.path / ".env").write_text("TOKEN=HUSH\n")
+    failing.run()
+    folder = failing.only_file.parent
+    os.mkfifo(elsewhere / "pipe")
+    targets = [
+        elsewhere / ".netrc",
+        failing.path / ".env",
+        elsewhere / "pipe",
+        elsewhere / "none",
+        "/dev/zero",
+        "/proc",
+    ]
+    for number, target in enumerate([*targets, "l-6.pafot.yaml"]):
+        (folder / f"l-{number}.pafot.yaml").symlink_to(target)
+    (failing.path / "stray.pafot.yaml").symlink_to(elsewhere / ".netrc")
+    (folder.parent / "test_gone").symlink_to(elsewhere)
+    (folder.parent / "test_gone~0").symlink_to("/root")
+    before = all_in(elsewhere)
+    result = failing.run("-rA", "--junitxml=junit.xml", "--pafot-json=out.json", "--pafot-prune", "--showlocals")
+    result.assert_outcomes(failed=8, passed=1)
+    shown = result.stdout.str() + (failing.path / "junit.xml").read_text() + (failing.path / "out.json").read_text()
+    assert "HUSH" not in shown
+    for number in range(6):
+        name = folder / f"l-{number}.pafot.yaml"
+        result.stdout.fnmatch_lines([f"{name}: expected a file of its corpus, received a link that leads out of it; *"])
+    assert all_in(elsewhere) == before
+    assert (folder / "l-0.pafot.yaml").is_symlink()
+
+
+@pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
+def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
+    """A link in the place of the test's folder, the module's or the corpus."""
+    failing.run()
+    file = failing.only_file
+    folder = file.parents[level]
+    shutil.move(folder, elsewhere / folder.name)
+    shutil.copy(elsewhere / ".pafot-1-00.tmp", elsewhere / file.parent.relative_to(folder.parent))
+    folder.symlink_to(elsewhere / folder.name)
+    before = all_in(elsewhere)
+    result = failing.run("--pafot-prune", *cache, seed=2)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, behind which may be*"])
+    failing.run("--pafot-save=none", *cache, seed=2)
+    failing.run("--pafot-merge", elsewhere, *cache)
+    failing.run(*cache, generations=0)
+    assert all_in(elsewhere) == before
+
+
+def test_a_link_within_the_project_is_read_and_not_written_through(failing):
+    failing.run()
+    id_, corpus = failing.only_id, failing.path / "pafot_corpus"
+    corpus.rename(failing.path / "shared")
+    corpus.symlink_to("shared")
+    before = all_in(failing.path / "shared")
+    result = failing.run(generations=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines([f"*saved-{id_}*", "replay: still failing"])
+    failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, behind which*"])
+    assert all_in(failing.path / "shared") == before
+
+
+def test_a_corpus_that_the_user_names_by_its_absolute_path_may_be_a_link(failing, elsewhere):
+    (failing.path / "link").symlink_to(elsewhere)
+    failing.run("--pafot-corpus", failing.path / "link")
+    assert len(list(elsewhere.glob("test_it/test_fails/*.pafot.yaml"))) == 1
+    failing.run("--pafot-corpus", failing.path / "link", generations=0).assert_outcomes(failed=1, skipped=1)
+
+
+def test_states_and_crash_records_behind_links_are_left_alone(failing, elsewhere):
+    (elsewhere / "d" / "pafot").mkdir(parents=True)
+    (elsewhere / "d" / "pafot" / "1-x.inflight").write_text("\n")  # which would be removed
+    (failing.path / "states").symlink_to(elsewhere)
+    (failing.path / "cache").symlink_to(elsewhere)
+    before = all_in(elsewhere)
+    result = failing.run("--pafot-resume=states", "-p", "no:cacheprovider")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([f"--pafot-resume: expected a folder, received the link {failing.path / 'states'}, *"])
+    assert all_in(elsewhere) == before
+    failing.run("-o", "cache_dir=cache").stdout.fnmatch_lines(
+        ["*cache: expected a folder*, received: a link, behind *"]
+    )
+    of_pafot = elsewhere / "d" / "pafot"
+    assert all_in(of_pafot) == {path: content for path, content in before.items() if path.parent == of_pafot}
+
+
+def test_a_crash_record_that_a_checkout_brings_is_reported_and_not_taken_up(project):
+    project.write("@pafot.search(SHORT)\ndef test_lives(run):\n    pass\n")
+    project.leave_crash("test_it.py::test_lives")
+    (record,) = (project.path / ".pytest_cache" / "d" / "pafot").iterdir()
+    record.write_bytes(record.read_bytes().replace(b"20.0", b"19.0"))
+    for _ in range(2):
+        result = project.run()
+        result.assert_outcomes(passed=1)
+        result.stdout.fnmatch_lines([f"*problem: {record}: expected the record of a process that died here*delete it"])
+    assert project.files == []
