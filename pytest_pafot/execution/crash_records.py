@@ -44,6 +44,8 @@ class CrashRecordError(Exception):
         way_out = "make the folder readable and writable"
         if error.errno in (errno.EMFILE, errno.ENFILE):
             way_out = "close the files that the ADS and the tests open"
+        elif error.errno == errno.EINVAL:
+            way_out = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
         super().__init__(
             f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
             f"crash of this process will not name the scenario that caused it; {way_out}"
@@ -105,8 +107,8 @@ class CrashRecord:
         if self.error is not None:
             return
         try:
-            if self._descriptor is None or self._sealed is None:
-                self._sealed = _seal(self._folder)
+            self._sealed = self._sealed or _seal(self._folder)
+            if self._descriptor is None:
                 self._descriptor, self._path = _create(self._folder)
             if record:
                 record += b'%b%b"}' % (_SIGNATURE, _signature(self._sealed, record))

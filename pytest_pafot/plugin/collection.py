@@ -29,7 +29,8 @@ def accept_files(config: pytest.Config) -> tuple[set[Path], set[Path]]:
     if not given:
         return set(), set()
     others = [_given_path(config, arg).resolve() for arg in config.args if arg not in given]
-    files = [(config.invocation_params.dir / arg).resolve() for arg in given]
+    paths = [config.invocation_params.dir / arg for arg in given]
+    files = [path.parent.resolve() / path.name for path in paths]  # A file that is a link has an item of its own.
     modules = dict.fromkeys(_module_of(file, config) for file in files)
     added = [module for module in modules if not any(other in (module, *module.parents) for other in others)]
     config.args[:] = [*(arg for arg in config.args if arg not in given), *map(str, added)]

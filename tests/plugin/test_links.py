@@ -51,6 +51,8 @@ def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsew
         result.stdout.fnmatch_lines([f"{name}: expected a file of its corpus, received a link that leads out of it; *"])
     assert all_in(elsewhere) == before
     assert (folder / "l-0.pafot.yaml").is_symlink()
+    failing.run(folder / "l-0.pafot.yaml").assert_outcomes(failed=1)
+    assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # leads to itself
 
 
 @pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
