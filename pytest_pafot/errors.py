@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pytest_pafot.text import visible
+
 RESTORE = "restore the file from version control, or delete it"
 
 
 class FieldError(ValueError):
-    """A value that breaks a rule.
+    """A value that breaks a rule, told in one line: values, keys and paths in it may come from a stranger's file.
 
     Attributes:
         field: path of the value, such as ``npcs[0][2].speed``; empty where it has none.
@@ -19,7 +21,7 @@ class FieldError(ValueError):
     def __init__(
         self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
     ) -> None:
-        super().__init__(text or sentence(field, expected, received, fix))
+        super().__init__(visible(text or sentence(field, expected, received, fix)))
         self.field, self.expected, self.received, self.fix = field, expected, received, fix
 
 

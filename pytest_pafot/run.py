@@ -467,5 +467,5 @@ def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
 
 
 def _ascii(line: str) -> str:
-    text = "".join(each if each.isprintable() else "?" for each in ascii_text(" ".join(line.splitlines())))
+    text = ascii_text(" ".join(line.splitlines()))
     return text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..."

@@ -9,7 +9,7 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "errors", "text", "locks", "files", "shown", "versions", "proportions", "grid", "scenario", "trace", "checks",
+    "text", "errors", "locks", "files", "shown", "versions", "proportions", "grid", "scenario", "trace", "checks",
     "rejection", "criticality", "attribution", "run", "properties", "sight", "findings", "searching", "corpus",
     "world", "policies", "execution", "strategies", "testing", "campaign", "training", "comparison", "report",
     "rating", "export", "plugin", "__main__",

@@ -19,7 +19,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import Finding, of_failure
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.text import plural
+from pytest_pafot.text import plural, visible
 
 SHOWS_AGAIN = ("still failing", "introduced")
 """Labels of replays that show what their file was saved for."""
@@ -58,7 +58,7 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
             finding = replace(saved.finding, test=harness.node_id)
             candidates.append(Candidate(saved=saved, finding=finding, kind=kind))
         elif saved not in own:
-            left.append(f"  not merged: {relative(saved.path, harness.root)}: {label} here")
+            left.append(visible(f"  not merged: {relative(saved.path, harness.root)}: {label} here"))
     failing = {each.saved.path for each in candidates}
     result = join(candidates, taken=[saved.id for saved in own if saved.path not in failing])
     errors += [_conflict(group, harness.root) for group in result.conflicts]
@@ -99,8 +99,8 @@ def _conflict(group: Sequence[Candidate], root: Path) -> str:
         f"{relative(each.saved.path, root)}: {each.finding.accepted}" for each in group if each.finding.xfail
     )
     return (
-        f"xfail: expected one reason and one day for a kind of failure, received {len(acceptances(group))} ({told}); "
-        "write the same in these files, and merge again"
+        f"xfail: expected one reason and one day for a kind of failure, received {len(acceptances(group))} "
+        f"({visible(told)}); write the same in these files, and merge again"
     )
 
 

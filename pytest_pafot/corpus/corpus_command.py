@@ -13,7 +13,7 @@ from typing import Any
 from pytest_pafot.corpus.layout import files_in, folders_below
 from pytest_pafot.corpus.saved import Saved, read_saved_file
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.text import ascii_text, plural
+from pytest_pafot.text import ascii_text, plural, quiet_json, visible
 
 MARKS = ("flaky", "xfail", "xfail_until")
 """What a line tells of a file where it has it."""
@@ -36,11 +36,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Tell what lies in the folders; the exit code, which is 1 where a file cannot be read."""
     for folder in arguments.folders:
         if not folder.is_dir():
-            sys.stderr.write(f"corpus: expected a folder, received {folder}; give one that exists\n")
+            sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give one that exists\n")
             return NO_FOLDER
     rows = [_row(saved) for saved in _found(arguments.folders)]
     told: Any = rows if arguments.what == "list" else _counts(rows)
-    lines = [json.dumps(told, indent=2)] if arguments.json else _lines(told)
+    lines = [quiet_json(json.dumps(told, indent=2))] if arguments.json else _lines(told)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(any("error" in row for row in rows))
 

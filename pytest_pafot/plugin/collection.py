@@ -19,6 +19,7 @@ from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, s
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, base_line
+from pytest_pafot.text import visible
 
 SEARCH = "search"  # the argument of an item, until a simulated run takes its place
 
@@ -131,7 +132,7 @@ class Collection:
         # Now that the parameters are known, so is the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
-            item.add_marker(pytest.mark.xfail(strict=True, reason=saved.xfail or ""), append=False)
+            item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
         return True
 
     def _folder(self, item: pytest.Item, arguments: Mapping[str, Any]) -> Path | None:
@@ -221,12 +222,11 @@ def _given_path(config: pytest.Config, arg: str) -> Path:
 
 def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
-        raise pytest.UsageError(f"{file}: expected a saved scenario, found no such file")
+        raise pytest.UsageError(f"{visible(str(file))}: expected a saved scenario, found no such file")
     corpus = corpus_name(config, {})
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder does not lie in a corpus" if module is None else f"{module} does not exist"
-        raise pytest.UsageError(
-            f"{file}: expected a saved scenario of a test file, but {where}; move the folder to where the test is now"
-        )
+        told = f"{file}: expected a saved scenario of a test file, but {where}"
+        raise pytest.UsageError(f"{visible(told)}; move the folder to where the test is now")
     return module

@@ -14,10 +14,16 @@ from typing import Any
 import pytest
 
 from pytest_pafot.checks import CheckFailed
+from pytest_pafot.corpus.layout import relative
+from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import RATE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import MARKER, fitted_lines
 from pytest_pafot.run import Run
+from pytest_pafot.text import visible, visible_lines
+
+AS_SAVED = "pafot_saved"
+"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs."""
 
 SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 
@@ -30,6 +36,9 @@ REPEATED = (
     re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
 )
 """Lines that say again what an explanation and the line of the assertion say."""
+
+_COLOUR = re.compile("\x1b\\[[0-9;]*m")
+"""In which pytest shows a difference of two values; a file may have it, too, to hide a text in."""
 
 
 class Failures:
@@ -49,6 +58,11 @@ class Failures:
         finally:
             if style is not None:
                 option.tbstyle = style
+        saved = saved_of(item)
+        if saved is not None:
+            told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
+            setattr(report, AS_SAVED, told)
+        _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))
         return report
@@ -71,15 +85,29 @@ def summarise(report: pytest.TestReport, text: str) -> None:
     """Let the summary line say a text, or the first line of the message where there is none."""
     crash = getattr(report.longrepr, "reprcrash", None)
     if crash is not None:
-        crash.message = text or crash.message.removeprefix("Failed: ").partition("\n")[0]
+        first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
+        crash.message = visible(text or first)
+
+
+def _make_visible(report: pytest.TestReport) -> None:
+    """Make texts safe to show that are no lines of a traceback: an error, why an item skips or may fail."""
+    match report.longrepr:
+        case str() as text:
+            report.longrepr = visible_lines(text)
+        case (path, line, why):
+            report.longrepr = (path, line, visible_lines(why))
+    if hasattr(report, "wasxfail"):
+        report.wasxfail = visible_lines(report.wasxfail)
 
 
 def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
-    """Fit the lines of a failure's message into the width; lines of code stay as they are."""
+    """Fit the lines of a failure's message into the width; lines of code keep theirs. All are safe to show."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
-        lines = list(entry.lines)
+        lines = [_COLOUR.sub("", line) for line in entry.lines]
         if is_brief and any(map(SCENARIO.fullmatch, lines)):
             lines = [line for line in lines if not any(each.fullmatch(line) for each in REPEATED)]
         code = [] if entry.style == "value" else list(takewhile(lambda line: not line.startswith(MARKER), lines))
-        entry.lines = [*code, *fitted_lines(lines[len(code) :], width)]
+        entry.lines = [*map(visible_lines, code), *fitted_lines(lines[len(code) :], width)]
+        for values in filter(None, [getattr(entry, "reprlocals", None)]):
+            values.lines = list(map(visible_lines, values.lines))

@@ -13,6 +13,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.text import visible
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
@@ -21,8 +22,8 @@ PREFIX = "pafot_"
 
 
 def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:
-    """Set properties of an item or of a report, each once; those that are empty are left out."""
-    names = {f"{PREFIX}{name}": str(value) for name, value in values.items() if value not in (None, "")}
+    """Set properties of an item or of a report, each once and safe to show; those that are empty are left out."""
+    names = {f"{PREFIX}{name}": visible(str(value)) for name, value in values.items() if value not in (None, "")}
     others = [each for each in properties if each[0] not in names]
     properties[:] = [*others, *names.items()]
 

@@ -10,13 +10,14 @@ import re
 import pytest
 
 from pytest_pafot.plugin.marks import SAVED_MARK
+from pytest_pafot.text import visible
 
 SEARCH_PART, SAVED_PART = "search", "saved-"
 
 
 def saved_part(id_: str) -> str:
-    """What the name of an item says of its file. What no id may hold is quoted, since pytest would rewrite it."""
-    if id_.isascii() and id_.isprintable() and "\\" not in id_:
+    """What the name of an item says of its file. What pytest would rewrite, or a reader obey, is quoted."""
+    if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
         return f"{SAVED_PART}{id_}"
     from urllib.parse import quote  # noqa: PLC0415
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import date
 from functools import partial
 from typing import NoReturn
@@ -27,7 +28,7 @@ from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report.wrapping import fitted_lines
 from pytest_pafot.run import Run
-from pytest_pafot.text import ascii_text
+from pytest_pafot.text import ascii_text, visible
 from pytest_pafot.trace import Outcome
 
 
@@ -61,7 +62,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         check = None if verdict.failure is None else verdict.failure.check
         page.replayed(finding, run.trace, headline=line, label=label, path=path, check=check)
     if finding.xfail is not None and not verdict.failed:
-        item.add_report_section("call", "pafot", f"{label}: remove the line `xfail:` from {path}")
+        _add_section(item, [f"{label}: remove the line `xfail:` from {path}"])
     _conclude(item, run, verdict, label, detail, is_strict=request.settings.strict_drift)
 
 
@@ -81,7 +82,7 @@ def _conclude_lost(
     page = page_messages_of(item, replays.harness.request.settings)
     if page is not None:
         page.replayed(finding, None, headline=line, label=label, path=path)
-    item.add_report_section("call", "pafot", f"replay: {label}{f', {detail}' if detail else ''}")
+    _add_section(item, [f"replay: {label}{f', {detail}' if detail else ''}"])
     pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
 
 
@@ -105,20 +106,23 @@ def _tell(item: pytest.Function, replays: Replays, saved: Saved, label: str, *, 
     item.user_properties.append(("pafot", label))
 
 
+def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
+    item.add_report_section("call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width)))
+
+
 def _conclude(item: pytest.Function, run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
-        section = f"replay: {label}{f', {detail}' if detail else ''}"
+        lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # else the test function says what the run was like
-            section += f"\n{explained(run, verdict.exception, item.config)}"
-        width = item.config.stash[SHARED].width
-        item.add_report_section("call", "pafot", "\n".join(fitted_lines(section.splitlines(), width)))
+            lines += explained(run, verdict.exception, item.config).splitlines()
+        _add_section(item, lines)
         raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
     if label == "drifted" and is_strict:
-        pytest.fail(f"the saved scenario passes, but drifted: {detail} (--pafot-strict-drift)", pytrace=False)
+        pytest.fail(f"the saved scenario passes, but drifted: {visible(detail)} (--pafot-strict-drift)", pytrace=False)
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
     if verdict.kind == "invalid":

@@ -16,7 +16,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.item_properties import PREFIX
+from pytest_pafot.plugin.failure_reports import AS_SAVED
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
 
@@ -131,7 +131,7 @@ class Records:
     def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
         from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
 
-        told = {name.removeprefix(PREFIX): str(value) for name, value in report.user_properties}
+        told = getattr(report, AS_SAVED, {})  # without one where a worker of pytest-xdist died
         return FindingRecord(
             node_id=report.nodeid,
             id=told.get("id", ""),

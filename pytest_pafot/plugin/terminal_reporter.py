@@ -25,6 +25,7 @@ from pytest_pafot.plugin.session import (
     terminal_width,
     unclaimed,
 )
+from pytest_pafot.text import ascii_text
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.summary import SearchSummary
@@ -81,7 +82,7 @@ class LiveTerminal:
             return
         with uncaptured(self._config):
             for line in lines:
-                self._writer.write_line(line)
+                self._writer.write_line(ascii_text(line))
             self._writer.flush()
 
     @property
@@ -159,7 +160,7 @@ class Reporter:
             for line in lines:
                 terminalreporter.line(line)
         for line in own.problems:
-            terminalreporter.line(line)
+            terminalreporter.line(ascii_text(line))
 
     def _summary(self) -> list[str]:
         unrun = self._config.stash[UNRUN]

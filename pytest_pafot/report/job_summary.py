@@ -1,6 +1,6 @@
 """What came of a session, in a few lines of Markdown, for the page of a CI job.
 
-Texts of users and of exceptions are shown as they are: nothing in them becomes markup.
+Texts of users, files and exceptions are shown as they are: nothing in them becomes markup, calls anybody or is a link.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SearchRecord, SessionRecord
-from pytest_pafot.text import plural
+from pytest_pafot.text import plural, visible
 
 MAX_LISTED = 20
 """Findings of one kind that are listed one by one."""
@@ -37,9 +37,11 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
 )
 """Titles by what a finding is, in the order of what a reader must look at."""
 
-_MARKUP = re.compile(r"([\\`*_\[\]|~#!])")
+_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$))|(?<=\d)[.)](?= |$))")
 _LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
-_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
+_REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
+"""What GitHub makes a mention, an issue or an emoji of, escaped or not, unless a space without width follows."""
 
 
 def markdown(record: SessionRecord) -> str:
@@ -64,8 +66,8 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     yield from _listed(
         "Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in _faulty(record)]
     )
-    yield from _listed("Crashes in ordinary traffic", [plain(each) for each in record.rates])
-    yield from _listed("Merged", [plain(each) for each in record.merged])
+    yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
+    yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
     yield from _listed("Problems", [plain(each) for each in record.problems])
 
@@ -110,7 +112,8 @@ def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
 def plain(text: str) -> str:
     """A text on one line in which nothing is markup, a link or HTML."""
     line = _LINK.sub(r"\\\1\2", _MARKUP.sub(r"\\\1", _one_line(text)))
-    return "".join(_ENTITIES.get(character, character) for character in line)
+    line = "".join(_ENTITIES.get(character, character) for character in line)
+    return _REFERENCE.sub(r"\g<0>&#8203;", line)
 
 
 def code(text: str) -> str:
@@ -122,5 +125,5 @@ def code(text: str) -> str:
 
 
 def _one_line(text: str) -> str:
-    line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
+    line = " ".join(visible(text).split())
     return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from html import escape
 
-_UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
+from pytest_pafot.text import visible_lines
 
 
 def text(value: object) -> str:
-    """Any text as HTML: escaped, and with a replacement for characters that no page can hold."""
-    return escape(_UNPRINTABLE.sub("\ufffd", str(value)), quote=True)
+    """Any text as HTML, in which nothing is markup, and what does not print is shown as an escape."""
+    return escape(visible_lines(str(value)), quote=True)
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:

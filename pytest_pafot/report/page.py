@@ -15,6 +15,7 @@ from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.markup import copyable, facts, text
 from pytest_pafot.report.page_codec import encode
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.text import quiet_json
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"
@@ -81,7 +82,7 @@ def data_json(report: Report) -> str:
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
     data = encode(replace(report, findings=findings, errors=()))
     plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return plain.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _errors(report: Report) -> str:

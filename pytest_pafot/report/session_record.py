@@ -15,6 +15,7 @@ from typing import Any, Self
 from pytest_pafot.campaign.summary import SearchSummary
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.text import quiet_json
 
 VERSION = 1
 """Of the layout. A key that comes to it later leaves the version as it is; one that goes or changes raises it."""
@@ -248,7 +249,7 @@ class SessionRecord:
 
 def to_text(record: SessionRecord) -> str:
     """A record as JSON, keys sorted."""
-    return json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True) + "\n"
+    return quiet_json(json.dumps({"pafot_json": VERSION, **asdict(record)}, indent=2, sort_keys=True)) + "\n"
 
 
 def command_for(what: str, *options: str) -> str:

@@ -181,7 +181,7 @@ def failure_message(search: SearchSummary) -> str:
     for find in search.finds:
         name = f"{find.id} ({plural(1 + find.repeats, 'run')})"
         if find.is_flaky:
-            flaky.append(f"  {name} is flaky, so never called fixed: {ascii_text(find.difference)}")
+            flaky.append(f"  {name} is flaky, so never called fixed: {find.difference}")
         else:
             firm.append(name)
     count = plural(len(search.finds) + len(search.unsaved), "new finding")
@@ -206,7 +206,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
     texts += [f"known: {plural(count, 'run')} covered by saved-{id_}" for id_, count in sorted(search.known.items())]
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in search.notes]
-    return [ascii_text(search.node_id), *(line for text in texts for line in _wrapped(text, width))]
+    return [search.node_id, *(line for text in texts for line in _wrapped(text, width))]
 
 
 def _figures(search: SearchSummary) -> str:
@@ -255,7 +255,7 @@ def replay_lines(replays: Sequence[ReplaySummary], width: int = WIDTH) -> list[s
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
     shown = [replay for replay in replays if replay.label not in ("still failing", "common")]
     for replay in shown[:MAX_REPLAYS]:
-        lines.append(ascii_text(f"  {replay.label}: {replay.node_id}"))
+        lines.append(f"  {replay.label}: {replay.node_id}")
         lines += [f"  {line}" for line in _wrapped(replay.detail, width - 2)] if replay.detail else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
@@ -269,7 +269,7 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         found = sum(len(each.finds) + len(each.unsaved) for each in session.searches if each.against == name)
         introduced = plural(found + labels["introduced"], "failure")
         text = f"against {name}: introduces {introduced}, fixes {labels['fixed']}, {labels['common']} as before"
-        lines += wrapped_to(ascii_text(text), width)
+        lines += wrapped_to(text, width)
     return lines
 
 
@@ -279,23 +279,23 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     for search in session.searches:
         lines += search_lines(search, verbose=verbose, width=width)
     for node_id in session.interrupted:
-        lines += [ascii_text(node_id), *_wrapped("ended before its time; what it found is reported", width)]
+        lines += [node_id, *_wrapped("ended before its time; what it found is reported", width)]
     lines += [*replay_lines(session.replays, width), *against_lines(session, width)]
     for verb, folders in (("removed", session.removed), ("orphaned", session.orphans)):
         for folder, count in folders:
-            lines.append(ascii_text(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}"))
+            lines.append(f"{verb}: {plural(count, 'saved scenario')} of no test in {folder}")
     if session.orphans:
         lines += _wrapped(LEFT_ALONE if session.pruned else ORPHANED, width)
     for file, place in session.strays:
-        lines.append(ascii_text(f"not run: {file}, which lies in no folder of a test; move it to {place}"))
-    lines += [ascii_text(f"not merged: {folder}: {why}") for folder, why in session.unmerged]
+        lines.append(f"not run: {file}, which lies in no folder of a test; move it to {place}")
+    lines += [f"not merged: {folder}: {why}" for folder, why in session.unmerged]
     if any(find.path for search in session.searches for find in search.finds):
         lines.append("a saved scenario runs alone with: pytest FILE")
-    lines += [ascii_text(line) for line in session.written]
+    lines += [line for text in session.written for line in text.splitlines()]
     for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
-    return [part for line in lines for part in line.splitlines()]
+    return list(map(ascii_text, lines))  # whatever names and texts are in them, each is one line
 
 
 def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:
@@ -304,4 +304,4 @@ def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    return wrapped_to(f"  {ascii_text(text).strip()}", width)
+    return wrapped_to(f"  {ascii_text(text.strip())}", width)

@@ -6,6 +6,8 @@ import re
 import textwrap
 from collections.abc import Iterable
 
+from pytest_pafot.text import visible
+
 MARKER = "E   "
 """Before each line of a failure's message, as pytest writes it."""
 
@@ -34,8 +36,9 @@ def _unmarked(line: str) -> str:
 def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """A line in lines of a width, broken between words, but not between a number and its unit or an NPC and its number.
 
-    Each has the prefix and the indentation of the first.
+    Each has the prefix and the indentation of the first, and is safe to show.
     """
+    line = visible(line.expandtabs())  # before it is wrapped, which would make spaces of other line breaks
     text = line.removeprefix(prefix)
     indent = prefix + text[: len(text) - len(text.lstrip())]
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
