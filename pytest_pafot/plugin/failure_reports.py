@@ -16,14 +16,12 @@ import pytest
 from pytest_pafot.checks import CheckFailed
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.plugin.collection import saved_of
+from pytest_pafot.plugin.item_properties import AS_SAVED
 from pytest_pafot.plugin.marks import RATE_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.report.wrapping import MARKER, fitted_lines
 from pytest_pafot.run import Run
 from pytest_pafot.text import visible, visible_lines
-
-AS_SAVED = "pafot_saved"
-"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs."""
 
 SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 

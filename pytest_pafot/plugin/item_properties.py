@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 PREFIX = "pafot_"
 
+AS_SAVED = "pafot_saved"
+"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs."""
+
 
 def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:
     """Set properties of an item or of a report, each once and safe to show; those that are empty are left out."""

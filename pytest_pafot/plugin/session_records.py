@@ -16,7 +16,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.failure_reports import AS_SAVED
+from pytest_pafot.plugin.item_properties import AS_SAVED
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
 

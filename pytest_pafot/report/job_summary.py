@@ -37,7 +37,8 @@ _GROUPS: Mapping[str, str] = MappingProxyType(
 )
 """Titles by what a finding is, in the order of what a reader must look at."""
 
-_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$))|(?<=\d)[.)](?= |$))")
+_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
+_ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
 _LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
 _ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
 _REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
@@ -111,7 +112,7 @@ def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
 
 def plain(text: str) -> str:
     """A text on one line in which nothing is markup, a link or HTML."""
-    line = _LINK.sub(r"\\\1\2", _MARKUP.sub(r"\\\1", _one_line(text)))
+    line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
     line = "".join(_ENTITIES.get(character, character) for character in line)
     return _REFERENCE.sub(r"\g<0>&#8203;", line)
 

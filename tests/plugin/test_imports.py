@@ -31,7 +31,7 @@ def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
         found.append(set(json.loads((project.path / name).read_text())))
     gained = found[0] - found[1]
     light = {"pytest_pafot", "pytest_pafot.campaign", "pytest_pafot.campaign.options"}
-    light |= {"pytest_pafot.corpus", "pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
+    light |= {"pytest_pafot.text", "pytest_pafot.corpus", "pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 
 

@@ -1,0 +1,82 @@
+"""Texts that a stranger's file, its name, its folder or a crash record holds command nobody who reads the output."""
+
+import json
+import re
+from dataclasses import replace
+from datetime import date
+from xml.etree import ElementTree
+
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.yaml_text import text_of
+from tests.support.hostile import WORST, obeyed
+
+TEST = """
+import pathlib
+
+@pafot.search(SHORT, stop_after=1)
+def test_fails(run):
+    quoted = pathlib.Path("quoted.txt").read_text(encoding="utf-8")
+    if quoted.startswith("skip"):
+        pytest.skip(quoted)
+    assert run.duration < 1, quoted
+"""
+
+
+def write_hostile(project):
+    """Every kind of file whose texts, keys or names a session may show, next to the one that a search has saved."""
+    path, finding = project.only_file, load(project.only_file)
+    expect = replace(
+        finding.expect, failure=WORST, assertion=WORST, message=WORST, traceback=WORST, against=WORST,
+        reference_drivers={WORST: "avoids"},
+    )  # fmt: skip
+    found = replace(finding.found, algorithm=WORST, versions={WORST: WORST, "pytest-pafot": WORST}, weights=WORST)
+    texts = replace(finding, test=WORST, expect=expect, found=found)
+    world = dict(finding.world)
+    files = {
+        "texts": text_of(texts),
+        "accepted": text_of(replace(texts, xfail=WORST)),
+        "over": text_of(replace(texts, xfail=WORST, xfail_until=date(2020, 1, 1))),
+        "flaky": text_of(replace(texts, flaky=WORST)),
+        "kind": text_of(replace(finding, world=world | {"kind": WORST})),
+        "value": text_of(replace(finding, world=world | {"lanes": WORST})),
+        "nested": text_of(replace(finding, world=world | {"limits": {WORST[:60]: WORST}})),
+        "key": text_of(finding) + f"{json.dumps(WORST)}: 1\n",
+        "scalar": json.dumps(WORST),
+        f"name {WORST}": text_of(texts),
+    }
+    for name, text in files.items():
+        path.with_name(f"{name}.pafot.yaml").write_text(text, encoding="utf-8")
+    for folder in (path.parent.with_name(f"gone {WORST}"), path.parents[1]):  # an orphan, and a stray
+        folder.mkdir(exist_ok=True)
+        (folder / f"other {WORST}.pafot.yaml").write_text(files["texts"], encoding="utf-8")
+    project.leave_behind(WORST)
+    project.leave_behind("test_it.py::test_fails", world={"kind": WORST})
+    return len(files) + 2  # with the one that was saved, and the crash that is
+
+
+def test_no_output_of_a_session_with_hostile_files_is_obeyed(saved, monkeypatch):
+    saved.write(TEST)
+    (saved.path / "quoted.txt").write_text(WORST, encoding="utf-8", newline="")
+    count = write_hostile(saved)
+    monkeypatch.setenv("CI", "1")
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(saved.path / "summary.md"))
+    options = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json", "-rA", "-v", "-l"]
+    result = saved.run(*options, "--color=no", generations=0)
+    assert not result.errlines
+    assert obeyed(result.stdout.str()) == []
+    assert r"\x1b]0;T\x07" in result.stdout.str()
+    for tag in ("xfail", "FAILED", "orphaned", "not run", "warning", "a process (pid"):
+        assert tag in result.stdout.str(), tag
+    for name in ("junit.xml", "summary.md", "page.html", "session.json"):
+        assert obeyed((saved.path / name).read_text(encoding="utf-8")) == [], name
+    markup = re.sub(r"(`+).*?\1(?!`)", "", (saved.path / "summary.md").read_text())  # without code
+    assert not re.search(r"<(?!br>|/?span>)|(?<!\\)\||@(?!&#8203;)|\$(?!</span>)", markup)
+    assert "<img" not in (saved.path / "page.html").read_text()
+    ElementTree.parse(saved.path / "junit.xml")
+    records = json.loads((saved.path / "session.json").read_text())["findings"]
+    assert len(records) == count
+    assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
+    assert any(record["xfail"] == {"reason": WORST, "until": None} for record in records)
+    for style in ("native", "line", "long"):
+        assert obeyed(saved.run(f"--tb={style}", "-l", "--color=no", generations=0).stdout.str()) == []

@@ -1,0 +1,30 @@
+"""Texts that a file from a stranger may hold to command a terminal, a CI runner or a reader's browser."""
+
+import re
+import unicodedata
+
+from hypothesis import strategies as st
+
+PIECES = (
+    "::error file=a.py::spoofed", "::add-mask::e", "##[error]spoofed", "##vso[task.setvariable]", "##teamcity[x]",
+    "#", "##", "[", "]", ":", "::", "\n", "\r", "\r\n", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029", "\t", " ",
+    "\xa0", "\u3000",
+    "\x00", "\x08", "\x7f", "\x9b2J", "\x1b[2J", "\x1b]0;title\x07", "\x1b[31m", "\u202e", "\u2066", "\u200b",
+    "@somebody", "#12", "gh-12", "$x$", "|", "`", "``", "\\", "*a*", "<img src=x onerror=y>", "</script>", "<!--",
+    "&lt;", ":tada:", "https://a.b", "www.a.b", "- ", "1. ", "PASSED", "E   ", "word " * 30, "x" * 200, "\u00e9",
+)  # fmt: skip
+
+TEXTS = st.lists(st.sampled_from(PIECES) | st.text(max_size=5), min_size=1, max_size=8).map("".join)
+
+WORST = "x\n::error file=a.py::S ::b ##[error]C \r\x1b]0;T\x07\x1b[2J\x9b1m\u202e\u2028::c <img src=x> @me $x$ |"
+"""One of each kind."""
+
+
+def obeyed(text: str) -> list[str]:
+    """What of a text of several lines somebody obeys: lines that command a runner, and characters that do not print."""
+    lines = re.split("[\n\r\x0b\x0c\x1c-\x1e\x85\u2028\u2029]", text)
+    commands = [line for line in lines if line.strip().startswith("::") or re.search(r"##\w*\[", line)]
+    other = {
+        each for each in text if unicodedata.category(each)[0] == "C" or unicodedata.category(each) in ("Zl", "Zp")
+    }
+    return [*commands, *sorted(map(ascii, other - {"\n"}))]
