@@ -6,6 +6,7 @@ CI gets the message as a whole, and in files for other tools. Frames in full com
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Generator
 from itertools import takewhile
@@ -59,7 +60,7 @@ class Failures:
         saved = saved_of(item)
         if saved is not None:
             told = {"id": saved.id, "file": relative(saved.path, item.config.rootpath)}
-            setattr(report, AS_SAVED, told)
+            setattr(report, AS_SAVED, json.dumps(told))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
         summarise(report, item.stash.get(SUMMARY, ""))

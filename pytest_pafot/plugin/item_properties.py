@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 PREFIX = "pafot_"
 
 AS_SAVED = "pafot_saved"
-"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs."""
+"""Attribute of the report of a saved scenario that fails: its id and file as they are, for programs.
+
+It is JSON in ASCII: pytest-xdist sends no text with bytes in it that are no characters, as names of files may have.
+"""
 
 
 def set_properties(properties: MutableSequence[tuple[str, Any]], **values: object) -> None:

@@ -6,6 +6,7 @@ leaves what it has found, and no file of an earlier one.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -131,7 +132,7 @@ class Records:
     def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
         from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
 
-        told = getattr(report, AS_SAVED, {})  # without one where a worker of pytest-xdist died
+        told = json.loads(getattr(report, AS_SAVED, "{}"))  # without one where a worker of pytest-xdist died
         return FindingRecord(
             node_id=report.nodeid,
             id=told.get("id", ""),
