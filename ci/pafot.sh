@@ -9,7 +9,8 @@
 #   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
 #
 # Further arguments are options of pytest. Each session leaves pafot.json, pafot.html and pafot.xml, and ends with
-# pytest's exit code. The environment says the rest; what is empty or not set is left out:
+# pytest's exit code; with 2 where that is 0 and another one, or none, is in pafot.json. The environment says the rest; what
+# is empty or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
 #   RUNS, SEED    of each search
@@ -18,8 +19,11 @@
 #   BASE          the commit before the change
 #   AGAINST       module:factory of another reference, in place of POLICY and BASE
 #   STATE         the folder with the states of searches that go on
-#   BRANCH        the branch for finds; REMOTE has it (origin)
+#   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
 #   MACHINES      the folder below this one with a folder for each machine (machines)
+#
+# Finds are a commit on top of the branch as it is then, and never a forced push. Where both HEAD and the branch have
+# moved, the commit joins them. Of a saved scenario that both have changed, the text on the branch stays.
 set -eu
 
 here=$(dirname "$0")
@@ -40,8 +44,23 @@ install() {
   python -m pip install "$here/.."
 }
 
+# A policy that calls os._exit(0) ends pytest with 0 as well. But then no code, or another one, is in pafot.json.
 session() {
-  python -m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@"
+  rm -f pafot.json || fail "expected to replace pafot.json, which is no file; move it away"
+  ended=0
+  python -m pytest -m pafot --pafot-json=pafot.json --pafot-report=pafot.html --junitxml=pafot.xml "$@" || ended=$?
+  [ "$ended" = 0 ] || return "$ended"
+  told="no such file"
+  if [ -f pafot.json ]; then
+    # Isolated, since a json.py may lie here.
+    told=$(python -I -c 'import json; print(json.load(open("pafot.json", "rb"))["exit"])' 2>/dev/null) ||
+      told="no JSON of a session"
+  fi
+  [ "$told" != 0 ] || return 0
+  [ "$told" != None ] || told="null, as of a session that has not come to its end"
+  echo "pafot.sh: pytest ended with 0: expected the same as the exit in pafot.json, received $told. Likely your policy" \
+    "or a test ends the process, as os._exit(0) and sys.exit(0) do: let it raise an error instead" >&2
+  return 2
 }
 
 search() {
@@ -75,53 +94,109 @@ pull_request() {
   search "--pafot-against=${module}_before:${POLICY#*:}" "$@"
 }
 
-# Files that the branch has gained since it left this commit: what is known there is not found again.
-bring() {
-  known=0
-  git ls-remote -q --exit-code "${REMOTE:-origin}" "refs/heads/$BRANCH" >/dev/null || known=$?
-  case $known in
-    0) git fetch -q "${REMOTE:-origin}" "+refs/heads/$BRANCH:$FINDS" ;;
-    2) git update-ref -d "$FINDS" && return ;;
-    *) fail "expected the remote ${REMOTE:-origin} with the branch $BRANCH, or none of that name, received an error" ;;
-  esac
-  # Where it left lies beyond what a shallow clone has.
-  [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow "${REMOTE:-origin}"
-  new=$(mktemp)
-  git diff --name-only -z --diff-filter=A --relative "HEAD...$FINDS" -- "$FILES" >"$new"
-  [ ! -s "$new" ] || git --literal-pathspecs restore --source="$FINDS" --pathspec-from-file="$new" --pathspec-file-nul
-  rm -f "$new"
+# What the remote has as the branch now: its commit in $tip, which is empty where there is none.
+look() {
+  refs=$(git ls-remote -q --symref -- "$remote" HEAD "refs/heads/$BRANCH") ||
+    fail "expected the remote ${remote##*@} with the branch $BRANCH, or none of that name, received an error"
+  default=$(printf '%s\n' "$refs" | awk -F '\t' '/^ref: / && $2 == "HEAD" { print substr($1, 6) }')
+  for taken in "$default" "$(git symbolic-ref -q HEAD || true)"; do
+    # Where the case of letters does not count, they may be one file.
+    [ "$(printf %s "$taken" | tr A-Z a-z)" != "$(printf %s "refs/heads/$BRANCH" | tr A-Z a-z)" ] ||
+      fail "expected as BRANCH one for finds alone, received $BRANCH, the default branch or that of HEAD; name another"
+  done
+  tip=
+  if printf '%s\n' "$refs" | awk -F '\t' -v name="refs/heads/$BRANCH" '$2 == name { n = 1 } END { exit !n }'; then
+    git fetch -q --no-tags --no-recurse-submodules -- "$remote" "+refs/heads/$BRANCH:$FINDS"
+    tip=$(git rev-parse "$FINDS")
+    # Where it left lies beyond what a shallow clone has.
+    [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow -- "$remote"
+  fi
 }
 
-# A commit of the saved scenarios on the branch, beside an index and a checkout that stay as they are.
+# Print the tree in which the second and the third tree have both changed the first. Of a file that both have changed it
+# has the text of the second; one that only either of them has removed and the other changed stays.
+join() (
+  export GIT_INDEX_FILE="$temp/join"
+  cd "./$(git rev-parse --show-cdup)"
+  git read-tree --empty
+  git read-tree -i -m --aggressive "$1" "$2" "$3"
+  git ls-files -u -- ':(exclude,glob)**/*.pafot.yaml' >"$temp/clash"
+  # Lines of mode, blob, stage and name. The last line of a name counts: stage 2, the text of the second.
+  git ls-files -u | LC_ALL=C sort -r -t ' ' -k 3 | LC_ALL=C sed -n 's/^\([^ ]* [^ ]*\) [23]/\1 0/p' |
+    git update-index --replace --index-info
+  git write-tree
+)
+
+# HEAD and the branch together: their tree in $both; in $onto and $parents where finds go.
+meet() {
+  if [ -z "$tip" ] || git merge-base --is-ancestor "$tip" "$head"; then
+    both=$head onto=$head parents="-p $head"
+  elif git merge-base --is-ancestor "$head" "$tip"; then
+    both=$tip onto=$tip parents="-p $tip"
+  else
+    left=$(git merge-base "$head" "$tip") || left=$(git hash-object -t tree /dev/null)
+    both=$(join "$left" "$tip" "$head")
+    onto=$both parents="-p $tip -p $head"
+    if [ -s "$temp/clash" ]; then
+      # A merge that takes the text of either would undo the work of the other.
+      onto=$tip parents="-p $tip"
+      echo "finds go onto $BRANCH alone: it needs a merge by hand with HEAD, where both have changed"
+      cut -f 2- "$temp/clash" | sort -u
+    fi
+  fi
+}
+
+# Of files here, those whose text is in a commit: nothing is lost with them. Names come and go with a NUL each.
+committed() {
+  xargs -0 sh -c 'for file; do
+    [ -f "$file" ] && [ ! -L "$file" ] && blob=$(git hash-object -- "$file") || continue
+    seen=$(git log -m -1 --format=%h --find-object="$blob" '"$head $tip"' -- ":(literal)$file")
+    [ -z "$seen" ] || printf "%s\0" "$file"
+  done' committed
+}
+
+# Bring what the branch knows into the checkout, except over a text that is in no commit; print the tree of what is known.
+bring() (
+  export GIT_INDEX_FILE="$temp/bring"
+  git read-tree "$both"
+  git diff --name-only -z --relative --diff-filter=d "$head" "$both" -- "$@" >"$temp/names"
+  committed <"$temp/names" | git checkout-index -f -z --stdin
+  git checkout-index -z --stdin <"$temp/names" >&2 ||
+    echo "pafot.sh: your texts of these stay here, and those of $BRANCH there" >&2
+  git ls-files -z -o --exclude-standard -- "$@" | committed | git update-index --add --replace -z --stdin
+  git ls-files -z -m -- "$@" | git update-index --remove --replace -z --stdin
+  git write-tree
+)
+
+# A commit of the finds on the branch, with an index and a checkout that stay as they are.
 keep() {
-  index=$(mktemp)
-  tree=$(
-    export GIT_INDEX_FILE="$index"
-    git read-tree HEAD
-    set -- "$FILES" ":(exclude)${MACHINES:-machines}"
-    [ -z "$(git status --porcelain -uall -- "$@")" ] || git add -A -- "$@"
+  found=$(
+    export GIT_INDEX_FILE="$temp/keep"
+    git read-tree "$known"
+    git ls-files -z -m -o --exclude-standard -- "$@" | git update-index --add --remove --replace -z --stdin
     git write-tree
   )
-  rm -f "$index"
-  if [ "$tree" = "$(git rev-parse "HEAD^{tree}")" ]; then
-    echo "no finds to keep"
-    return
-  fi
-  before=$(git rev-parse -q --verify "$FINDS" || true)
-  if [ -n "$before" ] && [ "$tree" = "$(git rev-parse "$FINDS^{tree}")" ]; then
-    echo "all finds are on $BRANCH"
-  else
-    commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
-      -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" -p HEAD)
-    if ! git push -q --force-with-lease="refs/heads/$BRANCH:$before" "${REMOTE:-origin}" "$commit:refs/heads/$BRANCH"
-    then
-      [ "${1:-}" != again ] || fail "expected to push finds to $BRANCH, received an error twice; they lie in $PWD"
-      bring # what somebody else has pushed meanwhile
-      keep again
+  refused=0
+  for _ in 1 2 3 4 5 6 7 8 9; do
+    tree=$(join "$known" "$onto" "$found")
+    if [ "$tree" = "$(git rev-parse "$onto^{tree}")" ]; then
+      [ -n "$tip" ] && echo "all finds are on $BRANCH" || echo "no finds to keep"
       return
     fi
-    echo "finds are on $BRANCH"
-  fi
+    commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
+      -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" $parents)
+    if git push -q --no-follow-tags --recurse-submodules=no -- "$remote" "$commit:refs/heads/$BRANCH"; then
+      echo "finds are on $BRANCH"
+      return
+    fi
+    was=$tip
+    look # what somebody else has pushed meanwhile
+    meet
+    [ "$tip" != "$was" ] || refused=$((refused + 1))
+    [ $refused -lt 2 ] ||
+      fail "expected to push finds to $BRANCH, received an error twice; they lie in $PWD. Allow it, and do this again"
+  done
+  fail "expected to push finds to $BRANCH, which moved each of nine times; they lie in $PWD. Do this again"
 }
 
 # Runs a session between the two, and ends with its exit code.
@@ -130,10 +205,24 @@ with_branch() {
     "$@"
     return
   fi
-  bring
+  case $BRANCH in
+    -* | HEAD | refs/*) fail "expected the name of a branch as BRANCH, such as pafot-finds, received $BRANCH" ;;
+  esac
+  git check-ref-format "refs/heads/$BRANCH" || fail "expected a name that git allows as BRANCH, received $BRANCH"
+  remote=${REMOTE:-origin}
+  others=":(exclude,literal)${MACHINES:-machines}"
+  git ls-files -- "$FILES" "$others" >/dev/null || fail "expected MACHINES below the folder of the repository"
+  head=$(git rev-parse -q --verify HEAD) || fail "expected a commit as HEAD, found none"
+  temp=$(mktemp -d)
+  trap 'rm -rf "$temp"' EXIT
+  trap 'exit 130' INT TERM
+  look
+  meet
+  known=$(bring "$FILES" "$others")
   code=0
   "$@" || code=$?
-  keep
+  [ "$(git rev-parse HEAD)" = "$head" ] || fail "expected HEAD as it was before the session; finds lie in $PWD"
+  keep "$FILES" "$others"
   return $code
 }
 
