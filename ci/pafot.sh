@@ -77,21 +77,26 @@ pull_request() {
     return
   fi
   [ -n "${POLICY:-}" ] && [ -n "${BASE:-}" ] || fail "expected POLICY and BASE, or AGAINST; see the head of this file"
+  # Others would name a file elsewhere.
+  case $POLICY in -* | .* | *..* | */* | *.:* | :* | *: | *:*:*) factory= ;; *) factory=${POLICY#"${POLICY%%:*}"} ;; esac
+  [ -n "$factory" ] || fail "expected POLICY as module:factory, such as planner:Planner, received $POLICY"
   module=${POLICY%%:*}
-  file=$(echo "$module" | tr . /).py
+  file=$(printf %s "$module" | tr . /).py
   before=${file%.py}_before.py
   [ -f "$file" ] || fail "expected the file of POLICY=$POLICY in $PWD, found no $file"
-  [ ! -e "$before" ] || fail "expected no file $before, where the policy of $BASE goes; rename yours"
-  git rev-parse -q --verify "$BASE^{commit}" >/dev/null || fail "expected the commit BASE=$BASE; fetch it first"
-  if ! git cat-file -e "$BASE:./$file" 2>/dev/null; then
+  # A link that leads nowhere exists for -L alone, and would be written through.
+  [ ! -e "$before" ] && [ ! -L "$before" ] ||
+    fail "expected no file $before, where the policy of $BASE goes; rename yours"
+  commit=$(git rev-parse -q --verify "$BASE^{commit}") || fail "expected the commit BASE=$BASE; fetch it first"
+  if ! git cat-file -e "$commit:./$file" 2>/dev/null; then
     echo "$file is new: each failure counts"
     search "$@"
     return
   fi
   trap 'rm -f "$before"' EXIT
   trap 'exit 130' INT TERM
-  git show "$BASE:./$file" >"$before"
-  search "--pafot-against=${module}_before:${POLICY#*:}" "$@"
+  git show "$commit:./$file" >"$before"
+  search "--pafot-against=${module}_before$factory" "$@"
 }
 
 # What the remote has as the branch now: its commit in $tip, which is empty where there is none.
@@ -160,7 +165,7 @@ bring() (
   export GIT_INDEX_FILE="$temp/bring"
   git read-tree "$both"
   git diff --name-only -z --relative --diff-filter=d "$head" "$both" -- "$@" >"$temp/names"
-  committed <"$temp/names" | git checkout-index -f -z --stdin
+  committed <"$temp/names" | git checkout-index -f -u -z --stdin
   git checkout-index -z --stdin <"$temp/names" >&2 ||
     echo "pafot.sh: your texts of these stay here, and those of $BRANCH there" >&2
   git ls-files -z -o --exclude-standard -- "$@" | committed | git update-index --add --replace -z --stdin

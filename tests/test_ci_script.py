@@ -3,6 +3,7 @@
 import os
 import shutil
 import stat
+import sys
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,7 @@ def test_fails(run):
     assert run.outcome == "nothing"
 """
 FAKE = """#!/bin/sh
+[ "$1" != -I ] || exec "$PYTHON" "$@"
 echo "$@" >>"$CALLS"
 [ "$1" != -c ] || exit "${IMPORTS:-0}"
 if [ -n "${FINDS_NOW:-}" ]; then
@@ -52,6 +54,8 @@ if [ -n "${FINDS_NOW:-}" ]; then
   echo "$FINDS_NOW" >"pafot_corpus/test_it/test_x/$FINDS_NOW.pafot.yaml"
 fi
 [ -z "${MEANWHILE:-}" ] || sh -c "$MEANWHILE" || exit
+echo "{\\"exit\\": ${JSON:-${CODE:-0}}}" >pafot.json
+[ "${JSON:-}" != none ] || rm pafot.json
 exit "${CODE:-0}"
 """
 """A Python that notes what it is asked for, finds what it is told to, and sees what happens elsewhere meanwhile."""
@@ -69,7 +73,7 @@ def repository(tmp_path):
     git(tmp_path, "init", "-q", "--bare", "-b", "main", "origin.git")
     git(tmp_path, "init", "-q", "-b", "main", "clone")
     git(folder, "remote", "add", "origin", "../origin.git")
-    commit(folder, {".gitignore": "__pycache__/\n"}, "begin")
+    commit(folder, {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
     git(folder, "push", "-q", "origin", "main")
     return folder
 
@@ -219,7 +223,7 @@ def fake(tmp_path):
     python.write_text(FAKE)
     python.chmod(python.stat().st_mode | stat.S_IXUSR)
     path = os.pathsep.join([str(folder), os.environ.get("PATH", os.defpath)])
-    return {"PATH": path, "CALLS": str(tmp_path / "calls")}
+    return {"PATH": path, "CALLS": str(tmp_path / "calls"), "PYTHON": sys.executable}
 
 
 def calls(fake):
