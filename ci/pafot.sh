@@ -9,7 +9,7 @@
 #   sh ci/pafot.sh merge          the finds of several machines into one corpus, and onto a branch
 #
 # Further arguments are options of pytest. Each session leaves pafot.json, pafot.html and pafot.xml, and ends with
-# pytest's exit code; with 2 where that is 0 and another one, or none, is in pafot.json. The environment says the rest; what
+# pytest's exit code, or with 2 where pytest ends with 0 and pafot.json does not say so. The environment says the rest; what
 # is empty or not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
@@ -58,8 +58,8 @@ session() {
   fi
   [ "$told" != 0 ] || return 0
   [ "$told" != None ] || told="null, as of a session that has not come to its end"
-  echo "pafot.sh: pytest ended with 0: expected the same as the exit in pafot.json, received $told. Likely your policy" \
-    "or a test ends the process, as os._exit(0) and sys.exit(0) do: let it raise an error instead" >&2
+  echo "pafot.sh: pytest ended with 0: expected 0 as exit in pafot.json, received $told. Likely your policy or a test" \
+    "ends the process, as os._exit(0) and sys.exit(0) do: let it raise an error instead" >&2
   return 2
 }
 
@@ -77,8 +77,10 @@ pull_request() {
     return
   fi
   [ -n "${POLICY:-}" ] && [ -n "${BASE:-}" ] || fail "expected POLICY and BASE, or AGAINST; see the head of this file"
-  # Others would name a file elsewhere.
-  case $POLICY in -* | .* | *..* | */* | *.:* | :* | *: | *:*:*) factory= ;; *) factory=${POLICY#"${POLICY%%:*}"} ;; esac
+  case $POLICY in
+    -* | .* | *..* | */* | *.:* | :* | *: | *:*:*) factory= ;; # It would name a file elsewhere.
+    *) factory=${POLICY#"${POLICY%%:*}"} ;;
+  esac
   [ -n "$factory" ] || fail "expected POLICY as module:factory, such as planner:Planner, received $POLICY"
   module=${POLICY%%:*}
   file=$(printf %s "$module" | tr . /).py
@@ -99,10 +101,10 @@ pull_request() {
   search "--pafot-against=${module}_before$factory" "$@"
 }
 
-# What the remote has as the branch now: its commit in $tip, which is empty where there is none.
+# What the remote has as the branch now: its commit in $tip, which is empty where there is none. An error ends with $1.
 look() {
-  refs=$(git ls-remote -q --symref -- "$remote" HEAD "refs/heads/$BRANCH") ||
-    fail "expected the remote ${remote##*@} with the branch $BRANCH, or none of that name, received an error"
+  expected="expected the remote ${remote##*@} with the branch $BRANCH, or none of that name, received an error${1:-}"
+  refs=$(git ls-remote -q --symref -- "$remote" HEAD "refs/heads/$BRANCH") || fail "$expected"
   default=$(printf '%s\n' "$refs" | awk -F '\t' '/^ref: / && $2 == "HEAD" { print substr($1, 6) }')
   for taken in "$default" "$(git symbolic-ref -q HEAD || true)"; do
     # Where the case of letters does not count, they may be one file.
@@ -111,10 +113,11 @@ look() {
   done
   tip=
   if printf '%s\n' "$refs" | awk -F '\t' -v name="refs/heads/$BRANCH" '$2 == name { n = 1 } END { exit !n }'; then
-    git fetch -q --no-tags --no-recurse-submodules -- "$remote" "+refs/heads/$BRANCH:$FINDS"
+    git fetch -q --no-tags --no-recurse-submodules -- "$remote" "+refs/heads/$BRANCH:$FINDS" || fail "$expected"
     tip=$(git rev-parse "$FINDS")
     # Where it left lies beyond what a shallow clone has.
-    [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow -- "$remote"
+    [ "$(git rev-parse --is-shallow-repository)" = false ] || git fetch -q --unshallow -- "$remote" ||
+      fail "$expected"
   fi
 }
 
@@ -160,11 +163,12 @@ committed() {
   done' committed
 }
 
-# Bring what the branch knows into the checkout, except over a text that is in no commit; print the tree of what is known.
+# Bring what the branch knows into the checkout, but not over a text that is in no commit. Print the tree of what is known:
+# a file here that was deleted on the branch is, too, and does not go there again.
 bring() (
   export GIT_INDEX_FILE="$temp/bring"
   git read-tree "$both"
-  git diff --name-only -z --relative --diff-filter=d "$head" "$both" -- "$@" >"$temp/names"
+  git diff-tree -r --name-only -z --relative --diff-filter=d "$head" "$both" -- "$@" >"$temp/names"
   committed <"$temp/names" | git checkout-index -f -u -z --stdin
   git checkout-index -z --stdin <"$temp/names" >&2 ||
     echo "pafot.sh: your texts of these stay here, and those of $BRANCH there" >&2
@@ -177,10 +181,10 @@ bring() (
 keep() {
   found=$(
     export GIT_INDEX_FILE="$temp/keep"
-    git read-tree "$known"
-    git ls-files -z -m -o --exclude-standard -- "$@" | git update-index --add --remove --replace -z --stdin
-    git write-tree
-  )
+    git read-tree "$known" &&
+      git ls-files -z -m -o --exclude-standard -- "$@" | git update-index --add --remove --replace -z --stdin &&
+      git write-tree
+  ) || fail "expected files that git can add, received an error; finds lie in $PWD"
   refused=0
   for _ in 1 2 3 4 5 6 7 8 9; do
     tree=$(join "$known" "$onto" "$found")
@@ -195,7 +199,7 @@ keep() {
       return
     fi
     was=$tip
-    look # what somebody else has pushed meanwhile
+    look "; finds lie in $PWD" # what somebody else has pushed meanwhile
     meet
     [ "$tip" != "$was" ] || refused=$((refused + 1))
     [ $refused -lt 2 ] ||
@@ -214,11 +218,11 @@ with_branch() {
     -* | HEAD | refs/*) fail "expected the name of a branch as BRANCH, such as pafot-finds, received $BRANCH" ;;
   esac
   git check-ref-format "refs/heads/$BRANCH" || fail "expected a name that git allows as BRANCH, received $BRANCH"
+  head=$(git rev-parse -q --verify HEAD) || fail "expected a repository with a commit in $PWD, found none"
   remote=${REMOTE:-origin}
   others=":(exclude,literal)${MACHINES:-machines}"
-  git ls-files -- "$FILES" "$others" >/dev/null || fail "expected MACHINES below the folder of the repository"
-  head=$(git rev-parse -q --verify HEAD) || fail "expected a commit as HEAD, found none"
-  temp=$(mktemp -d)
+  git ls-files -- "$FILES" "$others" >/dev/null || fail "expected MACHINES in the repository, received ${MACHINES:-machines}"
+  temp=$(cd "$(mktemp -d)" && pwd)
   trap 'rm -rf "$temp"' EXIT
   trap 'exit 130' INT TERM
   look
@@ -226,7 +230,8 @@ with_branch() {
   known=$(bring "$FILES" "$others")
   code=0
   "$@" || code=$?
-  [ "$(git rev-parse HEAD)" = "$head" ] || fail "expected HEAD as it was before the session; finds lie in $PWD"
+  [ "$(git rev-parse HEAD)" = "$head" ] ||
+    fail "expected HEAD as it was before the session; finds lie in $PWD. Do this again"
   keep "$FILES" "$others"
   return $code
 }

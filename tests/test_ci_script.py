@@ -154,7 +154,10 @@ class TestAPullRequest:
     [
         ({"base": ""}, "expected POLICY and BASE, or AGAINST"),
         ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
+        ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
         ({"policy": "drivers.planner:Planner"}, "found no drivers/planner.py"),
+        ({"policy": "planner"}, "expected POLICY as module:factory, such as planner:Planner, received planner"),
+        ({"policy": "../../planner:Planner"}, "expected POLICY as module:factory"),
     ],
 )
 def test_a_pull_request_that_cannot_be_compared_is_refused_with_the_way_out(repository, changes, expected):
@@ -169,6 +172,14 @@ def test_a_file_of_the_users_is_not_overwritten_by_the_policy_of_before(reposito
     code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
     assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
     assert (repository / "planner_before.py").read_text() == "mine"
+
+
+def test_the_policy_of_before_is_not_written_through_a_link(repository, tmp_path):
+    commit(repository, {"planner.py": PLANNER}, "A planner")
+    (repository / "planner_before.py").symlink_to(tmp_path / "elsewhere.py")
+    code, printed = run_action({"task": "pull-request", "policy": "planner:Planner", "base": "main"}, repository)
+    assert (code, "expected no file planner_before.py" in printed) == (2, True), printed
+    assert not (tmp_path / "elsewhere.py").exists()
 
 
 def test_a_fleet_searches_with_seeds_of_its_own_and_merges_into_a_branch(repository, summary):
@@ -252,6 +263,32 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
         assert ended == code, printed
 
 
+@pytest.mark.parametrize(
+    ("written", "received"),
+    [
+        ("none", "received no such file"),
+        ("null", "received null, as of a session that has not come to its end"),
+        ("1", "received 1"),
+        ("[", "received no JSON of a session"),
+    ],
+)
+def test_a_session_is_green_only_by_the_exit_code_in_its_json(repository, fake, written, received):
+    (repository / "pafot.json").write_text('{"exit": 0}')  # of an earlier session
+    code, printed = shell(
+        f"sh {SCRIPT} night", repository, BRANCH="finds", FINDS_NOW="a", CODE="0", JSON=written, **fake
+    )
+    assert (code, f"expected 0 as exit in pafot.json, {received}. Likely" in printed) == (2, True), printed
+    assert "finds are on finds" in printed
+
+
+@pytest.mark.parametrize("leave", ["os._exit(0)", "sys.exit(0)", "atexit.register(os._exit, 0)"])
+def test_a_process_that_leaves_by_0_behind_pytests_back_is_red(repository, leave):
+    commit(repository, {"conftest.py": f"import atexit, os, sys; {leave}", "json.py": "exit = 0"}, "A policy")
+    (repository / "test_it.py").write_text("import pytest\n\n@pytest.mark.pafot\ndef test_it():\n    assert 0\n")
+    code, printed = shell(f"sh {SCRIPT} replay", repository)
+    assert (code, "pytest ended with 0: expected 0 as exit in pafot.json" in printed) == (2, True), printed
+
+
 def test_an_unknown_task_is_refused_with_those_that_there_are(repository):
     code, printed = shell(f"sh {SCRIPT} nihgt", repository)
     assert code == 2
@@ -269,6 +306,9 @@ def test_a_copy_of_the_action_without_the_package_says_what_to_do(repository, fa
     shutil.copytree(SCRIPT.parent, tmp_path / "copy" / "ci")
     code, printed = shell(f"sh {tmp_path}/copy/ci/pafot.sh install", repository, IMPORTS="1", **fake)
     assert (code, "expected pytest-pafot among the requirements, found none; name it there" in printed) == (2, True)
+
+
+FOLDER = "pafot_corpus/test_it/test_x"
 
 
 class TestTheBranch:
@@ -353,6 +393,94 @@ class TestTheBranch:
         code, printed = run_action(inputs, repository, **fake, FINDS_NOW="a", CODE="1")
         told = f"expected to push finds to pafot-finds, received an error twice; they lie in {repository}"
         assert (code, told in printed) == (2, True), printed
+
+    def on_branch(self, folder, name):
+        git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
+        return git(folder, "show", f"refs/kept:{name}")
+
+    def colleague(self, repository, branch, files, remove=()):
+        """Push files to a branch from a clone of somebody else."""
+        other = repository.parent / "other"
+        if not other.exists():
+            git(repository.parent, "clone", "-q", "origin.git", "other")
+        git(other, "fetch", "-q")
+        git(other, "checkout", "-q", "-B", branch, f"origin/{branch}")
+        for name in files:
+            (other / name).parent.mkdir(parents=True, exist_ok=True)
+        for name in remove:
+            (other / name).unlink()
+        commit(other, files, "By a colleague")
+        git(other, "push", "-q", "origin", branch)
+
+    def test_what_colleagues_do_on_the_branch_and_on_main_is_there_after_a_night(self, repository, fake):
+        self.colleague(repository, "main", {f"{FOLDER}/old.pafot.yaml": "old"})
+        git(repository, "pull", "-q", "origin", "main")
+        self.night(repository, fake, finds="a")
+        triaged = {f"{FOLDER}/a.pafot.yaml": "a\nxfail: known", f"{FOLDER}/old.pafot.yaml": "old, triaged"}
+        self.colleague(repository, "pafot-finds", {**triaged, "NOTES.md": "a note"})
+        self.colleague(repository, "main", {"planner.py": "now", f"{FOLDER}/old.pafot.yaml": "old on main"})
+        theirs = git(repository.parent / "other", "rev-parse", "pafot-finds", "main").splitlines()
+        git(repository, "pull", "-q", "origin", "main")
+        (repository / "staged").write_text("")
+        git(repository, "add", "staged")
+        index = (repository / ".git" / "index").read_bytes()
+
+        self.night(repository, fake, finds="b")
+        assert (repository / ".git" / "index").read_bytes() == index
+        for name, text in triaged.items():
+            assert self.on_branch(repository, name) == (repository / name).read_text() == text
+        assert git(repository, "rev-parse", "refs/kept^1", "refs/kept^2").splitlines() == theirs
+        changed = git(repository, "diff", "--name-only", "main...refs/kept").splitlines()
+        assert changed == ["NOTES.md", *(f"{FOLDER}/{name}.pafot.yaml" for name in ("a", "b", "old"))]
+
+    def test_a_find_that_was_deleted_on_the_branch_does_not_come_back(self, repository, fake):
+        self.night(repository, fake, finds="a")
+        self.colleague(repository, "pafot-finds", {"NOTES.md": ""}, remove=[f"{FOLDER}/a.pafot.yaml"])
+        assert "all finds are on pafot-finds" in self.night(repository, fake)
+        self.night(repository, fake, finds="b")
+        assert self.kept(repository) == ["N", "b"]
+
+    def test_what_else_both_have_changed_is_left_to_a_merge_by_hand(self, repository, fake):
+        self.night(repository, fake, finds="a")
+        self.colleague(repository, "pafot-finds", {"planner.py": "by a colleague"})
+        self.colleague(repository, "main", {"planner.py": "on main"})
+        git(repository, "pull", "-q", "origin", "main")
+        printed = self.night(repository, fake, finds="b")
+        assert "it needs a merge by hand with HEAD, where both have changed\nplanner.py\n" in printed
+        assert self.on_branch(repository, "planner.py") == "by a colleague"
+        assert git(repository, "log", "-1", "--format=%p", "refs/kept").count(" ") == 0
+        assert self.on_branch(repository, f"{FOLDER}/b.pafot.yaml") == "b"
+
+    def test_a_text_that_is_in_no_commit_is_not_overwritten(self, repository, fake):
+        self.night(repository, fake, finds="a")
+        (repository / FOLDER / "a.pafot.yaml").write_text("mine")
+        self.colleague(repository, "pafot-finds", {f"{FOLDER}/a.pafot.yaml": "theirs"})
+        assert "your texts of these stay here, and those of pafot-finds there" in self.night(repository, fake)
+        assert (repository / FOLDER / "a.pafot.yaml").read_text() == "mine"
+        assert self.on_branch(repository, f"{FOLDER}/a.pafot.yaml") == "theirs"
+
+    def test_odd_names_and_a_folder_below_are_kept(self, repository, fake):
+        folder = repository / "sub dir"
+        folder.mkdir()
+        odd = [f"{name}.pafot.yaml" for name in (" a", "-x", "a\nb", ":(glob)*", '"', "ä")]
+        for name in odd:
+            (folder / name).write_text("1")
+        self.night(folder, fake)
+        self.colleague(repository, "pafot-finds", {f"sub dir/{name}": "2" for name in odd})
+        self.night(folder, fake)
+        assert {(folder / name).read_text() for name in odd} == {"2"}
+
+    def test_a_branch_that_is_not_for_finds_is_refused_before_the_search(self, repository, fake):
+        git(repository, "checkout", "-q", "-b", "here")
+        before = git(repository, "ls-remote", "origin")
+        for branch in ("main", "MAIN", "here", "HEAD", "-x", "refs/heads/x", "a b", "fin*", "@{-1}", "$(touch x)"):
+            code, printed = shell(f"sh {SCRIPT} night", repository, BRANCH=branch, FINDS_NOW="a", **fake)
+            assert (code, f"received {branch}" in printed) == (2, True), printed
+        assert (calls(fake), git(repository, "ls-remote", "origin")) == ([], before)
+
+    def test_machines_elsewhere_are_refused_before_the_merge(self, repository, fake, tmp_path):
+        code, printed = shell(f"sh {SCRIPT} merge", repository, BRANCH="finds", MACHINES=str(tmp_path), **fake)
+        assert (code, f"expected MACHINES in the repository, received {tmp_path}" in printed) == (2, True), printed
 
     def test_a_remote_that_cannot_be_read_ends_the_job_before_it_searches(self, repository, fake):
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
