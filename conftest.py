@@ -10,11 +10,13 @@ from hypothesis.internal.conjecture import providers
 
 pytest_plugins = ["pytester"]
 
-# The same examples in every session; with --hypothesis-profile=fresh others, which --hypothesis-seed=N repeats.
+# Each session tries the same examples: few by default, more with --hypothesis-profile=thorough, as .ci/run does, and
+# others with --hypothesis-profile=fresh, which --hypothesis-seed=N repeats.
 settings.register_profile(
-    "project", derandomize=True, deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow]
+    "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
-settings.register_profile("fresh", settings.get_profile("project"), derandomize=False)
+settings.register_profile("thorough", settings.get_profile("project"), max_examples=60)
+settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False)
 settings.load_profile("project")
 
 
