@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import metadata
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
@@ -12,6 +13,7 @@ def installed_versions() -> dict[str, str]:
     return {package: _version_of(package) for package in PACKAGES}
 
 
+@cache  # What is loaded stays as it is, and to read the metadata of a package takes as long as to replay a file.
 def _version_of(package: str) -> str:
     try:
         return metadata.version(package)

@@ -147,6 +147,17 @@ def safe_name(text: str) -> str:
     if all(map(_PLAIN.fullmatch, parts)) and len(name) <= MAX_NAME and not _RESERVED.match(name):
         return name
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
-    readable = re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", name.replace("::", "."))[: MAX_NAME - DIGEST - 2].strip("-.")
+    readable = _readable(name)
     prefix = "_" if not readable or _RESERVED.match(readable) else ""
     return f"{prefix}{readable}~{digest}"
+
+
+def may_be_of(folder: str, test: str) -> bool:
+    """Whether the folder of this name can be that of a test, given without parameters, or of one with parameters."""
+    if "~" not in folder:
+        return folder.partition("@")[0] == safe_name(test)
+    return re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[@~-]", folder) is not None
+
+
+def _readable(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_.,=+@-]+", "-", text.replace("::", "."))[: MAX_NAME - DIGEST - 2].strip("-.")

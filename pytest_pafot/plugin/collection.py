@@ -46,7 +46,7 @@ class Collection:
         self._rootpath = config.rootpath
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
-        self._saved: dict[Path, Saved] = {}
+        self._saved: dict[Path, dict[str, Saved]] = {}  # by folder and name of the file
         config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
@@ -93,14 +93,15 @@ class Collection:
         if corpus is None:
             return []
         module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
-        name = layout.safe_name(qualified_name(definition))
-        folders = layout.entries_of(module_folder)
+        name = qualified_name(definition)
         link = layout.link_out(definition.path, corpus, self._rootpath)
         found: dict[str, Saved] = {}
-        for folder in folders:
-            if folder.name.partition("@")[0] == name or "~" in folder.name:  # a digest says nothing of the function
-                for saved in saved_in(folder) if link is None else refused_in(folder, link):
-                    self._saved[saved.path] = found[saved.id] = saved
+        for folder in layout.entries_of(module_folder):
+            if layout.may_be_of(folder.name, name):
+                if folder not in self._saved:
+                    read = saved_in(folder) if link is None else refused_in(folder, link)
+                    self._saved[folder] = {saved.path.name: saved for saved in read}
+                found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()
 
     @pytest.hookimpl(wrapper=True)
@@ -125,7 +126,7 @@ class Collection:
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
-        saved = None if folder is None else self._saved.get(folder / mark.args[0].path.name)
+        saved = None if folder is None else self._saved.get(folder, {}).get(mark.args[0].path.name)
         frozen = self._config.stash[SHARED].frozen
         if saved is None or (frozen is not None and item.nodeid not in frozen):
             return False  # pytest-xdist ends a session whose workers collect different items

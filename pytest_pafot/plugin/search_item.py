@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,6 +43,9 @@ from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.versions import installed_versions
 
+TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
+"""Folders of saved scenarios in which this session has removed what processes that were killed left half written."""
+
 IN_WORKER = "--pafot-workers is 1 under pytest-xdist, which runs tests in several processes already"
 
 DRAWS = (
@@ -62,9 +66,11 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     ads, against, resume = request.ads, request.settings.against, request.settings.resume
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
-    if link is None:
+    tidied = item.config.stash.setdefault(TIDIED, set())
+    if link is None and folder not in tidied:  # once a session: to list thousands of files takes as long as a replay
+        tidied.add(folder)
         remove_unfinished(folder)
-    elif writes and request.settings.save != "none":
+    if link is not None and writes and request.settings.save != "none":
         raise RequestError(f"{BY_NAME['corpus'].flag}: {refusal(link)}")
     if writes and resume is not None:
         check_states(resume, here)

@@ -15,6 +15,7 @@ from pytest_pafot.corpus.layout import (
     folder_of_test,
     folders_below,
     is_corpus,
+    may_be_of,
     module_named,
     module_of_file,
     safe_name,
@@ -190,3 +191,18 @@ def test_the_test_file_of_a_folder_is_the_one_whose_name_gives_it(tmp_path):
     (tmp_path / "Test_Safety.py").write_text("")
     assert module_named(tmp_path, safe_name("Test_Safety")) == tmp_path / "Test_Safety.py"
     assert module_named(tmp_path, "test_gone") == tmp_path / "test_gone.py"
+
+
+IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True) | st.sampled_from(["con", "_", "test_\u00e9", "test_a"])
+
+
+@given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(max_size=20))
+def test_each_folder_of_a_test_can_be_of_it(test, parameters):
+    assert may_be_of(safe_name(test), test)
+    assert may_be_of(safe_name(f"{test}[{parameters}]"), test)
+
+
+def test_a_folder_that_begins_with_the_name_of_a_test_is_of_another():
+    for other in ("test_ab", "test_ab[1]", "test_ab[A]", "test_a_b[A]", "TestX::test_a"):
+        assert not may_be_of(safe_name(other), "test_a")
+        assert not may_be_of(safe_name(f"TestX::{other}"), "TestX::test_a")

@@ -5,6 +5,8 @@ import re
 
 import pytest
 
+from pytest_pafot.corpus.layout import safe_name
+
 GARBLED = {
     "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),
     "an unknown key": (r"^scenario:", "colour: red\nscenario:", "colour"),
@@ -153,3 +155,57 @@ def test_short(run, limit):
     result.assert_outcomes(failed=2, skipped=2)
     for limit in (1, 2):
         result.stdout.fnmatch_lines([f"test_it.py::test_short[[]{limit}-saved-{id_}[]] FAILED*"])
+
+
+COUNTING = """
+import pytest
+from pytest_pafot.corpus import reader
+
+counts = {"read": 0, "made": 0}
+load, init = reader.load, pytest.Function.__init__
+
+def counted_load(path):
+    counts["read"] += 1
+    return load(path)
+
+def counted_init(self, *args, **kwargs):
+    counts["made"] += 1
+    init(self, *args, **kwargs)
+
+reader.load, pytest.Function.__init__ = counted_load, counted_init
+
+def pytest_unconfigure():
+    reader.load, pytest.Function.__init__ = load, init
+    print(counts)
+"""
+
+
+def test_each_file_of_the_methods_of_a_class_is_read_once(project):
+    """Their folders end with a digest, and the name of one may begin with that of another."""
+    project.write("""
+class TestAll:
+    @pafot.search(SHORT)
+    def test_a(self, run):
+        pass
+
+    @pafot.search(SHORT)
+    def test_ab(self, run):
+        pass
+
+    @pytest.mark.parametrize("n", range(2))
+    @pafot.search(SHORT)
+    def test_b(self, run, n):
+        pass
+""")
+    names = ("test_a", "test_ab", "test_b[0]", "test_b[1]")
+    for name in names:
+        folder = project.path / "pafot_corpus" / "test_it" / safe_name(f"TestAll::{name}")
+        folder.mkdir(parents=True)
+        (folder / "x.pafot.yaml").write_text("")
+    project.pytester.makeconftest(COUNTING)
+    result = project.run("--collect-only", "-q")
+    ids = [line.partition("::TestAll::")[2] for line in result.outlines if "::" in line]
+    assert ids == [
+        f"{name.rstrip(']')}{'-' if '[' in name else '['}{part}]" for name in names for part in ("search", "saved-x")
+    ]
+    result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # the items, and pytest's own of each function
