@@ -21,6 +21,9 @@ from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, f
 from pytest_pafot.plugin.session import SHARED, base_line
 from pytest_pafot.text import visible
 
+COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
+"""The saved scenarios that were there when the session collected its items, by folder and name of the file."""
+
 SEARCH = "search"  # the argument of an item, until a simulated run takes its place
 
 
@@ -46,7 +49,7 @@ class Collection:
         self._rootpath = config.rootpath
         self._given_files, self._modules_for_them = accept_files(config)
         self._collected = Collected(rootpath=config.rootpath)
-        self._saved: dict[Path, dict[str, Saved]] = {}  # by folder and name of the file
+        self._saved = config.stash.setdefault(COLLECTED, {})
         config.stash[UNRUN] = Unrun({}, {}, {})
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:

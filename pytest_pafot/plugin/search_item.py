@@ -26,12 +26,12 @@ from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
 from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import PlainFailure, Test
-from pytest_pafot.corpus.layout import chosen_folder, folder_of_test, link_below
+from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
-from pytest_pafot.plugin.collection import is_search
+from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
 from pytest_pafot.plugin.item_properties import of_findings, set_properties
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
@@ -41,6 +41,7 @@ from pytest_pafot.plugin.session import SHARED, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
+from pytest_pafot.text import plural
 from pytest_pafot.versions import installed_versions
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
@@ -157,6 +158,12 @@ def run_search(item: pytest.Function, request: Request) -> None:
             first.add_note(terminal.failure_message(summary))
             raise first  # The debugger then stands where the test function failed.
         pytest.fail(terminal.failure_message(summary), pytrace=False)
+    # A failure must not go without an item that fails for it, and a file that is newer than the items has none here.
+    here = item.config.stash[COLLECTED].get(harness.folder, {})
+    late = [file.name.removesuffix(SUFFIX) for file in files_in(harness.folder) if file.name not in here]
+    covered = [f"{plural(summary.known[id_], 'run')} covered by {id_}" for id_ in late if id_ in summary.known]
+    if covered:
+        _fail(item, "failures that were saved since this session collected its tests; run it again", covered)
     if summary.reason == "replay only":
         return
     if result.skip is not None:

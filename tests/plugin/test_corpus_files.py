@@ -6,6 +6,7 @@ import re
 import pytest
 
 from pytest_pafot.corpus.layout import safe_name
+from tests.plugin.conftest import CONFTEST
 
 GARBLED = {
     "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),
@@ -209,3 +210,16 @@ class TestAll:
         f"{name.rstrip(']')}{'-' if '[' in name else '['}{part}]" for name in names for part in ("search", "saved-x")
     ]
     result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # the items, and pytest's own of each function
+
+
+def test_a_failure_that_another_session_saves_meanwhile_still_fails(saved):
+    """The file covers it, but came too late for an item that would fail for it."""
+    file, id_, elsewhere = saved.only_file, saved.only_id, saved.path / "late"
+    file.rename(elsewhere)
+    late = f"def pytest_collection_finish():\n    import os\n    os.rename({str(elsewhere)!r}, {str(file)!r})\n"
+    saved.pytester.makeconftest(CONFTEST + late)
+    result = saved.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*failures that were saved since*run it again:", f"*runs covered by {id_}"])
+    saved.pytester.makeconftest(CONFTEST)
+    saved.run().assert_outcomes(failed=1, passed=1)
