@@ -273,10 +273,10 @@ def _checked_speed(value: object) -> float:
     speed = _number("speed", value)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
-    steps = round(speed * SPEED_STEPS_PER_MPS)
+    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # what is far below 0 would be no number times 10
     if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
         expected = "m/s, at least 0 and in steps of 0.1"
-        fix = f"the nearest valid speed is {max(steps, 0) / SPEED_STEPS_PER_MPS:g}"
+        fix = f"the nearest valid speed is {steps / SPEED_STEPS_PER_MPS:g}"
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
 

@@ -63,7 +63,9 @@ def test_a_speed_that_is_no_number_is_refused(speed):
         PositionInstruction(2, speed)
 
 
-@pytest.mark.parametrize(("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (12.34, "12.3"), (0.05001, "0.1")])
+@pytest.mark.parametrize(
+    ("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")]
+)
 def test_a_speed_off_the_steps_is_refused_with_the_nearest_valid_one(speed, nearest):
     with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}; the nearest valid speed is {nearest}")):
         PositionInstruction(2, speed)

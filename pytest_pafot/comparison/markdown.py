@@ -13,7 +13,7 @@ import pandas as pd
 from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.paper_results import PAPER, PEAKS
 from pytest_pafot.comparison.plan import Plan, file_name
-from pytest_pafot.comparison.resumable import TIME
+from pytest_pafot.comparison.resumable import seconds_of
 from pytest_pafot.comparison.run_measures import (
     FAULTS,
     SECONDS_PER_HOUR,
@@ -289,9 +289,7 @@ def _time(seconds: float) -> str:
 
 def wall_seconds(plan: Plan, folder: Path) -> dict[str, float]:
     """Of all runs of each algorithm; empty where a run has none."""
-    times = {
-        name: [(folder / file_name(name, run)).with_suffix(TIME) for run in range(plan.runs)] for name in plan.names
-    }
-    if not all(path.exists() for paths in times.values() for path in paths):
+    times = {name: [seconds_of(folder / file_name(name, run)) for run in range(plan.runs)] for name in plan.names}
+    if any(seconds is None for each in times.values() for seconds in each):
         return {}
-    return {name: sum(float(path.read_text(encoding="utf-8")) for path in paths) for name, paths in times.items()}
+    return {name: sum(filter(None, each)) for name, each in times.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +18,9 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.files import way_out, write_whole
 
 RESULTS = "results.csv"
-TIME = ".seconds"  # ending of the file with the wall-clock time of a task, the only thing that is not reproducible
+TIME = ".seconds"
+"""Ending of the file with the wall-clock time of a task, the only thing that is not reproducible, and a digest of its
+rows, by which a file is known that was damaged or changed since."""
 
 AGAIN = "then give the same command again: what is finished is kept"
 """The way out where something could not be written after work was done."""
@@ -67,8 +70,8 @@ class ResumableJob:
 def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, clock: Callable[[], float]) -> Path:
     """Run what is not finished yet; the file with all rows.
 
-    What the folder has of the job is kept. One worker is this process itself. The progress is ``told`` with the time
-    that is left, by a clock of seconds.
+    What the folder has of the job is kept, unless it was changed since. One worker is this process itself. The progress
+    is ``told`` with the time that is left, by a clock of seconds.
 
     Raises:
         PlanError: when the folder holds the results of another question, or cannot be written.
@@ -76,7 +79,10 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
         Exception: what a task raises.
     """
     claim(job, folder)
-    left = [task for task in job.tasks if not (folder / file_name(*task)).exists()]
+    left = [task for task in job.tasks if seconds_of(folder / file_name(*task)) is None]
+    for task in left:
+        if (folder / file_name(*task)).exists():
+            told.write(f"{job.command}: {folder / file_name(*task)} is not as it was written, and is made again\n")
     total = sum(map(job.size, job.tasks))
     done = total - sum(map(job.size, left))
     if done and job.caution:
@@ -121,10 +127,12 @@ def claim(job: ResumableJob, folder: Path) -> None:
     path = folder / job.question_file
     with written_into(folder):
         holds_results = any((folder / RUNS).glob("*.csv"))  # A folder in which no task was finished is free.
-        if holds_results and path.exists() and path.read_text(encoding="utf-8") != job.question:
+        is_there = path.exists()
+        if holds_results and not (is_there and path.read_bytes() == job.question.encode()):
+            why = f"differs in {job.differs}" if is_there else "is gone"
             raise PlanError(
                 f"--out: expected an empty folder or one of this {job.noun}, received {folder}, whose "
-                f"{job.question_file} differs in {job.differs}; give another folder, or the same arguments"
+                f"{job.question_file} {why}; give another folder, or the same arguments"
             )
         write_whole(path, job.question)
 
@@ -240,8 +248,22 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
     path = folder / file_name(*task)
     text = job.text(task, tick_sparsely)
     with written_into(folder, AGAIN):
-        write_whole(path.with_suffix(TIME), f"{time.perf_counter() - started:.3f}\n")
+        seconds = f"{time.perf_counter() - started:.3f}"
+        write_whole(path.with_suffix(TIME), f"{seconds} {_digest(seconds, text.encode())}\n")
         write_whole(path, text)
+
+
+def seconds_of(results: Path) -> float | None:
+    """Return how long a task took whose rows are there as they were written [s], and None where they are not."""
+    try:
+        seconds, digest = results.with_suffix(TIME).read_text(encoding="utf-8").split()
+        return float(seconds) if digest == _digest(seconds, results.read_bytes()) else None
+    except (OSError, ValueError):  # a folder in its place, or text that is none
+        return None
+
+
+def _digest(seconds: str, rows: bytes) -> str:
+    return hashlib.sha256(seconds.encode() + rows).hexdigest()
 
 
 def _duration(seconds: float) -> str:

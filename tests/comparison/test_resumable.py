@@ -95,6 +95,42 @@ def forever(folder):
     run_all(plan, Path(folder), workers=2, told=sys.stderr, clock=time.monotonic)
 
 
+DAMAGE = {
+    "a row less": ("random-000.csv", lambda content: content.rpartition(b"\n")[0].rpartition(b"\n")[0] + b"\n"),
+    "another number": ("random-000.csv", lambda content: content.replace(b"1", b"2")),
+    "nothing": ("random-000.csv", lambda content: b""),
+    "no text": ("random-001.csv", lambda content: content + b"\xff"),
+    "another time": ("random-000.seconds", lambda content: b"1" + content),
+    "no time": ("random-000.seconds", lambda content: b"\xff"),
+}
+
+
+def test_results_that_are_not_as_they_were_written_are_made_again(tmp_path, quick, whole):
+    small = quick(algorithms=("random",))
+    run_all(small, tmp_path, workers=1, told=io.StringIO(), clock=clock)
+    for name, change in DAMAGE.values():
+        path = tmp_path / "runs" / name
+        path.write_bytes(change(path.read_bytes()))
+        told = io.StringIO()
+        run_all(small, tmp_path, workers=1, told=told, clock=clock)
+        assert f"{path.with_suffix('.csv')} is not as it was written, and is made again" in told.getvalue()
+        assert all(
+            contents(tmp_path)[f"runs/random-00{run}.csv"] == whole[f"runs/random-00{run}.csv"] for run in (0, 1)
+        )
+
+
+def test_results_whose_question_is_gone_or_no_text_are_refused(tmp_path, quick, quiet):
+    small = quick(runs=1, algorithms=("random",))
+    run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+    (question,) = tmp_path.glob("*.json")
+    question.write_bytes(b"\xff")
+    with pytest.raises(PlanError, match="json differs in"):
+        run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+    question.unlink()
+    with pytest.raises(PlanError, match="json is gone; give another folder"):
+        run_all(small, tmp_path, workers=1, told=quiet, clock=clock)
+
+
 def test_more_runs_and_algorithms_can_be_added_later(tmp_path, quick, quiet, whole):
     run_all(quick(runs=1, algorithms=("random",)), tmp_path, workers=1, told=quiet, clock=clock)
     run_all(quick(), tmp_path, workers=1, told=quiet, clock=clock)
