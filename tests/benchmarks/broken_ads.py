@@ -4,19 +4,22 @@
 
 Each kind is searched in a session of its own, beside a test that must pass in the same session, and in each mode.
 Prints a Markdown table: the exit status of the session (124: it was killed after ``--seconds``), whether the other test
-passed, and what the session named. A session that an ADS ends is followed by one more, whose answer is shown instead:
-what was in flight is its to name.
+passed, how long it took, and what the session named. A session that an ADS ends is followed by one more, whose answer
+is shown instead: what was in flight is its to name.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
 import textwrap
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +30,9 @@ RAISES = {
     "raises ValueError": "raise ValueError('lane')",
     "raises BaseException": "raise type('Panic', (BaseException,), {})('native')",
     "raises SystemExit": "sys.exit(3)",
+    "raises SystemExit(0)": "sys.exit(0)",
+    "raises KeyboardInterrupt": "raise KeyboardInterrupt",
+    "pytest.exit": "pytest.exit('done', returncode=0)",
     "raises GeneratorExit": "raise GeneratorExit",
     "raises CancelledError": "import asyncio; raise asyncio.CancelledError",
     "raises a group": "raise BaseExceptionGroup('many', [SystemExit(1)])",
@@ -73,9 +79,13 @@ HANGS = {
     "loops and swallows": "while True:\n    try:\n        time.sleep(0.01)\n    except BaseException:\n        pass",
     "waits for a lock": "import threading; lock = threading.Lock(); lock.acquire(); lock.acquire()",
     "loops in C": "sum(range(10**12))",
+    "SIGSTOP": "import signal; os.kill(os.getpid(), signal.SIGSTOP)",
 }
 DIES = {
     "os._exit": "os._exit(7)",
+    "os._exit(0)": "os._exit(0)",
+    "another program": "os.execv('/bin/true', ['true'])",
+    "alarm": "import signal; signal.alarm(1)",
     "SIGSEGV": "import ctypes; ctypes.string_at(0)",
     "SIGKILL": "import signal; os.kill(os.getpid(), signal.SIGKILL)",
     "SIGTERM": "import signal; os.kill(os.getpid(), signal.SIGTERM)",
@@ -104,6 +114,39 @@ MEDDLES = {
     "empties the folder": "import shutil; shutil.rmtree('pafot_corpus', ignore_errors=True)",
     "empties sys.modules": "sys.modules.pop('pytest_pafot.run', None)",
     "forks": "os.fork() or os._exit(0)",
+    "forks and runs on": "if not hasattr(os, 'forked'): os.forked = True; os.fork()",
+    "closes all descriptors": "os.closerange(3, 256)",
+    "leaves a thread that is no daemon": (
+        "if not hasattr(os, 'left'):\n"
+        "    import threading; os.left = threading.Thread(target=time.sleep, args=(1000,)); os.left.start()"
+    ),
+    "replaces json": "import json; json.dumps = json.loads = json.dump = json.load = None",
+    "replaces pathlib": "import pathlib; pathlib.Path.open = pathlib.Path.iterdir = pathlib.Path.mkdir = None",
+    "replaces open": "import builtins; builtins.open = os.open = None",
+    "replaces time": "time.time = time.sleep = time.monotonic = None",
+    "replaces writing of files": "import pytest_pafot.files; pytest_pafot.files.write_whole = None",
+    "replaces random numbers": "import random; random.random = lambda: 0.5; np.random.default_rng = None",
+    "takes all memory": ("import resource; resource.setrlimit(resource.RLIMIT_AS, (2**31, -1)); kept = np.ones(2**40)"),
+    "keeps all that it saw": "os.kept = [*getattr(os, 'kept', ()), observation, np.ones(100_000)]",
+    "little memory is left": "import resource; resource.setrlimit(resource.RLIMIT_AS, (2**28, -1))",
+    "empties the cache": "import shutil; shutil.rmtree('.pytest_cache', ignore_errors=True)",
+    "a file in the place of the corpus": "os.path.exists('pafot_corpus') or open('pafot_corpus', 'w').close()",
+    "locks the corpus": "os.makedirs('pafot_corpus', exist_ok=True); os.chmod('pafot_corpus', 0)",
+    "empties the folder of temporary files": (
+        "import shutil, tempfile; shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)"
+    ),
+    "os.umask": "os.umask(0o777)",
+    "os.environ": "os.environ.clear()",
+    "locale": "import locale; locale.setlocale(locale.LC_ALL, 'C')",
+    "ignores interrupts": "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)",
+    "sys.settrace": "sys.settrace(lambda frame, event, arg: None); sys.setprofile(lambda *args: None)",
+    "a trace that raises": "sys.settrace(lambda frame, event, arg: 1 / 0)",
+    "another stdout": "import io; sys.stdout = sys.stderr = io.StringIO()",
+    "writes to all descriptors": (
+        "for number in range(3, 30):\n    try: os.write(number, b'x' * 100)\n    except OSError: pass"
+    ),
+    "writes to descriptor 1": "os.write(1, b'x' * 100_000)",
+    "an exit handler that exits": "import atexit; atexit.register(os._exit, 0)",
 }
 FACTORY = {
     "factory raises": "raise ValueError('weights')",
@@ -157,11 +200,12 @@ TELLING = (
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """How a session ended: its exit status, whether the other test passed, and what it named."""
+    """How a session ended: its exit status, whether the other test passed, what it named, and how long it took [s]."""
 
     status: int
     is_other_passed: bool
     named: str
+    seconds: float
 
 
 def kinds() -> dict[str, str]:
@@ -181,6 +225,9 @@ def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
     """Run pytest in a folder, without plugins but this one and those of the options."""
     command = [sys.executable, "-m", "pytest", "-p", "pafot", "-v", "-rfE", "--pafot-runs=8", "--pafot-seed=1"]
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200", "CI": ""}
+    environment["TMPDIR"] = str(folder / "tmp")
+    (folder / "tmp").mkdir(exist_ok=True)
+    began = time.monotonic()
     with (folder / "output").open("wb") as output:
         process = subprocess.Popen(
             [*command, *options], cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
@@ -188,13 +235,15 @@ def session(folder: Path, options: Sequence[str], seconds: float) -> Session:
         try:
             status = process.wait(seconds)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)
-            process.wait()
             status = 124
+        seconds = time.monotonic() - began
+        with suppress(ProcessLookupError):  # what the ADS has started and left behind
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
     text = (folder / "output").read_text(errors="replace")
     told = [line.strip() for each in TELLING for line in text.splitlines() if each.search(line)]
     is_passed = re.search(r"test_other PASSED|PASSED \S*test_other", text) is not None
-    return Session(status=status, is_other_passed=is_passed, named=" / ".join(told[:2])[:200])
+    return Session(status=status, is_other_passed=is_passed, named=" / ".join(told[:2])[:200], seconds=seconds)
 
 
 def row(name: str, source: str, mode: str, seconds: float) -> str:
@@ -207,14 +256,15 @@ def row(name: str, source: str, mode: str, seconds: float) -> str:
         if first.status not in range(6) or not first.named:
             after = session(folder, MODES[mode], seconds)
             status, named = f"{first.status}, then {after.status}", after.named or "nothing"
-    return f"| {name} | {mode} | {status} | {'yes' if first.is_other_passed else 'no'} | {named.replace('|', '/')} |"
+    cells = (name, mode, status, "yes" if first.is_other_passed else "no", f"{first.seconds:.0f} s", named)
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
 
 
 def main() -> None:
     """Print the table."""
     sources = kinds()
     given = options(__doc__, kinds=sources, modes=MODES, seconds=90.0)
-    print_head("kind", "mode", "exit status", "other test passed", "named")
+    print_head("kind", "mode", "exit status", "other test passed", "took", "named")
     for name in given.kinds:
         for mode in given.modes:
             print(row(name, sources[name], mode, given.seconds), flush=True)
