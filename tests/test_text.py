@@ -13,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.__main__ import main
+from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.errors import CorpusError, FieldError
 from pytest_pafot.plugin.item_properties import set_properties
@@ -116,6 +118,8 @@ def test_no_line_of_the_corpus_command_and_of_its_errors_is_obeyed(tmp_path_fact
     expect = replace(plain_finding().expect, assertion=text, failure=text)
     finding = plain_finding(test=text, flaky=text, xfail=text, xfail_until=date(2027, 1, 31), expect=expect)
     (folder / "a.pafot.yaml").write_text(text_of(finding), encoding="utf-8")
+    shown = (repr(saved_scenario.load(folder / "a.pafot.yaml")), repr(Saved(path=folder / f"{text}.pafot.yaml")))
+    assert list(map(obeyed, shown)) == [[], []]
     broken = (json.dumps(text), f"{json.dumps(text)}: 1", text_of(finding) + f"{json.dumps(text)}: 1\n")
     for number, content in enumerate(broken):
         path = folder / f"b{number}.pafot.yaml"

@@ -14,6 +14,7 @@ from pytest_pafot.findings.replay import is_same_event
 from pytest_pafot.run import Run
 from pytest_pafot.scenario import Scenario, ScenarioError
 from pytest_pafot.shown import Shown
+from pytest_pafot.text import visible
 from pytest_pafot.world import WorldError, WorldLike, codec, protocol
 from pytest_pafot.world.driving.ads import AdsFactory
 
@@ -115,4 +116,4 @@ class SavedScenario(Shown):
 
     def __repr__(self) -> str:
         event = f"{self.expect.failure}, {self.expect.outcome} at {self.expect.time:.1f} s"
-        return f"<SavedScenario {self.id}: {event}>"
+        return visible(f"<SavedScenario {self.id}: {event}>")

@@ -33,7 +33,7 @@ def files_in(folder: Path) -> list[Path]:
 
 def modules_in(root: Path) -> list[Path]:
     """The folders of a corpus, each of a module, by name; none where there is no corpus."""
-    return [path for path in entries_of(root) if path.is_dir()]
+    return [path for path in entries_of(root) if is_folder(path)]
 
 
 def entries_of(folder: Path) -> list[Path]:
@@ -42,6 +42,15 @@ def entries_of(folder: Path) -> list[Path]:
         return sorted(folder.iterdir())
     except OSError:
         return []
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder.
+
+    ``Path.is_dir`` raises where a link leads into a folder that this user may not read, or its target is too long for a
+    name. A pull request can bring such links, and none of them may end the collection.
+    """
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 def files_below(root: Path) -> list[Path]:
@@ -78,7 +87,7 @@ def corpus_root(test_file: Path, corpus: str, rootpath: Path) -> Path:
 def link_below(base: Path, path: Path) -> Path | None:
     """The first link on the way from a folder, which may itself be one, down to a path; None where there is none."""
     way = [each for each in (path, *path.parents) if each != base and each.is_relative_to(base)]
-    return next((each for each in reversed(way) if each.is_symlink()), None)
+    return next((each for each in reversed(way) if os.path.islink(each)), None)  # noqa: PTH114  (see is_folder)
 
 
 def chosen_folder(test_file: Path, corpus: str) -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pytest_pafot.corpus.layout import SUFFIX, files_in
+from pytest_pafot.text import visible
 
 if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of findings
     from pytest_pafot.findings.finding import Finding
@@ -45,7 +46,7 @@ class Saved(NamedTuple):
         return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
 
     def __repr__(self) -> str:
-        return f"<saved {self.id}>"
+        return visible(f"<saved {self.id}>")
 
 
 def read_saved_file(path: Path) -> Saved:

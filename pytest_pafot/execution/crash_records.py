@@ -37,6 +37,10 @@ _SIGNATURE = b', "signature": "'
 """Before the last value of a record, which is for all that comes before this."""
 
 
+class KeyFolderError(OSError):
+    """The key that signs records cannot be used."""
+
+
 class CrashRecordError(Exception):
     """The folder cannot be read or written; the search goes on, but a hard crash would not name its scenario."""
 
@@ -44,6 +48,8 @@ class CrashRecordError(Exception):
         way_out = "make the folder readable and writable"
         if error.errno in (errno.EMFILE, errno.ENFILE):
             way_out = "close the files that the ADS and the tests open"
+        elif isinstance(error, KeyFolderError):
+            way_out = "delete that, or let TMPDIR name a folder for temporary files that is yours"
         elif error.errno == errno.EINVAL:
             way_out = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
         super().__init__(
@@ -152,7 +158,7 @@ def _key() -> bytes:
     perhaps, older records are not believed any more, and that is all.
 
     Raises:
-        OSError: when there can be none, or others could have put it there.
+        KeyFolderError: when there can be none, or others could have put it there.
     """
     folder = Path(tempfile.gettempdir(), "pytest-pafot")
     is_of_others = False
@@ -173,7 +179,8 @@ def _key() -> bytes:
         if len(key) != KEY_BYTES:
             raise OSError(errno.EINVAL, "a damaged key")
     except OSError as error:
-        raise OSError(error.errno, f"{error.strerror or error}: {folder}, where the key of the records is") from error
+        reason = f"{error.strerror or error}: {folder}, where the key of the records is"
+        raise KeyFolderError(error.errno, reason) from error
     return key
 
 

@@ -163,7 +163,7 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
-        if not self._collected.roots and not any(root.is_dir() for root in roots):
+        if not self._collected.roots and not any(map(layout.is_folder, roots)):
             return
         collected = replace(self._collected, roots=roots, files={item.path for item in items})
         unrun = self._config.stash[UNRUN]

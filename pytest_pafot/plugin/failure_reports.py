@@ -110,3 +110,5 @@ def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
         entry.lines = [*map(visible_lines, code), *fitted_lines(lines[len(code) :], width)]
         for values in filter(None, [getattr(entry, "reprlocals", None)]):
             values.lines = list(map(visible_lines, values.lines))
+        for arguments in filter(None, [getattr(entry, "reprfuncargs", None)]):
+            arguments.args = [(name, visible(str(value))) for name, value in arguments.args]

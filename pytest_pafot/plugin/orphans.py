@@ -5,6 +5,7 @@ They are found without blaming a selection. Orphans are removed, and only when a
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import entries_of, files_in, module_named, modules_in, relative, safe_name
+from pytest_pafot.corpus.layout import entries_of, files_in, is_folder, module_named, modules_in, relative, safe_name
 from pytest_pafot.corpus.saved import read_saved_file
 
 # A node id and nothing else: the name of a test is shown of broken files, too, and a file may be anything.
@@ -99,14 +100,14 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
 def _is_of_one_test(folder: Path) -> bool:
     """Whether it holds saved scenarios and no folders: those of one corpus for all lie side by side with modules."""
-    return bool(files_in(folder)) and not any(path.is_dir() for path in entries_of(folder))
+    return bool(files_in(folder)) and not any(map(is_folder, entries_of(folder)))
 
 
 def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
     if folder in collected.folders:
         return False
     module = module_named(directory, folder.parent.name)
-    if not module.exists():
+    if not os.path.lexists(module):  # which takes no error for a name that is too long
         return True
     if module not in collected.files:
         return False
@@ -150,9 +151,9 @@ def _own_files(folder: Path, directory: Path, rootpath: Path) -> list[Path]:
         module, _, test = (_named_test(file) if finding is None else finding.test).partition("::")
         path = rootpath / module
         is_there = (safe_name(path.stem), safe_name(test)) == (folder.parent.name, folder.name)
-        return is_there and path.parent == directory and (inside or path.exists())
+        return is_there and path.parent == directory and (inside or os.path.lexists(path))
 
-    return [file for file in files_in(folder) if file.is_file() and not file.is_symlink() and is_own(file)]
+    return [file for file in files_in(folder) if not file.is_symlink() and file.is_file() and is_own(file)]
 
 
 def _home(file: Path, collected: Collected) -> str:

@@ -5,6 +5,7 @@ What they tell while items run are messages, like those of a session without wor
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -52,7 +53,10 @@ class Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
         """Take what a worker collected and no item runs."""
-        orphans, strays, unmerged = getattr(node, "workeroutput", {}).get(KEY, ({}, {}, {}))
+        told = getattr(node, "workeroutput", {}).get(KEY)
+        if told is None:  # It died.
+            return
+        orphans, strays, unmerged = json.loads(told)
         unrun = node.config.stash[UNRUN]
         unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
         unrun.strays.update(strays)
@@ -63,7 +67,12 @@ class Worker:
     """Hooks of a worker."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Hand over what this worker collected and no item runs, as plain data."""
+        """Hand over what this worker collected and no item runs.
+
+        It is JSON in ASCII: pytest-xdist sends no text with bytes in it that are no characters, as names of files may
+        have, and replaces a worker that tries to by one that tries the same.
+        """
         unrun = session.config.stash[UNRUN]
         orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
-        session.config.workeroutput[KEY] = (orphans, unrun.strays, unrun.unmerged)  # type: ignore[attr-defined]
+        told = json.dumps((orphans, unrun.strays, unrun.unmerged))
+        session.config.workeroutput[KEY] = told  # type: ignore[attr-defined]

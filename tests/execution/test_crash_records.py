@@ -187,6 +187,7 @@ def test_a_key_that_others_could_have_put_there_is_not_used(tmp_path, monkeypatc
         record.write(SCENARIO)
     assert "a hard crash of this process will not name" in str(record.error)
     assert str(home) in str(record.error)
+    assert str(record.error).endswith("delete that, or let TMPDIR name a folder for temporary files that is yours")
     assert leftovers(tmp_path / "records") == ()
 
 

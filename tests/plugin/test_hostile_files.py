@@ -1,10 +1,14 @@
 """Texts that a stranger's file, its name, its folder or a crash record holds command nobody who reads the output."""
 
 import json
+import os
 import re
+import sys
 from dataclasses import replace
 from datetime import date
 from xml.etree import ElementTree
+
+import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.yaml_text import text_of
@@ -78,5 +82,23 @@ def test_no_output_of_a_session_with_hostile_files_is_obeyed(saved, monkeypatch)
     assert len(records) == count
     assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
     assert any(record["xfail"] == {"reason": WORST, "until": None} for record in records)
-    for style in ("native", "line", "long"):
-        assert obeyed(saved.run(f"--tb={style}", "-l", "--color=no", generations=0).stdout.str()) == []
+    for style in ("native", "line", "long", "--full-trace"):
+        options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]
+        assert obeyed(saved.run(*options, "-l", "--color=no", generations=0).stdout.str()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
+def test_workers_end_with_names_whose_bytes_are_no_characters(saved):
+    """An item's file, an orphan and a stray: a worker that could not send such a name was replaced without end."""
+    saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
+    (test,) = saved.path.glob("pafot_corpus/*/*")
+    for folder in (test, test.with_name(os.fsdecode(b"\xffgone")), saved.path):
+        folder.mkdir(exist_ok=True)
+        (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 2\n")
+    result = saved.run("-n1", "--pafot-json=session.json", generations=0, apart=True)
+    assert "crashed" not in result.stdout.str()
+    result.stdout.fnmatch_lines(
+        [r"orphaned: 1 saved scenario of no test in *\udcffgone", r"not run: \udcff.pafot.yaml, *"]
+    )
+    files = [each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]]
+    assert any(file.endswith("\udcff.pafot.yaml") for file in files)

@@ -55,6 +55,20 @@ def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsew
     assert failing.run(folder / "l-6.pafot.yaml").ret == pytest.ExitCode.USAGE_ERROR  # leads to itself
 
 
+def test_links_and_names_that_are_too_long_end_no_session(failing):
+    failing.run()
+    file = failing.only_file
+    folder, module, corpus = file.parents[:3]
+    for gone in (module / "test_gone", corpus / ("m" * 254) / "test_gone"):  # with .py no name of a file
+        gone.mkdir(parents=True)
+        shutil.copy(file, gone)
+    for link in (folder / "a.pafot.yaml", module / "test_gone" / "folder", module / "test_linked", corpus / "linked"):
+        link.symlink_to("x" * 300)
+    result = failing.run("--pafot-prune", generations=0)
+    result.assert_outcomes(failed=2, skipped=1)
+    result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file of its corpus, received a link *"])
+
+
 @pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
 def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
     """A link in the place of the test's folder, the module's or the corpus."""
