@@ -160,11 +160,11 @@ def _key() -> bytes:
     Raises:
         KeyFolderError: when there can be none, or others could have put it there.
     """
-    folder = Path(tempfile.gettempdir(), "pytest-pafot")
-    is_of_others = False
-    if sys.platform != "win32":  # where each user has a folder for temporary files
-        folder = folder.with_name(f"pytest-pafot-{os.getuid()}")
+    # On Windows each user has a folder for temporary files.
+    name = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
+    folder, is_of_others = Path(name), False
     try:
+        folder = Path(tempfile.gettempdir(), name)
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
         if sys.platform != "win32":

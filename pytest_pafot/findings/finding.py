@@ -25,6 +25,7 @@ from pytest_pafot.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.scenario import Scenario
 from pytest_pafot.shown import Shown
 from pytest_pafot.sight import Sight
+from pytest_pafot.text import visible
 from pytest_pafot.trace import AdsError, Outcome, Side, Trace
 
 MAX_MESSAGE = 300
@@ -189,7 +190,7 @@ class Perceived:
         return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Finding(Shown):
     """One file of the corpus.
 
@@ -237,6 +238,11 @@ class Finding(Shown):
         if self.xfail is None and self.xfail_until is not None:
             raise ValueError(f"xfail_until: expected None without a reason, received {self.xfail_until!r}")
         check_plain("world", self.world)
+
+    def __repr__(self) -> str:
+        """Show the fields on one line, whatever a file has written into them."""
+        shown = (f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if each.repr)
+        return visible(f"Finding({', '.join(shown)})")
 
     @property
     def signature(self) -> Signature:

@@ -17,6 +17,7 @@ import pytest
 from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
 from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.plugin.option_sources import resolve
+from pytest_pafot.text import plural
 
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 
@@ -119,14 +120,19 @@ def unclaimed(config: pytest.Config) -> list[str]:
         found = leftovers(folder)
     except CrashRecordError as error:
         return [str(error)]
-    return [
+    own = [
         f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
         f"that test takes it up when it runs, or delete {each.path}"
-        if each.is_own
-        else f"{each.path}: expected the record of a process that died here, received one that no session of this "
-        "user wrote in this folder, or not on this machine; nothing of it is believed; delete it"
         for each in found
+        if each.is_own
     ]
+    others = [each.path for each in found if not each.is_own]
+    if others:
+        own.append(
+            f"{others[0]}: expected a record that this user made on this machine, received "
+            f"{plural(len(others), 'record')} from elsewhere or from before a restart; they are ignored: delete them"
+        )
+    return own
 
 
 def _cached_folder(config: pytest.Config) -> Path | None:

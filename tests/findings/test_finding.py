@@ -225,3 +225,9 @@ def test_an_exception_without_a_traceback_has_its_message():
 def test_findings_are_equal_by_their_fields():
     assert plain_finding() == plain_finding()
     assert plain_finding() != replace(plain_finding(), xfail="known")
+
+
+def test_the_repr_of_a_finding_commands_no_ci_runner():
+    shown = repr(plain_finding(test="test_a.py::test_it", flaky="x\n::error::\x1b[31m ##vso[task.complete]"))
+    assert shown.isprintable()
+    assert "##vso[" not in shown
