@@ -22,7 +22,8 @@ CI = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 NOX = (ROOT / "noxfile.py").read_text(encoding="utf-8")
 HOOKS = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT, PYTEST = CONFIG["project"], CONFIG["tool"]["pytest"]["ini_options"]
 
 
 def commands():
@@ -77,8 +78,16 @@ def test_the_quick_part_names_files_that_exist():
     assert names
     assert [name for name in names if not (ROOT / name).is_file()] == []
     assert "@tests/quick.txt" in CI
-    assert "-m pytest -n 2 -m processes" in CI
     assert "@tests/quick.txt" in NOX
+
+
+def test_ci_runs_every_stage_that_the_readme_command_leaves_out():
+    (*_, chosen) = PYTEST["addopts"]
+    left_out = set(re.findall(r"not (\w+)", chosen))
+    assert left_out == {line.partition(":")[0] for line in PYTEST["markers"]}
+    (stages,) = re.findall(r'^stages="(.*)"$', CI, re.MULTILINE)
+    assert set(stages.split(" or ")) == {*left_out, "hypothesis"}
+    assert 'python -m pytest -n 2 --hypothesis-profile=thorough -m "$stages"' in CI
 
 
 @pytest.mark.parametrize("command", ["ruff check", "ruff format", "mypy"])

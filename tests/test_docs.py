@@ -17,7 +17,7 @@ with ``<!-- needs: library -->`` is run where that is installed.
 
 Where the output has changed on purpose, this brings samples whose words are the same up to it, for a look at the diff:
 
-    PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -k samples
+    PAFOT_REFRESH=1 python -m pytest tests/test_docs.py -m stories
 """
 
 import html
@@ -255,6 +255,7 @@ def folder(pytester, monkeypatch, document):
     return Folder(pytester, document)
 
 
+@pytest.mark.stories
 @pytest.mark.parametrize(("document", "story"), list(stories()))
 def test_samples_work_as_printed(story, folder):
     for block in blocks_of(story):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.processes
+pytestmark = pytest.mark.stories
 
 ROOT = Path(__file__).parents[1]
 BUILD = (

@@ -91,7 +91,7 @@ BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
 WRITERS = {
     "reference": "docs/tools/generate.py",
     "gallery": "docs/tools/gallery.py",
-    "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -k samples",
+    "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -m stories",
     "terminal": "docs/tools/picture.py",
     "pages": "docs/tools/report_picture.py",
     "roads": "docs/tools/road_pictures.py",
