@@ -36,6 +36,11 @@ def commands():
         yield words
 
 
+def calls_of_pytest():
+    """The arguments of each."""
+    return [words[3:] for words in commands() if words[:3] == ["python", "-m", "pytest"]]
+
+
 def said():
     """Commands of the blocks, and those inside of sentences."""
     return [*commands(), *(shlex.split(text) for text in re.findall(r"`((?:python -m|nox) [^`]*)`", TEXT))]
@@ -46,21 +51,20 @@ def nox_sessions():
     return {node.name: ast.unparse(node) for node in functions}
 
 
-@pytest.fixture(scope="module")
-def options_of_pytest():
+@pytest.mark.processes
+def test_pytest_knows_every_option_of_a_command():
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    return set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", done.stdout))
+    known = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", done.stdout))
+    used = {word.partition("=")[0] for words in calls_of_pytest() for word in words if word.startswith("-")}
+    assert used - known == set()
 
 
-@pytest.mark.parametrize(
-    "words", [words for words in commands() if words[:3] == ["python", "-m", "pytest"]], ids=shlex.join
-)
-def test_pytest_knows_every_option_and_finds_every_file_of_a_command(words, options_of_pytest):
-    arguments = words[3:]
-    assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options_of_pytest
-    assert all((ROOT / word.removeprefix("@")).is_file() for word in arguments if word.endswith((".py", ".txt")))
+def test_every_file_that_a_command_gives_to_pytest_exists():
+    files = [word.removeprefix("@") for words in calls_of_pytest() for word in words if word.endswith((".py", ".txt"))]
+    assert files
+    assert [name for name in files if not (ROOT / name).is_file()] == []
 
 
 def test_every_program_and_session_that_is_named_exists():

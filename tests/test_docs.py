@@ -30,6 +30,7 @@ import subprocess
 import sys
 import tomllib
 from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -331,15 +332,14 @@ def test_refreshing_writes_new_numbers_and_new_names_of_files_wherever_the_docum
     assert "after 6.4 s in cell 2, took 0.125 s\n\n20 runs in 12.5 s\n...\nsaved as front-d175c7\n" in text
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=place)
-def test_every_block_says_its_language(document):
-    assert {block.language for block in blocks_of(text_of(document))} <= RUN | NOT_RUN
+def test_every_block_says_its_language():
+    languages = [(place(document), block.language) for document in DOCUMENTS for block in blocks_of(text_of(document))]
+    assert [each for each in languages if each[1] not in RUN | NOT_RUN] == []
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_readme_has_the_commands_that_install_and_run(name):
-    block = f"<!-- {name} -->\n```sh\n{COMMANDS[name]}\n```"
-    assert block in text_of(ROOT / "README.md")
+def test_the_readme_has_the_commands_that_install_and_run():
+    blocks = [f"<!-- {name} -->\n```sh\n{command}\n```" for name, command in COMMANDS.items()]
+    assert [block for block in blocks if block not in text_of(ROOT / "README.md")] == []
 
 
 def test_the_picture_shows_what_the_readme_runs():
@@ -374,13 +374,18 @@ def test_every_generated_section_is_in_the_reference():
     assert sorted(present) == sorted(module.sections())
 
 
-def test_every_measured_table_has_a_program_and_one_place():
+def test_every_measured_table_has_one_place():
     measured = tool("figures").BENCHMARKS
     places = re.findall(r"<!-- measured: ([a-z-]+) -->", "".join(map(text_of, DOCUMENTS)))
     assert sorted(places) == sorted([*(name for name, (_, document) in measured.items() if document), *OVERVIEWS])
-    for name, (command, document) in measured.items():
-        assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
+    for name, (_, document) in measured.items():
         assert document is None or f"<!-- measured: {name} -->\n| " in text_of(ROOT / document)
+
+
+@pytest.mark.stories
+def test_every_program_that_measures_can_be_imported():
+    for command, _ in tool("figures").BENCHMARKS.values():
+        assert importlib.import_module(f"tests.benchmarks.{command.split()[0]}").main
 
 
 def test_the_overview_of_the_comparisons_says_what_their_reports_say():
@@ -412,12 +417,13 @@ def test_the_example_of_a_corpus_file_can_be_read_and_replayed():
     assert from_dict(dict(finding.world)) == Highway()
 
 
-@pytest.mark.parametrize("tool", sorted((ROOT / "docs" / "tools").glob("*.py")), ids=lambda path: path.stem)
-def test_every_tool_of_the_documents_finds_what_it_imports(tool):
-    if tool.stem == "picture":
-        pytest.importorskip("rich")
-    code = f"import runpy; runpy.run_path({str(tool.relative_to(ROOT))!r})"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+@pytest.mark.stories
+def test_every_tool_of_the_documents_finds_what_it_imports():
+    tools = [f"docs/tools/{path.name}" for path in (ROOT / "docs" / "tools").glob("*.py")]
+    if importlib.util.find_spec("rich") is None:
+        tools.remove("docs/tools/picture.py")
+    code = "import runpy, sys; [runpy.run_path(name) for name in sys.argv[1:]]"
+    done = subprocess.run([sys.executable, "-c", code, *tools], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -453,44 +459,64 @@ def anchor(heading):
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
+@cache
 def anchors(document):
     return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", FENCE.sub("", text_of(document)), re.MULTILINE)}
 
 
 def links():
+    """Every link and picture inside of the repository, with the document that has it."""
     for document in DOCUMENTS:
         for target in re.findall(r"(?:\]\(|src=\"|srcset=\")([^)\"\s]+)", FENCE.sub("", text_of(document))):
             if "://" not in target:
-                yield pytest.param(document, target, id=f"{place(document)}-{target}")
+                yield document, target
 
 
-@pytest.mark.parametrize(("document", "target"), list(links()))
-def test_every_link_inside_of_the_repository_leads_somewhere(document, target):
+def leads_somewhere(document, target):
     name, _, section = target.partition("#")
     path = (document.parent / name).resolve() if name else document
-    assert path.exists()
-    assert not section or section in anchors(path)
+    return path.exists() and (not section or section in anchors(path))
+
+
+def test_every_link_inside_of_the_repository_leads_somewhere():
+    assert [
+        f"{place(document)}: {target}" for document, target in links() if not leads_somewhere(document, target)
+    ] == []
+
+
+def test_a_link_to_a_page_or_a_section_that_is_absent_leads_nowhere():
+    readme = ROOT / "README.md"
+    assert leads_somewhere(readme, "docs/index.md")
+    assert leads_somewhere(readme, "#try-it")
+    assert not leads_somewhere(readme, "absent.md")
+    assert not leads_somewhere(readme, "#absent")
+    assert not leads_somewhere(readme, "docs/index.md#absent")
 
 
 def test_every_option_in_the_documents_exists():
     flags = {option.flag for option in OPTIONS}
-    for document in DOCUMENTS:
-        used = set(re.findall(r"--pafot-[a-z]+(?:-[a-z]+)*", text_of(document)))
-        assert used <= flags, place(document)
+    used = [
+        (place(document), flag)
+        for document in DOCUMENTS
+        for flag in re.findall(r"--pafot-[a-z]+(?:-[a-z]+)*", text_of(document))
+    ]
+    assert [each for each in used if each[1] not in flags] == []
 
 
 def workflows():
     for document in DOCUMENTS:
         for block in blocks_of(text_of(document)):
             if block.first.startswith("# .github/workflows/"):
-                yield pytest.param(yaml.safe_load(block.rest), id=place(document))
+                yield yaml.safe_load(block.rest)
 
 
-@pytest.mark.parametrize("workflow", list(workflows()))
-def test_a_job_that_searches_is_allowed_more_time_than_its_options_allow_the_searches(workflow):
-    commands = {name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()}
-    searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
-    assert searching
-    for name, text in searching.items():
-        (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each of any number
-        assert workflow["jobs"][name]["timeout-minutes"] * 60 >= int(seconds) + 15 * 60
+def test_a_job_that_searches_is_allowed_more_time_than_its_options_allow_the_searches():
+    for workflow in workflows():
+        commands = {
+            name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()
+        }
+        searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
+        assert searching
+        for name, text in searching.items():
+            (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each of any number
+            assert workflow["jobs"][name]["timeout-minutes"] * 60 >= int(seconds) + 15 * 60

@@ -52,10 +52,15 @@ def room_of(path: Path) -> str:
 
 
 @cache
+def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef]:
+    """Imports, functions and classes of a module, also those inside of functions."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef)]
+
+
 def imports_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
     """Anywhere in a module, also inside of its functions and for types alone."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+    return [node for node in nodes_of(path) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 def imported_names(path: Path) -> list[str]:

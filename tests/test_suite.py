@@ -3,16 +3,14 @@
 import ast
 import re
 import shutil
-import statistics
 import tomllib
 import warnings
 from collections import Counter
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.test_layers import MODULES, ROOMS
+from tests.test_layers import MODULES, ROOMS, nodes_of
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
@@ -28,6 +26,7 @@ def test_every_warning_is_an_error():
         warnings.warn("any", stacklevel=1)
 
 
+@pytest.mark.processes
 def test_a_plugin_that_warns_while_it_is_configured_does_not_end_the_session(pytester, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     for name in ("conftest.py", "pyproject.toml"):
@@ -48,20 +47,6 @@ def test_wheels_are_built_for_every_python_that_is_supported():
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in supported]
 
 
-@cache
-def trees():
-    """Every module of the package with what it says."""
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
-
-
-def functions():
-    """Every function and method of the package with the file that it is in."""
-    for path, tree in trees().items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef):
-                yield path, node
-
-
 def repeated(names):
     return {name for name, count in Counter(names).items() if count > 1}
 
@@ -75,27 +60,19 @@ def nesting(node, depth=0):
     return deepest
 
 
-def test_functions_are_short_and_nest_little():
-    assert statistics.median(node.end_lineno - node.lineno + 1 for _, node in functions()) <= 7
-    assert [f"{path.name}: {node.name}" for path, node in functions() if nesting(node) > 4] == []
+def test_blocks_inside_of_each_other_are_counted():
+    flat = "if a:\n    pass\nelif b:\n    pass\nelse:\n    pass\n"
+    assert nesting(ast.parse(flat)) == 1
+    assert nesting(ast.parse("for a in b:\n    with c:\n        if d:\n            pass\n")) == 3
 
 
-def test_few_private_functions_are_used_only_once():
-    read = Counter()
-    for path, tree in trees().items():
-        nodes = list(ast.walk(tree))
-        read.update((path, node.id) for node in nodes if isinstance(node, ast.Name))
-        read.update((path, node.attr) for node in nodes if isinstance(node, ast.Attribute))
-    named = [(path, node.name) for path, node in functions()]
-    used_once = [each for each in named if re.match(r"_[^_]", each[1]) and read[each] == 1]
-    assert len(used_once) <= len(named) / 5, "a helper that is read in one place is better written there"
+def test_functions_nest_little():
+    functions = [(path.name, each) for path in MODULES for each in nodes_of(path) if isinstance(each, ast.FunctionDef)]
+    assert [f"{file}: {each.name}" for file, each in functions if nesting(each) > 4] == []
 
 
 def test_no_two_classes_have_one_name():
-    assert (
-        repeated(node.name for tree in trees().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
-        == set()
-    )
+    assert repeated(node.name for path in MODULES for node in nodes_of(path) if isinstance(node, ast.ClassDef)) == set()
 
 
 def test_modules_of_one_name_are_few_and_have_a_reason():
