@@ -1,7 +1,5 @@
 """Each positive control is IDM+MOBIL but for one defect, which shows in its own situation and in no other."""
 
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -209,9 +207,3 @@ def test_each_says_what_its_defect_is_and_why_it_happens(name):
     text = defects.make(name).__doc__
     assert len(text.splitlines()[0]) > 30
     assert "Why it happens:" in text
-
-
-def test_importing_the_package_does_not_import_highway_env():
-    code = "import sys, example_ads.defects; print('highway_env' in sys.modules)"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == "False"

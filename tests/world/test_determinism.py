@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import json
 import os
 import pickle
 import random
@@ -62,13 +63,41 @@ def digests():
     return result
 
 
-def in_another_process(hash_seed):
-    code = "from tests.world.test_determinism import digests; print(*digests())"
-    environment = {**os.environ, "PYTHONHASHSEED": hash_seed}
+ELSEWHERE = """
+import json, sys
+from pytest_pafot import Highway, PositionInstruction, Scenario
+
+def imported(*names):
+    return [name for name in names if name in sys.modules]
+
+found = {}
+import example_ads.defects
+from example_ads import ppo
+ppo.make()
+found["with the examples"] = imported("highway_env", "torch", "stable_baselines3")
+
+world, scenario = Highway(), Scenario(npcs=[[PositionInstruction(2, 0.0)]])
+trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+world.rollout_reference(scenario, "idm-aeb")
+found["by the kernel"] = trace.outcome, imported("highway_env", "gymnasium", "pygame")
+
+from pytest_pafot.world.stock import observation
+found["with highway-env"] = imported("matplotlib", "matplotlib.pyplot", "pandas")
+
+from tests.world.test_determinism import digests
+print(json.dumps({**found, "digests": digests()}))
+"""
+
+
+@pytest.fixture(scope="module")
+def elsewhere():
+    """What another process, with another hash seed, came to, and what was imported in it by when."""
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True, timeout=120
-    )
-    return done.stdout.split()
+        [sys.executable, "-c", ELSEWHERE], cwd=ROOT, env=environment, capture_output=True, text=True, check=True,
+        timeout=120,
+    )  # fmt: skip
+    return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +105,14 @@ def first():
     return digests()
 
 
-def test_another_process_with_another_hash_seed_gives_the_same_traces(first):
-    assert in_another_process("12345") == first
+def test_another_process_with_another_hash_seed_gives_the_same_traces(first, elsewhere):
+    assert elsewhere["digests"] == first
+
+
+def test_nothing_large_is_imported_before_something_of_it_is_used(elsewhere):
+    assert elsewhere["with the examples"] == []
+    assert elsewhere["by the kernel"] == ["collision", []]
+    assert elsewhere["with highway-env"] == []
 
 
 def test_global_random_numbers_are_neither_used_nor_moved(first):

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 HEAVY = """
 import sys
 from pytest_pafot.world.stock import observation
@@ -20,5 +22,6 @@ assert heavy < set(sys.modules)
 """
 
 
+@pytest.mark.processes
 def test_libraries_for_plots_and_tables_are_imported_when_something_of_them_is_used():
     subprocess.run([sys.executable, "-c", HEAVY], check=True)

@@ -23,12 +23,13 @@ from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
 from pytest_pafot.world import Highway, World
 from tests.support.c_library import c_library
 from tests.support.gym_loop import Replayed, StateLog
+from tests.support.stages import mostly_oracle, oracle
 from tests.support.world_cases import chains
 
 STATE = slice(0, SPEED + 1)
 
 
-@pytest.fixture(params=["exactly", "within a centimetre"])
+@pytest.fixture(params=mostly_oracle(["exactly", "within a centimetre"], "exactly"))
 def exact(request):
     """Whether to compare to the last bit, which machines agree on with the C library's functions only."""
     with c_library() if request.param == "exactly" else nullcontext():
@@ -99,38 +100,38 @@ def lmap(action, low, high):
 @pytest.mark.parametrize(("physics_hz", "ads_hz"), [(15, 5), (20, 10), (5, 1)])
 def test_a_planner_on_the_highway_drives_as_continuous_actions_do(exact, physics_hz, ads_hz):
     world = Highway(physics_hz=physics_hz, ads_hz=ads_hz)
-    for number, scenario in enumerate(random_scenarios(2, lanes=4, speed_limit=26.8, seed=physics_hz)):
-        rng = np.random.default_rng(number)
-        actions = np.stack([rng.uniform(-0.3, 0.32, 600), rng.normal(0, 0.004, 600)], axis=1)
-        numbers = iter(actions)
+    (scenario,) = random_scenarios(1, lanes=4, speed_limit=26.8, seed=physics_hz)
+    rng = np.random.default_rng(0)
+    actions = np.stack([rng.uniform(-0.3, 0.32, 600), rng.normal(0, 0.004, 600)], axis=1)
+    numbers = iter(actions)
 
-        def planner(observation, numbers=numbers):
-            throttle, wheel = next(numbers)
-            return lmap(throttle, -5.0, 5.0), lmap(wheel, -np.pi / 4, np.pi / 4)
+    def planner(observation):
+        throttle, wheel = next(numbers)
+        return lmap(throttle, -5.0, 5.0), lmap(wheel, -np.pi / 4, np.pi / 4)
 
-        trace = world.rollout(scenario, lambda planner=planner: planner)
-        env, log = stock_env(
-            trace,
-            config={
-                "lanes_count": 4,
-                "simulation_frequency": physics_hz,
-                "policy_frequency": ads_hz,
-                "action": {"type": "ContinuousAction"},
-            },
-        )
-        env.unwrapped.observation_type.observe = lambda: None  # nobody looks, and it costs more than all the rest
-        for action in actions[: len(trace.actions)]:
-            env.step(action)
-        assert trace.outcome is not Outcome.ADS_ERROR
-        assert trace.ego[:, SPEED].min() > 1
-        assert_same(trace, log, exact)
+    trace = world.rollout(scenario, lambda: planner)
+    env, log = stock_env(
+        trace,
+        config={
+            "lanes_count": 4,
+            "simulation_frequency": physics_hz,
+            "policy_frequency": ads_hz,
+            "action": {"type": "ContinuousAction"},
+        },
+    )
+    env.unwrapped.observation_type.observe = lambda: None  # nobody looks, and it costs more than all the rest
+    for action in actions[: len(trace.actions)]:
+        env.step(action)
+    assert trace.outcome is not Outcome.ADS_ERROR
+    assert trace.ego[:, SPEED].min() > 1
+    assert_same(trace, log, exact)
 
 
 def continuous(rng):
     return rng.uniform(-0.4, 0.4, 2).astype(np.float32) * np.float32([1, 0.03])
 
 
-@pytest.mark.parametrize("env_id", ["highway-v0", "highway-fast-v0"])
+@pytest.mark.parametrize("env_id", ["highway-v0", oracle("highway-fast-v0")])
 @pytest.mark.parametrize(
     ("action_type", "choose"),
     [
@@ -146,7 +147,7 @@ def continuous(rng):
 )
 def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id, action_type, choose):
     config = {"action": action_type, "observation": {"type": "Kinematics", "vehicles_count": 4, "see_behind": True}}
-    world = World(env_id, config=config, duration=60.0)
+    world = World(env_id, config=config, duration=12.0)
     (scenario,) = random_scenarios(1, lanes=world.lanes, speed_limit=30.0, seed=env_id)
     rng, seen = np.random.default_rng(5), []
 
@@ -168,9 +169,19 @@ def test_a_policy_sees_and_does_what_it_sees_and_does_in_gymnasium(exact, env_id
 
 
 @pytest.mark.parametrize(
-    "ego_class", [IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle, Vehicle, BicycleVehicle]
+    ("world", "ego_class"),
+    [
+        (Highway(duration=20.0), IDMVehicle),
+        (Highway(duration=20.0), LinearVehicle),
+        (World("highway-v0", duration=20.0), BicycleVehicle),
+        *(oracle(Highway(), each) for each in (AggressiveVehicle, DefensiveVehicle, Vehicle, BicycleVehicle)),
+        *(
+            oracle(World("highway-v0", duration=60.0), each)
+            for each in (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle, Vehicle)
+        ),
+    ],
+    ids=lambda value: getattr(value, "__name__", type(value).__name__),
 )
-@pytest.mark.parametrize("world", [Highway(), World("highway-v0", duration=60.0)], ids=["Highway", "World"])
 @only_exactly
 def test_vehicle_classes_drive_themselves_as_they_do_in_gymnasium(exact, world, ego_class):
     (scenario,) = random_scenarios(1, lanes=4, speed_limit=26.8, seed=ego_class.__name__)
@@ -188,7 +199,7 @@ def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehi
     from highway_env.utils import are_polygons_intersecting
 
     world, found = Highway(), 0
-    for scenario in random_scenarios(12, lanes=4, speed_limit=26.8, seed=11):
+    for scenario in random_scenarios(6, lanes=4, speed_limit=26.8, seed=11):
         trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
         env, _ = stock_env(trace, ego_class=Vehicle)
         road, first = env.unwrapped.road, None
@@ -207,4 +218,4 @@ def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehi
                 break
         assert first == (trace.collision and (trace.collision.tick, trace.collision.npc))
         found += first is not None
-    assert found >= 3
+    assert found >= 2

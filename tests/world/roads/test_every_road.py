@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 
 import gymnasium
@@ -22,6 +23,7 @@ from pytest_pafot.searching import sample
 from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.world import NpcLimits, World, WorldError
 from tests.support.road_cases import ROADS, space_of, violations, world_of
+from tests.support.stages import mostly_oracle, oracle
 
 
 def hold(world, *cells, speed=8.0, genes=1, **fields):
@@ -41,9 +43,9 @@ def constant():
     return ControlledVehicle
 
 
-@pytest.mark.parametrize("env_id", ROADS)
+@pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1"))
 def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
-    world, rng = World(env_id, duration=15.0), np.random.default_rng(3)
+    world, rng = world_of(env_id, duration=15.0), np.random.default_rng(3)
     for ego in (idm, constant):
         trace = world.rollout(sample(space_of(world), rng), ego)
         assert violations(trace, world) == [], trace.scenario.canonical()
@@ -57,13 +59,13 @@ def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
     ("seed", "cells", "speeds"),
     [
         # An NPC starts to change lanes at 5 m/s, and could drive 10 m/s in the bend: it must not, turned outwards.
-        (
+        oracle(
             65554407,
             ([3, 2, 3, 4, 3, 4], [4, 3, 2, 3, 2, 3]),
             ([4.5, 8.1, 6.9, 1.8, 7.7, 3.9], [2.1, 8.1, 6.9, 4.9, 7.7, 3.9]),
         ),
         # An NPC changes lanes where the bend of one of them begins later than that of the other.
-        (
+        oracle(
             974133204,
             ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
             ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
@@ -93,10 +95,18 @@ def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
     assert trace.npcs[0, 0, SPEED] < trace.ego[0, SPEED]
 
 
-@pytest.mark.parametrize("env_id", ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"])
-@pytest.mark.parametrize("ego", [idm, constant])
+@pytest.mark.parametrize(
+    ("env_id", "ego"),
+    mostly_oracle(
+        itertools.product(
+            ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"], [idm, constant]
+        ),
+        ("merge-v1", idm),
+        ("roundabout-v1", constant),
+    ),
+)
 def test_the_plain_environment_agrees(env_id, ego):
-    world, rng = world_of(env_id, duration=12.0), np.random.default_rng(5)
+    world, rng = world_of(env_id, duration=15.0), np.random.default_rng(5)
     first = world.rollout(sample(space_of(world), rng), ego)
     again = world.rollout_in_gym(first.executed, ego)
     assert disagreement(Run(first), Run(again)) == ""
@@ -107,10 +117,10 @@ def test_the_plain_environment_agrees(env_id, ego):
     ("env_id", "action"),
     [
         ("merge-v1", 1),
-        ("roundabout-v1", 1),
-        ("exit-v0", 1),
-        ("intersection-v0", 1),
-        ("racetrack-v1", np.zeros(1)),
+        oracle("roundabout-v1", 1),
+        oracle("exit-v0", 1),
+        oracle("intersection-v0", 1),
+        oracle("racetrack-v1", np.zeros(1)),
         ("lane-keeping-v0", np.zeros(1)),
     ],
 )
@@ -180,18 +190,21 @@ def test_ring_steps_skip_cells_that_do_not_exist():
 
 def test_npcs_never_exceed_what_bends_allow():
     """The outer bend of the racetrack has a radius of 20 m: 4 m/s^2 allow 8.9 m/s, while the ego drives 10."""
-    world = World("racetrack-v1", duration=40.0)
+    world = world_of("racetrack-v1", duration=20.0)
     trace = world.rollout(hold(world, 2, speed=10.0), idm)
     speeds = trace.npcs[:-1, 0, SPEED]
     turning = abs(np.diff(np.unwrap(trace.npcs[:, 0, HEADING]))) * trace.physics_hz
     in_the_bend = speeds[turning > speeds / 25]
-    assert len(in_the_bend) > 100
+    assert len(in_the_bend) > 60
     assert 5.0 < in_the_bend.max() < 8.95
 
 
-@pytest.mark.parametrize("env_id", ["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"])
+@pytest.mark.parametrize(
+    "env_id",
+    mostly_oracle(["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1"),
+)
 def test_npcs_keep_to_the_centre_of_their_lane_in_bends(env_id):
-    world = World(env_id, duration=25.0)
+    world = world_of(env_id, duration=25.0)
     trace = world.rollout(hold(world, 6, speed=6.0), constant)
     assert np.ptp(np.unwrap(trace.npcs[:, 0, HEADING])) > 0.7
     assert abs(trace.track[:, 1, OFFSET]).max() < 0.25
@@ -201,7 +214,6 @@ def test_the_way_is_the_egos_route_and_else_what_highway_envs_vehicles_choose():
     assert ("ir0", "il1") in world_of("intersection-v0").road.sections  # planned, to the left
     assert ("ir0", "il2") in world_of("intersection-v1").road.sections  # straight on
     assert ("nx", "nxs") in world_of("roundabout-v1").road.sections
-    assert ("2", "3") in world_of("exit-v1").road.sections
 
 
 def test_behind_the_ego_the_way_is_that_by_which_it_came():
@@ -216,7 +228,14 @@ def test_behind_the_ego_the_way_is_that_by_which_it_came():
 def test_the_speed_limit_is_that_of_the_lane_or_the_egos_first_speed():
     assert world_of("merge-v1").speed_limit == 30.0  # the lanes' is 20
     assert world_of("racetrack-v1").speed_limit == 10.0
-    assert world_of("exit-v1").speed_limit == 26.0
+
+
+@pytest.mark.oracle
+def test_the_exit_is_driven_past_at_its_own_speed_limit():
+    """Its survey takes longer than those of the other roads together."""
+    world = world_of("exit-v1")
+    assert ("2", "3") in world.road.sections
+    assert world.speed_limit == 26.0
 
 
 def test_a_run_lasts_as_long_as_the_shortest_of_option_environment_and_road():
@@ -236,7 +255,8 @@ def test_the_end_of_the_road_ends_a_run():
 
 
 def test_leaving_the_road_ends_a_run():
-    world = World("racetrack-v1", config={"action": {"type": "ContinuousAction"}}, duration=20.0)
+    config = {"action": {"type": "ContinuousAction"}, "observation": {"type": "Kinematics"}}
+    world = World("racetrack-v1", config=config, duration=20.0)
     trace = world.rollout(hold(world, 8), lambda: lambda observation: np.array([0.0, 0.0]))
     assert trace.outcome is Outcome.OFF_ROAD
     assert trace.off_road_tick == trace.ticks
@@ -259,7 +279,7 @@ def test_leaving_the_route_ends_a_run():
 
 
 def test_lanes_of_a_trace_index_its_lanes_and_curved_ones_have_points():
-    world = World("racetrack-v1", duration=20.0)
+    world = world_of("racetrack-v1", duration=20.0)
     trace = world.rollout(hold(world, 1, 7), idm)
     for vehicle in range(3):
         for tick in range(0, trace.ticks, 30):
@@ -273,7 +293,7 @@ def test_lanes_of_a_trace_index_its_lanes_and_curved_ones_have_points():
 @pytest.mark.usefixtures("registered")
 def test_headway_is_along_the_road_and_not_through_the_bend():
     """Two seconds at 10 m/s and a vehicle's length, on a lane with a radius of 46 m."""
-    world = World("OwnCircuit-v0")
+    world = World("OwnCircuit-v0", duration=2.0)
     trace = world.rollout(hold(world, 2, speed=10.0), constant)
     chord = 2 * 46 * math.sin(25 / 46 / 2)
     assert np.hypot(*(trace.npcs[0, 0, :2] - trace.ego[0, :2])) == pytest.approx(chord, abs=0.02)
@@ -363,7 +383,7 @@ def registered():
 
 @pytest.mark.usefixtures("registered")
 def test_an_environment_of_ones_own_works_the_same():
-    world, rng = World("OwnCircuit-v0", duration=30.0), np.random.default_rng(0)
+    world, rng = World("OwnCircuit-v0", duration=12.0), np.random.default_rng(0)
     assert world.lanes == 2
     assert world.start == (1, 10.0)
     for ego in (idm, constant, lambda: lambda observation: 1):
@@ -376,7 +396,7 @@ def test_an_environment_of_ones_own_works_the_same():
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize(
     ("speed", "taper", "does_enter"),
-    [(6.0, 100.0, False), (6.0, 130.0, True), (25.0, 350.0, False), (25.0, 500.0, True)],
+    [(6.0, 100.0, False), oracle(6.0, 130.0, True), oracle(25.0, 350.0, False), (25.0, 500.0, True)],
 )
 def test_a_lane_that_ends_is_entered_only_with_room_to_drive_and_to_brake_in_it(speed, taper, does_enter):
     """Slow NPCs must have three seconds before its end, fast ones as much as it takes to stop gently."""
