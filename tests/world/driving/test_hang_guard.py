@@ -158,6 +158,7 @@ def test_a_debugger_may_stand_in_a_decision_for_longer_than_its_limit(watchdog):
     assert hang(0.02)
 
 
+@pytest.mark.processes
 def test_a_forked_process_watches_its_own_decisions():
     code = """
 import os, sys
@@ -241,6 +242,7 @@ def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(w
     assert timer.seconds[-1] is None
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
 def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
     code = """

@@ -14,6 +14,7 @@ from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
+from tests.support.stages import mostly_oracle
 from tests.support.world_cases import EGOS, constant_speed, random_scenario
 
 
@@ -45,7 +46,7 @@ def ending(world, ads, outcome, seed=0):
 @pytest.mark.parametrize("ads", EGOS, ids=lambda ads: ads.__name__)
 @pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, physics_hz=20, ads_hz=10, clearance=0.0)], ids=str)
 def test_planners_and_vehicle_classes_on_a_highway(world, ads):
-    for scenario in scenarios(world.lanes, 3, lanes=world.lanes):
+    for scenario in scenarios(world.lanes, 2, lanes=world.lanes):
         assert_confirmed(world, scenario, ads)
 
 
@@ -60,10 +61,10 @@ CONFIGS = {
 }
 
 
-@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("config", mostly_oracle(CONFIGS, "meta-actions", "continuous"))
 def test_policies_of_an_environment(config):
     options, choose = CONFIGS[config]
-    world = World("highway-v0", config=options, duration=10.0)
+    world = World("highway-v0", config=options, duration=6.0)
 
     def policy():
         rng = np.random.default_rng(3)

@@ -15,6 +15,7 @@ from example_ads import constant_speed, idm_mobil
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world.engines.ordinary_traffic import drive
 from tests.benchmarks.traffic_against_highway_env import WITHIN, difference, swerving, undecided
+from tests.support.stages import oracle
 
 SHORT = {"vehicles_count": 10, "duration": 15}
 FAST = pafot.World("highway-fast-v0", SHORT)
@@ -62,12 +63,12 @@ def looking_ahead(env):
     [
         pytest.param(FAST, undecided, {}, id="meta-actions"),
         pytest.param(CRASHING, undecided, {}, id="others-crash-too"),
-        pytest.param(CONTINUOUS, swerving, {}, id="continuous-actions"),
-        pytest.param(FAST, idm_mobil.make, {}, id="vehicle-class"),
-        pytest.param(FAST, lambda: Sluggish, {}, id="vehicle-class-of-its-own"),
+        oracle(CONTINUOUS, swerving, {}, id="continuous-actions"),
+        oracle(FAST, idm_mobil.make, {}, id="vehicle-class"),
+        oracle(FAST, lambda: Sluggish, {}, id="vehicle-class-of-its-own"),
         pytest.param(CRASHING, Coasting, {}, id="vehicle-class-without-goals"),
         pytest.param(FAST, constant_speed.make, {"is_planner": True}, id="planner"),
-        pytest.param(FAST, looking_ahead, {}, id="planner-that-simulates"),
+        oracle(FAST, looking_ahead, {}, id="planner-that-simulates"),
     ],
 )
 def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factory, options):
@@ -108,7 +109,7 @@ class HighwayOfOurOwn(HighwayEnvFast):
 def test_an_environment_with_steps_of_its_own_takes_them():
     gymnasium.register("own-highway-v0", entry_point=HighwayOfOurOwn)
     try:
-        world = pafot.World("own-highway-v0", SHORT)
+        world = pafot.World("own-highway-v0", {"vehicles_count": 3, "duration": 6})
         assert driven(world, undecided, 0).steps == "HighwayOfOurOwn has steps of its own"
         seconds = {driven(world, factory, 3).seconds for factory in (undecided, lambda: lambda seen: 1)}
         assert len(seconds) == 1
@@ -172,18 +173,18 @@ def test_an_environment_that_sets_constants_of_a_class_leaves_them_to_the_next_a
 EYES = {"range": 60.0, "latency": 0.5, "noise": {"position": 0.3, "speed": 1.0}, "dropout": 0.1, "occlusion": True}
 
 
-@pytest.mark.parametrize("wrappers", [None, [gymnasium.wrappers.FlattenObservation]])
+@pytest.mark.parametrize("wrappers", [None, oracle([gymnasium.wrappers.FlattenObservation])])
 def test_a_policy_with_an_imperfect_sight_is_shown_the_same_by_either_means(wrappers):
-    world, shown = pafot.World("highway-fast-v0", SHORT, wrappers=wrappers), []
+    world, shown = pafot.World("highway-fast-v0", {**SHORT, "duration": 7}, wrappers=wrappers), []
 
     def policy():
         shown.append([])
         return lambda observation: shown[-1].append(observation.ravel()) or 1
 
-    for factory in (pafot.Perception(policy, **EYES), policy):
-        driven(world, factory, 1)
-        driven(world, factory, 1, may_compile=False)
-    compiled, stepped, perfect, _ = map(np.array, shown)
+    for may_compile in (True, False):
+        driven(world, pafot.Perception(policy, **EYES), 1, may_compile=may_compile)
+    driven(world, policy, 1)
+    compiled, stepped, perfect = map(np.array, shown)
     assert len(compiled) > 5
     assert compiled == pytest.approx(stepped, abs=1e-6)
     assert abs(compiled - perfect).max() > 0.01
