@@ -1,7 +1,6 @@
 """Near-misses of the ego: the dangers of a run, judged as the collisions that they almost were."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from pytest_pafot.grid import Cell
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.trace import Outcome
 from tests.support.drives import crash, driven
+from tests.support.stages import oracle
 from tests.support.traces import random_states, trace_of
 
 LEFT, OWN, RIGHT = 0.0, 4.0, 8.0
@@ -115,16 +115,16 @@ def test_just_before_a_collision_by_a_cut_in_that_came_too_late_there_is_none(ti
     assert mistakes(before(trace, ticks)) == []
 
 
-@cache
-def searched():
+@pytest.fixture(scope="module", params=[(8, 5), oracle((1, 12))], ids=["some", "more"])
+def searched(request):
     """Runs of policies with a defect each, among four NPCs."""
-    rng = np.random.default_rng(1)
-    space = SearchSpace(npcs=4, genes=3)
-    return [Highway().rollout(sample(space, rng), make(name)) for name in DEFECTS for _ in range(12)]
+    seed, count = request.param
+    rng, space = np.random.default_rng(seed), SearchSpace(npcs=4, genes=3)
+    return [Highway().rollout(sample(space, rng), make(name)) for name in DEFECTS for _ in range(count)]
 
 
-def test_floors_spare_verdicts_and_change_no_near_miss_above_them():
-    every = [(trace, each) for trace in searched() for each in near_misses(trace)]
+def test_floors_spare_verdicts_and_change_no_near_miss_above_them(searched):
+    every = [(trace, each) for trace in searched for each in near_misses(trace)]
     assert {each.mistake for _, each in every} >= set(ALL) - {"stopped-for-nothing"}
     for trace, each in every:
         asked = {"braked-for-nothing": 1.0, each.mistake: each.severity - 1e-9}
@@ -132,11 +132,10 @@ def test_floors_spare_verdicts_and_change_no_near_miss_above_them():
         assert each not in near_misses(trace, {each.mistake: each.severity})
 
 
-def test_what_is_known_sooner_than_a_verdict_rules_out_no_mistake(monkeypatch):
-    traces = searched()
-    found = [near_misses(trace, {mistake: 0.0}) for trace in traces for mistake in ALL]
+def test_what_is_known_sooner_than_a_verdict_rules_out_no_mistake(searched, monkeypatch):
+    found = [near_misses(trace, {mistake: 0.0}) for trace in searched for mistake in ALL]
     monkeypatch.setattr(Conflict, "may_be", lambda conflict, fault: True)
-    assert found == [near_misses(trace, {mistake: 0.0}) for trace in traces for mistake in ALL]
+    assert found == [near_misses(trace, {mistake: 0.0}) for trace in searched for mistake in ALL]
 
 
 def test_the_collision_of_a_run_is_judged_once(monkeypatch):

@@ -1,5 +1,7 @@
 """Do readers of the trace alone come to the same verdicts? 680 collisions, each read before its verdict was shown."""
 
+import pytest
+
 from pytest_pafot.attribution.responsibility import rss_rule
 from tests.support.readings import load, packed, unpacked
 
@@ -7,15 +9,19 @@ NOT_DEFENDED = {78, 144, 242, 283, 286, 287, 289, 363, 464, 481, 519, 577, 593, 
 """Collisions of which the reader would not defend the verdict; ``python -m tests.benchmarks.readings`` tells why."""
 
 
-def test_readers_defend_the_verdicts_but_for_those_that_are_listed():
-    reads = load()
+@pytest.fixture(scope="module")
+def reads():
+    return load()
+
+
+def test_readers_defend_the_verdicts_but_for_those_that_are_listed(reads):
     assert len(reads) == 680
     disputed = {read.number for read in reads if not read.accepts(rss_rule(read.trace).responsibility)}
     assert disputed == NOT_DEFENDED
 
 
-def test_what_is_packed_comes_back():
-    trace = load()[0].trace
+def test_what_is_packed_comes_back(reads):
+    trace = reads[0].trace
     again = unpacked({**packed(trace, trace.ticks), "sizes": trace.sizes.tolist()})
     assert abs(again.states - trace.states)[..., 1:].max() < 1e-9
     assert rss_rule(again) == rss_rule(trace)

@@ -419,10 +419,15 @@ class TestDurations:
         assert criticality.planned_duration(trace_of(vehicle(0), vehicle(50))) == 60
 
 
-@pytest.mark.parametrize("measure", ARRAYS, ids=lambda measure: measure.__name__)
+def differing(measures, one, other):
+    """Names of the measures that do not give the same for two traces; infinite and huge times are the same."""
+    pairs = {measure.__name__: (np.tanh(measure(one) / 100), np.tanh(measure(other) / 100)) for measure in measures}
+    return [name for name, pair in pairs.items() if not np.allclose(*pair, rtol=1e-6, atol=1e-9)]
+
+
 class TestEveryArray:
     @given(seed=seeds, angle=angles, x=coordinates, y=coordinates)
-    def test_does_not_depend_on_where_the_road_lies(self, measure, seed, angle, x, y):
+    def test_does_not_depend_on_where_the_road_lies(self, seed, angle, x, y):
         trace = random_trace(seed)
         cos, sin = math.cos(angle), math.sin(angle)
         states = trace.states.copy()
@@ -430,24 +435,27 @@ class TestEveryArray:
         states[..., Y] = y + sin * trace.states[..., X] + cos * trace.states[..., Y]
         states[..., HEADING] += angle
         turned = with_states(states, trace.sizes, straight_lanes(heading=angle))
-        assert_same(measure(turned), measure(trace))
+        assert differing(ARRAYS, turned, trace) == []
 
     @given(seed=seeds)
-    def test_is_the_same_in_a_mirror(self, measure, seed):
+    def test_is_the_same_in_a_mirror(self, seed):
         trace = random_trace(seed)
         states = trace.states.copy()
         states[..., [Y, HEADING]] *= -1
-        assert_same(measure(with_states(states, trace.sizes)), measure(trace))
+        assert differing(ARRAYS, with_states(states, trace.sizes), trace) == []
 
     @given(seed=seeds)
-    def test_of_one_npc_does_not_depend_on_the_others(self, measure, seed):
+    def test_of_one_npc_does_not_depend_on_the_others(self, seed):
         trace = random_trace(seed)
         alone = with_states(trace.states[:, [0, 2]], trace.sizes[[0, 2]])
-        np.testing.assert_array_equal(measure(alone)[:, 0], measure(trace)[:, 1])
+        for measure in ARRAYS:
+            np.testing.assert_array_equal(measure(alone)[:, 0], measure(trace)[:, 1], err_msg=measure.__name__)
 
-    def test_has_one_value_per_tick_and_npc(self, measure):
-        assert measure(random_trace(0, rows=12, vehicles=4)).shape == (12, 3)
+    def test_has_one_value_per_tick_and_npc(self):
+        trace = random_trace(0, rows=12, vehicles=4)
+        assert {measure(trace).shape for measure in ARRAYS} == {(12, 3)}
 
+    @pytest.mark.parametrize("measure", ARRAYS, ids=lambda measure: measure.__name__)
     def test_never_hides_a_nan(self, measure):
         states = random_trace(0, rows=1).states.copy()
         states[..., LANE] = 1
@@ -455,11 +463,10 @@ class TestEveryArray:
         assert np.isnan(measure(with_states(states, np.full((3, 2), (5, 2))))).all()
 
 
-@pytest.mark.parametrize("measure", SYMMETRIC, ids=lambda measure: measure.__name__)
 @given(seed=seeds)
-def test_swapping_ego_and_npc_changes_nothing(measure, seed):
+def test_swapping_ego_and_npc_changes_nothing(seed):
     trace = random_trace(seed, vehicles=2)
-    assert_same(measure(with_states(trace.states[:, ::-1], trace.sizes[::-1])), measure(trace))
+    assert differing(SYMMETRIC, with_states(trace.states[:, ::-1], trace.sizes[::-1]), trace) == []
 
 
 def test_one_encounter_answers_as_the_functions_do():

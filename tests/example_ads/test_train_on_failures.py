@@ -7,18 +7,20 @@ from example_ads import ppo
 from example_ads.ppo import train, train_on_failures
 from example_ads.ppo.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
 
+COUNT = 24
+"""Random scenarios that are counted."""
 TO_THE_RIGHT = ppo.PpoPolicy(((np.zeros((25, 5), np.float32), np.float32([0, 0, 1, 0, 0])),))
 """Changes to the next lane, and then on to the last one."""
 
 
 @pytest.fixture(scope="module")
 def before():
-    return measured("before", ppo.make(), scenarios(2, 40), 10)
+    return measured("before", ppo.make(), scenarios(2, COUNT), 5)
 
 
 def test_the_shipped_policy_fails_in_more_than_a_third_of_random_scenarios_mostly_behind_a_leader(before):
     failed = [fault for fault in before.faults if fault is not None]
-    assert len(failed) > 40 / 3
+    assert len(failed) > COUNT / 3
     assert failed.count(TRAINED_ON) > len(failed) / 2
 
 
@@ -26,15 +28,15 @@ def test_a_row_has_all_scenarios_both_kinds_of_failures_and_ordinary_traffic(bef
     failed, kind = sum(map(bool, before.faults)), before.faults.count(TRAINED_ON)
     name, random, trained_on, others, ordinary = row(before, before).strip("| ").split(" | ")
     assert name == "before"
-    assert random.startswith(f"{100 * failed / 40:.1f} % (95 %: ")
-    assert (random.endswith("of 40"), ordinary.endswith("of 10")) == (True, True)
+    assert random.startswith(f"{100 * failed / COUNT:.1f} % (95 %: ")
+    assert (random.endswith(f"of {COUNT}"), ordinary.endswith("of 5")) == (True, True)
     assert trained_on == f"100 % (95 %: {trained_on.split('95 %: ')[1]}"
     assert trained_on.endswith(f"of {kind}")
     assert others.endswith(f"of {failed - kind}")
 
 
 def test_failures_after_training_count_among_those_before(before):
-    after = measured("to the right", TO_THE_RIGHT, scenarios(2, 40), 10)
+    after = measured("to the right", TO_THE_RIGHT, scenarios(2, COUNT), 5)
     still = sum(then == TRAINED_ON and now is not None for then, now in zip(before.faults, after.faults, strict=True))
     share = 100 * still / before.faults.count(TRAINED_ON)
     assert 0 < share < 100
