@@ -1,10 +1,12 @@
 """A search without pytest."""
 
 import math
+import shutil
 import sys
 import traceback
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 
@@ -36,8 +38,22 @@ def never_collides(run):
 
 
 @pytest.fixture(scope="module")
-def exploration():
-    return pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT)
+def heard():
+    """The events that a listener to `exploration` hears."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    """Where `exploration` saves its findings."""
+    return tmp_path_factory.mktemp("saved")
+
+
+@pytest.fixture(scope="module")
+def exploration(heard, corpus):
+    return pafot.explore(
+        constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, corpus=corpus, **SHORT
+    )
 
 
 def test_its_findings_show_what_the_property_forbids(exploration):
@@ -57,9 +73,7 @@ def test_its_table_has_a_row_for_each_scenario_that_was_tried(exploration):
         assert row["duration"] <= 20.0
 
 
-def test_its_events_are_those_that_a_listener_hears_but_for_the_runs():
-    heard = []
-    exploration = pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT)
+def test_its_events_are_those_that_a_listener_hears_but_for_the_runs(exploration, heard):
     runs = [event for event in heard if isinstance(event, Judged)]
     assert len(runs) == exploration.summary.runs
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
@@ -78,7 +92,7 @@ def test_no_more_than_eight_frames_lie_between_the_loop_of_a_search_and_the_engi
             Planner.stacks = [frame.f_code.co_qualname for frame, _ in traceback.walk_stack(sys._getframe(1))]
             return 0.0, 0.0
 
-    pafot.explore(Planner, holds=lambda run: None, seed=5, **SHORT)
+    pafot.explore(Planner, holds=lambda run: None, seed=5, runs=1, genes=1)
     assert Planner.stacks[0] == "run_planner"
     assert Planner.stacks.index("_Campaign.events") < 8
 
@@ -105,17 +119,17 @@ def test_generations_are_large_from_the_second_on_where_the_ads_decides_for_many
     assert [counts[generation] for generation in sorted(counts)] == sizes
 
 
-def test_without_a_corpus_nothing_is_written(tmp_path, monkeypatch):
+def test_without_a_corpus_nothing_is_written_and_the_same_is_found(exploration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings
+    assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings == exploration.findings
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_corpus_holds_is_known_to_the_next_search(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    first = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
-    files = sorted(tmp_path.rglob("*.pafot.yaml"))
-    assert [pafot.load(file).finding for file in files] == sorted(first.findings, key=lambda finding: finding.id)
+def test_what_a_corpus_holds_is_known_to_the_next_search(exploration, corpus, tmp_path, monkeypatch):
+    files = sorted(corpus.rglob("*.pafot.yaml"))
+    assert [pafot.load(file).finding for file in files] == sorted(exploration.findings, key=lambda finding: finding.id)
+    shutil.copytree(corpus, tmp_path / "saved")
+    monkeypatch.chdir(tmp_path)  # a corpus is a folder below the one where the search runs
     again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
     assert again.findings == ()
     assert sum(again.summary.known.values()) == again.summary.failing
@@ -208,12 +222,13 @@ def test_the_name_of_a_fixture_is_no_factory():
         pafot.explore("ads", holds=never_collides)
 
 
-def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_next(tmp_path, monkeypatch):
-    other = pafot.explore(constant_speed.make, holds=never_collides, seed=6, corpus=tmp_path / "others", **SHORT)
+def test_a_find_whose_name_another_session_takes_just_then_is_saved_under_the_next(exploration, tmp_path, monkeypatch):
+    first = exploration.findings[0]
+    other = replace(first, expect=replace(first.expect, failure="Another"))
 
     def late(path, finding):
         if not path.exists() and not path.stem.endswith("-2.pafot"):
-            write(path, other.findings[0])
+            write(path, other)
         return write(path, finding)
 
     monkeypatch.setattr("pytest_pafot.campaign.recorder.write", late)
@@ -239,6 +254,13 @@ class ChangesLanesBlindly:
 SHORT_ROAD = pafot.Highway(duration=20.0)
 
 
+@pytest.fixture(scope="module")
+def mistakes(tmp_path_factory):
+    """A search that finds several mistakes, and its corpus."""
+    folder = tmp_path_factory.mktemp("mistakes")
+    return mistakes_of_one_who_changes_blindly(seed=1, corpus=str(folder)), folder
+
+
 def mistakes_of_one_who_changes_blindly(**settings):
     return pafot.explore(
         ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", genes=2, npcs=2, ego_lane=1,
@@ -250,8 +272,8 @@ def signature_of(scenario):
     return of_failure(pafot.Run(SHORT_ROAD.rollout(scenario, ChangesLanesBlindly)), Failure(kind="AssertionError"))
 
 
-def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name():
-    findings = mistakes_of_one_who_changes_blindly(seed=1).findings
+def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name(mistakes):
+    findings = mistakes[0].findings
     signatures = [signature_of(finding.scenario) for finding in findings]
     assert sorted(each.mistake for each in signatures) == ["kept-no-distance", "moved-in-front", "moved-into-side"]
     for finding, signature in zip(findings, signatures, strict=True):
@@ -259,8 +281,9 @@ def test_each_mistake_of_the_ego_is_a_find_and_shrinking_keeps_it_and_the_name()
         assert finding.id == f"{signature.slug}-{finding.original.id}"
 
 
-def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(tmp_path):
-    first = mistakes_of_one_who_changes_blindly(seed=1, corpus=str(tmp_path))
+def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(mistakes, tmp_path):
+    first, folder = mistakes
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     again = mistakes_of_one_who_changes_blindly(seed=2, corpus=str(tmp_path))
     assert again.findings == ()
     assert again.summary.known.keys() == {finding.id for finding in first.findings}

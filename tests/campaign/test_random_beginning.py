@@ -21,7 +21,7 @@ def explored(**arguments):
 def test_all_scenarios_of_a_random_search_are_counted_that_say_something_of_the_ego():
     judged = []
     found = explored(
-        runs=30, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
+        runs=20, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
     )
     last = {each.run.trace.scenario.id: each for each in judged}.values()
     valid = [each for each in last if each.verdict.kind != "invalid"]
@@ -38,6 +38,6 @@ def test_a_search_that_ended_for_its_findings_before_it_ran_all_of_them_says_not
 
 @pytest.mark.parametrize(("algorithm", "most"), [("distinct", 20), ("av-fuzzer", 0)])
 def test_of_other_searches_only_the_random_scenarios_at_their_beginning(algorithm, most):
-    failing, runs = explored(runs=40, algorithm=algorithm).summary.random
+    failing, runs = explored(runs=24, algorithm=algorithm).summary.random
     assert most - 8 <= runs <= most
     assert failing <= runs

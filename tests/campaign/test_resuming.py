@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -43,6 +44,37 @@ def search(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(state_file, "SHARE", 0)  # a state at each border, however long it takes to write
     return searched
+
+
+def searched_in(folder, **options):
+    """What a search in a folder finds, and its files there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(state_file, "SHARE", 0)
+        exploration = searched(**options)
+    return exploration, files(folder)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """One long search, and its files."""
+    return searched_in(tmp_path_factory.mktemp("whole"), resume=None, runs=24)
+
+
+@pytest.fixture(scope="module")
+def first_session(tmp_path_factory):
+    """A search that can go on after its findings, and the folder where it ran."""
+    folder = tmp_path_factory.mktemp("first")
+    return searched_in(folder, runs=20)[0], folder
+
+
+@pytest.fixture
+def first(search, tmp_path, first_session):
+    """The same as if it had run here."""
+    exploration, folder = first_session
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    assert exploration.findings
+    return exploration
 
 
 @pytest.fixture(scope="module")
@@ -89,37 +121,40 @@ def state_of(folder):
 
 
 @pytest.mark.parametrize("algorithm", ["distinct", "random"])
-def test_four_sessions_are_one_long_one(search, tmp_path, algorithm):
-    whole = search("whole", resume=None, runs=32, algorithm=algorithm)
-    parts = [search(runs=8, algorithm=algorithm) for _ in range(4)]
-    assert files(tmp_path / "corpus") == files(tmp_path / "whole") != {}
+def test_four_sessions_are_one_long_one(search, tmp_path, request, algorithm):
+    if algorithm == "distinct":
+        whole, saved = request.getfixturevalue("whole")
+    else:
+        whole = search("whole", resume=None, runs=24, algorithm=algorithm)
+        saved = files(tmp_path / "whole")
+    parts = [search(runs=6, algorithm=algorithm) for _ in range(4)]
+    assert files(tmp_path / "corpus") == saved != {}
     assert body(*[part.events for part in parts]) == body(whole.events)
     evaluated = [event for part in parts for event in part.events if isinstance(event, Evaluated)]
     assert len(evaluated) == len(body(*[part.events for part in parts]).keys() & {
         (event.generation, 0, event.index) for event in evaluated
     })  # fmt: skip
     assert [finding for part in parts for finding in part.findings] == list(whole.findings)
+    check_summaries(whole.summary, [part.summary for part in parts])
 
 
-def test_the_summary_is_of_the_whole_search_and_its_new_finds_are_of_the_session(search):
-    whole = search("whole", resume=None, runs=32).summary
-    parts = [search(runs=8).summary for _ in range(4)]
+def check_summaries(whole, parts):
+    """Each is of all sessions so far, but for its new finds."""
     last = parts[-1]
     for name in ("runs", "known_runs", "failing", "generations", "coverage", "random", "reached", "warnings", "drawn"):
         assert getattr(last, name) == getattr(whole, name)
-    assert (last.budget, last.seed) == (32, whole.seed)
+    assert (last.budget, last.seed) == (24, whole.seed)
     counted = {find.id: 1 + find.repeats for part in parts[-1:] for find in part.finds}
     assert counted | dict(last.known) == {find.id: 1 + find.repeats for find in whole.finds}
-    assert [part.runs for part in parts] == [8, 16, 24, 32]
-    assert last.notes[0] == "went on after 24 runs of earlier sessions"
+    assert [part.runs for part in parts] == [6, 12, 18, 24]
+    assert last.notes[0] == "went on after 18 runs of earlier sessions"
     assert not parts[0].notes
 
 
 @pytest.mark.parametrize("share", [0, 10**9], ids=["each border is written", "few are"])
-def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(search, tmp_path, monkeypatch, share):
+def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(search, tmp_path, monkeypatch, whole, share):
     monkeypatch.setattr(state_file, "SHARE", share)
-    whole = search("whole", resume=None, runs=24)
-    heard = []
+    (whole, saved), heard = whole, []
 
     def killed_at(number, what):
         def listen(event):
@@ -139,20 +174,17 @@ def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(search, 
         search(generations=1, on_event=killed_at(0, FindTold))
     done = json.loads(state_of(tmp_path).read_text())["sums"][3]
     last = search(runs=24 - done, on_event=heard.append)
-    assert files(tmp_path / "corpus") == files(tmp_path / "whole") != {}
+    assert files(tmp_path / "corpus") == saved != {}
     assert body(heard) == body(whole.events)
     assert {each.id for each in last.findings} <= {each.id for each in whole.findings}
 
 
-def test_a_find_that_was_told_is_told_once_and_one_that_was_cut_off_again(search, tmp_path):
-    first = search(runs=30)
-    assert first.findings
+def test_a_find_that_was_told_is_told_once_and_one_that_was_cut_off_again(search, first):
     again = search(runs=4)
     assert not {each.id for each in again.findings} & {each.id for each in first.findings}
 
 
-def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path):
-    first = search(runs=30)
+def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path, first):
     saved = files(tmp_path / "corpus")
     for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
         path.unlink()
@@ -161,7 +193,7 @@ def test_a_find_whose_file_is_gone_is_found_again(search, tmp_path):
 
 
 def test_a_find_beyond_the_limit_is_never_called_known(search):
-    first = search(runs=30, max_saved=1).summary
+    first = search(runs=20, max_saved=1).summary
     assert first.unsaved
     last = search(runs=1, max_saved=1).summary
     assert set(last.known) == {first.finds[0].id}
@@ -170,18 +202,17 @@ def test_a_find_beyond_the_limit_is_never_called_known(search):
     assert f"not saved (--pafot-max-saved), shown by {runs} runs" in last.notes[1]
 
 
-def test_a_find_under_another_name_is_there(search, tmp_path):
-    assert search(runs=30).findings
+def test_a_find_under_another_name_is_there(search, tmp_path, first):
     for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
         path.rename(path.with_name(f"renamed-{path.name}"))
     assert not search(runs=1).findings
 
 
 def test_what_was_saved_before_the_search_began_stays_known(search, tmp_path):
-    other = search(resume=None, runs=30, seed=3)
+    other = search(resume=None, runs=16, seed=3)
     first, second = search(runs=8), search(runs=8)
     ids = {each.id for each in other.findings}
-    assert not search(resume=None, runs=30).findings  # The corpus has all by now.
+    assert not search(resume=None, runs=16).findings  # The corpus has all by now.
     assert sum(second.summary.known.values()) == second.summary.failing - sum(
         1 + f.repeats for f in second.summary.finds
     )
@@ -359,8 +390,8 @@ def test_an_algorithm_that_stores_what_is_no_data_is_refused_before_the_first_ru
 
 
 def test_an_algorithm_of_ones_own_goes_on(search):
-    whole = search("whole", resume=None, runs=20, algorithm=Climbing)
-    parts = [search(runs=10, algorithm=Climbing) for _ in range(2)]
+    whole = search("whole", resume=None, runs=12, algorithm=Climbing)
+    parts = [search(runs=6, algorithm=Climbing) for _ in range(2)]
     assert body(*[part.events for part in parts]) == body(whole.events)
 
 

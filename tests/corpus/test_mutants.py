@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import settings
 
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.yaml_text import text_of
@@ -15,6 +16,8 @@ from tests.support.mutations import MUTATIONS, UnclearError, misread, says
 
 GOLDEN = sorted(Path(__file__).with_name("format_1").glob("*.pafot.yaml"))
 TEXTS = [text for path in GOLDEN for text in (path.read_text(encoding="utf-8"), text_of(load(path)))]
+EXAMPLES = settings.default.max_examples
+"""Of each kind of damage, as many as hypothesis tries of anything."""
 LOADERS = [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)]
 
 
@@ -44,18 +47,18 @@ def test_so_is_one_that_accepts_its_failure_up_to_a_day_and_a_mutant_of_it():
 def test_a_damaged_file_is_refused_or_read_as_what_it_says(kind):
     rng = random.Random(kind)
     read = 0
-    for _ in range(60):
+    for _ in range(EXAMPLES):
         text = MUTATIONS[kind](rng, rng.choice(TEXTS))
         finding = finding_of(text)
         if finding is not None:
             assert misread(text, finding) == [], text
             read += 1
-    assert read < 60
+    assert read < EXAMPLES
 
 
 def test_what_both_parsers_of_pyyaml_read_is_the_same():
     rng = random.Random(1)
-    for text in [MUTATIONS[kind](rng, rng.choice(TEXTS)) for kind in MUTATIONS for _ in range(8)]:
+    for text in [MUTATIONS[kind](rng, rng.choice(TEXTS)) for kind in MUTATIONS for _ in range(EXAMPLES // 7)]:
         findings = [finding_of(text, loader) for loader in LOADERS]
         assert None in findings or findings[0] == findings[1], text
 

@@ -308,52 +308,38 @@ def test_the_order_of_simpler(simpler, other):
     assert sort_key(simpler) < sort_key(other)
 
 
-needs = st.builds(
-    lambda cells, npcs, genes, speed: (
-        lambda each: (
-            len(each.npcs) >= npcs
-            and each.genes >= genes
-            and cells <= {gene.cell for chain in each.npcs for gene in chain}
-            and all(gene.speed <= speed for chain in each.npcs for gene in chain if gene.cell in cells)
-        )
-    ),
-    st.sets(st.sampled_from(Cell), max_size=3),
-    st.integers(1, 3),
-    st.integers(1, 4),
-    st.integers(0, 30),
-)
+@st.composite
+def failures(draw):
+    """A scenario and a failure that it shows: so many NPCs and genes, and some cells at speeds up to a limit."""
+    given = draw(scenarios(max_npcs=3, max_genes=4))
+    genes = [gene for chain in given.npcs for gene in chain]
+    cells = draw(st.sets(st.sampled_from(sorted({gene.cell for gene in genes})), max_size=3))
+    least = draw(st.integers(1, len(given.npcs))), draw(st.integers(1, given.genes))
+    limit = draw(st.floats(0, 10)) + max((gene.speed for gene in genes if gene.cell in cells), default=0.0)
+
+    def fails(each):
+        genes = [gene for chain in each.npcs for gene in chain]
+        is_large = len(each.npcs) >= least[0] and each.genes >= least[1]
+        slow = all(gene.speed <= limit for gene in genes if gene.cell in cells)
+        return is_large and slow and cells <= {gene.cell for gene in genes}
+
+    assert fails(given)
+    return given, fails
 
 
-@given(scenarios(max_npcs=3), needs, st.integers(0, 400))
-def test_a_result_fails_is_never_larger_and_costs_no_more_than_allowed(given, fails, rollouts):
-    if fails(given):
-        shrunk(given, fails, rollouts=rollouts)
+@given(failures(), st.integers(0, 400))
+def test_a_result_fails_is_never_larger_and_costs_no_more_than_allowed(failure, rollouts):
+    shrunk(*failure, rollouts=rollouts)
 
 
-@settings(max_examples=15)
-@given(scenarios(max_npcs=3), needs)
-def test_shrinking_gives_the_same_again(given, fails):
-    if fails(given):
-        assert shrunk(given, fails) == shrunk(given, fails)
-
-
-@settings(max_examples=10)
-@given(scenarios(max_npcs=3), needs)
-def test_shrinking_a_minimal_result_leaves_it_as_it_is(given, fails):
-    if fails(given):
-        simplest, how = shrunk(given, fails, rollouts=10_000)
-        assert how.is_minimal
-        assert shrunk(simplest, fails, rollouts=10_000)[0] == simplest
-
-
-@settings(max_examples=25)
-@given(scenarios(max_npcs=3), needs)
-def test_no_npc_and_no_gene_can_be_left_out_of_a_minimal_result(given, fails):
-    if not fails(given):
-        return
-    simplest, how = shrunk(given, fails, rollouts=10_000)
+@settings(max_examples=settings.default.max_examples // 4)  # each shrinks three times, to the end
+@given(failures())
+def test_a_minimal_result_comes_again_and_stays_and_no_npc_or_gene_can_be_left_out(failure):
+    given, fails = failure
+    best, how = shrunk(given, fails, rollouts=10_000)
     assert how.is_minimal
-    best = simplest
+    assert shrunk(given, fails, rollouts=10_000) == (best, how)
+    assert shrunk(best, fails, rollouts=10_000)[0] == best
     smaller = [best.truncated(genes) for genes in range(1, best.genes)]
     if len(best.npcs) > 1:
         chains = [best.npcs[:npc] + best.npcs[npc + 1 :] for npc in range(len(best.npcs))]

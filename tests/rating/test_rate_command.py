@@ -8,10 +8,11 @@ import sys
 import pytest
 
 from pytest_pafot.__main__ import main
-from pytest_pafot.rating import rate_plan
-from pytest_pafot.rating.rate import EpisodeRow, Pair, Rate
+from pytest_pafot.rating import crash_picture, rate_plan
+from pytest_pafot.rating.rate import EpisodeRow, Pair, Rate, shown
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
+ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
 
 
 def rate(*arguments):
@@ -29,43 +30,43 @@ def rated(name, **outcomes):
     )
 
 
-def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tmp_path, capsys):
+def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(crash_picture, "picture", lambda episode, title: f"{title}: {episode.outcome}".encode())
     assert (
-        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "30", "--out", str(tmp_path))
+        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10", "--out", str(tmp_path))
         == 0
     )
     out, told = capsys.readouterr()
-    assert re.search(r"^constant_speed@planner in highway-fast-v0: \d+ of 30 episodes crashed, [\d.]+ % \(95 %: ", out)
-    assert "idm_mobil in highway-fast-v0: 0 of 30 episodes crashed, 0 % (95 %: at most 11.6 %); none in " in out
+    assert re.search(r"^constant_speed@planner in highway-fast-v0: \d of 10 episodes crashed, [\d.]+ % \(95 %: ", out)
+    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %); none in " in out
     assert "0 with idm_mobil alone, 0 with both" in out
-    assert "rate: 60 of 60 episodes done after " in told
+    assert "rate: 20 of 20 episodes done after " in told
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
-    assert [int(row["seed"]) for row in rows] == [*range(30), *range(30)]
+    assert [int(row["seed"]) for row in rows] == [*range(10), *range(10)]
     crashed = [row["seed"] for row in rows if row["outcome"] == "collision"]
-    assert f"seeds of the crashes: {', '.join(crashed[:10])}" in out
+    assert len(crashed) > 1
+    assert f"seeds of the crashes: {', '.join(crashed)}\n" in out
     page = (tmp_path / "report.md").read_text()
-    assert "| idm_mobil | 30 | 0 | 0 % | at most 11.6 % |" in page
+    assert "| idm_mobil | 10 | 0 | 0 % | at most 30.8 % |" in page
     (picture,) = re.findall(r"!\[The first crash\]\((.*)\)", page)
-    assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / picture).read_text() == f"constant_speed@planner, seed {crashed[0]}: collision"
 
 
 def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, capsys, monkeypatch):
-    whole = tmp_path / "whole"
-    assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
-    seeds, drive = [], rate_plan.driven
-
-    def watched(world, name, factory, seed, **options):
-        if seed == 30 and 30 not in seeds:
-            seeds.append(seed)
-            raise KeyboardInterrupt
+    def driven(world, name, factory, seed, **options):
+        is_first = seed not in seeds
         seeds.append(seed)
-        return drive(world, name, factory, seed, **options)
+        if seed == 30 and is_first and not whole.exists():
+            raise KeyboardInterrupt
+        return EpisodeRow(ads=name, seed=seed, outcome="safe", seconds=float(seed), error="", steps="0")
 
-    monkeypatch.setattr(rate_plan, "driven", watched)
+    whole, seeds = tmp_path / "whole", []
+    monkeypatch.setattr(rate_plan, "driven", driven)
     for episodes in ("50", "50", "60"):
         rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
     assert "rate: interrupted; what is finished is kept" in capsys.readouterr().err
     assert seeds == [*range(31), *range(25, 60)]
+    assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
     assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
 
 
@@ -107,7 +108,7 @@ def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_pat
 def test_without_pillow_the_report_has_no_picture_and_that_is_told(tmp_path, capsys, monkeypatch):
     monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
     monkeypatch.setitem(sys.modules, "PIL", None)
-    assert rate("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path)) == 0
+    assert rate(*ONE_CRASH, "--out", str(tmp_path)) == 0
     assert "rate: the report has no picture: " in capsys.readouterr().err
     assert "seeds of the crashes: 2" in (tmp_path / "report.md").read_text()
 
@@ -196,14 +197,16 @@ def test_rows_that_cannot_be_written_at_last_are_told_and_the_same_command_goes_
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys):
-    arguments = ("--ads", "constant_speed@planner", "--episodes", "3", "--out", str(tmp_path))
+def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(crash_picture, "picture", lambda episode, title: b"drawn")
+    arguments = (*ONE_CRASH, "--out", str(tmp_path))
     for name in ("results.csv", "constant_speed-planner-2.png", "report.md"):
         taken = tmp_path / name
         taken.mkdir()
         tells_what_is_taken(arguments, taken, capsys)
         taken.rmdir()
     assert rate(*arguments) == 0
+    assert (tmp_path / "constant_speed-planner-2.png").read_bytes() == b"drawn"
 
 
 def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
@@ -212,6 +215,11 @@ def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
     assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
     assert repr(rate) == f"<Rate of a: {rate.sentence}>"
     assert rate.interval()[1] > rate.upper_bound() > rate.share
+
+
+def test_of_many_seeds_the_first_ten_are_told():
+    assert shown(range(12)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"
+    assert shown(range(10)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9"
 
 
 def test_two_policies_are_told_apart_by_the_seeds_that_one_alone_crashes_at():

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot.report import animation
 from pytest_pafot.report.animation import HOLD_MILLISECONDS, MAX_BYTES, AnimationError, animate, moments
 from tests.report.builders import HOSTILE, cut_in_trace, rear_trace, scenario, view_of
 from tests.support.traces import trace_of, vehicle
@@ -24,25 +25,37 @@ def brief():
     return replace(view_of(trace), headline=view.headline)
 
 
-def test_an_animation_has_all_moments_and_holds_the_last(brief):
-    picture = images.open(io.BytesIO(animate(brief)))
+@pytest.fixture(scope="module")
+def drawn(brief):
+    """Its animation."""
+    return animate(brief)
+
+
+def frames(content):
+    """How many pictures an animation has, and how long each is shown [ms]."""
+    picture = images.open(io.BytesIO(content))
+    durations = []
+    for frame in range(getattr(picture, "n_frames", 1)):
+        picture.seek(frame)
+        durations.append(picture.info.get("duration", 0.0))
+    return durations
+
+
+def test_an_animation_has_all_moments_and_holds_the_last(brief, drawn):
+    picture = images.open(io.BytesIO(drawn))
     assert picture.format == "PNG"
     assert picture.is_animated
-    shown = 0
-    for frame in range(picture.n_frames):
-        picture.seek(frame)
-        shown += picture.info["duration"]
-    expected = (len(moments(brief, 8)) - 1) * 125 + HOLD_MILLISECONDS
-    assert shown == expected
-    assert picture.info["duration"] >= HOLD_MILLISECONDS
+    durations = frames(drawn)
+    assert sum(durations) == (len(moments(brief, 8)) - 1) * 125 + HOLD_MILLISECONDS
+    assert durations[-1] >= HOLD_MILLISECONDS
 
 
-def test_the_same_finding_gives_the_same_bytes(brief):
-    assert animate(brief) == animate(brief)
+def test_the_same_finding_gives_the_same_bytes(brief, drawn):
+    assert animate(brief) == drawn
 
 
-def test_vehicles_and_impact_keep_their_colours(brief):
-    picture = images.open(io.BytesIO(animate(brief)))
+def test_vehicles_and_impact_keep_their_colours(drawn):
+    picture = images.open(io.BytesIO(drawn))
     picture.seek(picture.n_frames - 1)
     colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 16)}
     assert {(0x17, 0x1B, 0x20), (0xF0, 0xD2, 0xC0), (0xB4, 0x48, 0x0A), (0xB3, 0x26, 0x1E)} <= colours
@@ -55,7 +68,19 @@ def test_only_the_end_of_a_long_run_is_shown():
     assert times[-1] - times[0] <= 8.0
 
 
-def test_the_busiest_picture_stays_below_the_limit():
+def test_a_file_that_is_too_large_has_fewer_pictures_a_second(brief, monkeypatch):
+    short = replace(brief, times=brief.times[:5])
+    size = len(animate(short))
+    for most, rate in ((size, 8), (size - 1, 6)):
+        monkeypatch.setattr(animation, "MAX_BYTES", most)
+        assert len(frames(animate(short))) == len(moments(short, rate))
+    monkeypatch.setattr(animation, "MAX_BYTES", 1)
+    with pytest.raises(AnimationError, match=r"at most 1 bytes, received \d+ at one frame a second for .* vehicles"):
+        animate(short)
+
+
+def test_the_busiest_picture_stays_below_the_limit_at_the_lowest_rate(monkeypatch):
+    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])
     rng = np.random.default_rng(1)
     ticks = 150
     steady = 20 * np.arange(ticks + 1) / 15
@@ -66,14 +91,15 @@ def test_the_busiest_picture_stays_below_the_limit():
     assert len(animate(view)) <= MAX_BYTES
 
 
-def test_real_findings_stay_below_the_limit():
+def test_real_findings_stay_below_the_limit_at_the_highest_rate(monkeypatch):
+    monkeypatch.setattr(animation, "RATES", animation.RATES[:1])
     assert len(animate(view_of(cut_in_trace()))) < MAX_BYTES
 
 
-@pytest.mark.parametrize("text", HOSTILE)
-def test_any_headline_can_be_drawn(brief, text):
-    still = replace(brief, headline=text * 9, times=brief.times[:1])
-    assert animate(still)
+def test_any_headline_can_be_drawn(brief):
+    still = replace(brief, times=brief.times[:1])
+    for text in HOSTILE:
+        assert animate(replace(still, headline=text * 9)), text
 
 
 def test_without_pillow_the_error_says_what_to_install(brief, monkeypatch):

@@ -4,21 +4,18 @@ import json
 from dataclasses import dataclass
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from pytest_pafot.report.page_codec import decode, encode
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report, ShrinkView
 from tests.report.builders import real_report, values_of
 
 
-@pytest.mark.parametrize("kind", [FindingView, CampaignView, Report])
-def test_any_view_comes_back_from_json_as_it_was(kind):
-    @given(values_of(kind))
-    @settings(max_examples=25)
-    def check(view):
-        assert decode(kind, json.loads(json.dumps(encode(view)))) == view
-
-    check()
+@given(values_of(Report))
+def test_any_report_and_the_views_in_it_come_back_from_json_as_they_were(report):
+    assert decode(Report, json.loads(json.dumps(encode(report)))) == report
+    for kind, views in ((FindingView, report.findings), (CampaignView, report.campaigns)):
+        assert [decode(kind, json.loads(json.dumps(encode(view)))) for view in views] == [*views]
 
 
 def test_a_real_report_comes_back_as_it_was():

@@ -6,7 +6,7 @@ from dataclasses import fields
 from datetime import date
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.campaign.summary import Find, SearchSummary
@@ -50,7 +50,6 @@ RECORDS = st.builds(
 )
 
 
-@settings(max_examples=40)
 @given(RECORDS)
 def test_every_record_is_read_as_it_was_written(record):
     assert read_record(to_text(record)) == record
