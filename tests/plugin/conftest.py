@@ -1,23 +1,32 @@
 """A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
 
+import importlib
 import os
+import pkgutil
 from importlib import metadata
 from pathlib import Path
 
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
 import pytest
 
-import pytest_pafot.campaign.replays
-import pytest_pafot.plugin.execution
-import pytest_pafot.plugin.replay_item
-import pytest_pafot.plugin.search_item
+import pytest_pafot
 import pytest_pafot.strategies
-import pytest_pafot.world.engines.object_engine
+from pytest_pafot.campaign import confirmation
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.support.sessions import in_a_copy, in_process
+from tests.support.sessions import in_a_copy, in_process, known_to_have_no_fixtures
+
+# pytester forgets the modules that a session imports; those of the package stay, as reading them takes a while.
+ROOMS = ("attribution", "campaign", "corpus", "execution", "findings", "plugin", "report", "searching", "world")
+for room in ROOMS:
+    for module in pkgutil.walk_packages(
+        importlib.import_module(f"pytest_pafot.{room}").__path__, f"pytest_pafot.{room}."
+    ):
+        importlib.import_module(module.name)
+
+DIFFERENCE_IN_GYM = confirmation._difference_in_gym
 
 CONFTEST = """
 import pytest
@@ -46,6 +55,9 @@ def ads():
 
 SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
 """Marker arguments of ten-second scenarios, all with the same start."""
+
+SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY")
+"""Variables of the environment that a session shows something of."""
 
 NOT_NAMED = (
     "doctest",
@@ -96,16 +108,37 @@ class Project:
             return in_a_copy(self.pytester, *options)
         return in_process(self.pytester, *options, **inline)
 
-    def search_once(self, *args, **options):
-        """Corpus files of a session with these options that no project with the same sources has searched before."""
-        sources = (path.read_text(encoding="utf-8") for path in sorted(self.path.rglob("*.py")))
-        key = (*sources, args, *options.items())
+    def run_once(self, *args, **options):
+        """A session that begins with the same files and settings as one of another test is not run again.
+
+        What that one showed and left behind is there as if it had been. Not for a test that patches what a session does.
+        """
+        before = self._tree
+        settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
+        key = repr((before, settings, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
-            self.run(*args, **options)
-            self.found[key] = self.contents
-        for name, text in self.found[key].items():
-            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
-            (self.path / name).write_text(text, encoding="utf-8")
+            result = self.run(*args, **options)
+            changed = {name: text for name, text in self._tree.items() if before.get(name, ...) != text}
+            streams = [
+                "\n".join(lines).replace(str(self.path), "{project}") for lines in (result.outlines, result.errlines)
+            ]
+            self.found[key] = (result.ret, streams, before.keys() - self._tree.keys(), changed)
+        status, streams, removed, changed = self.found[key]
+        for name in sorted(removed & self._tree.keys(), reverse=True):
+            path = self.path / name
+            path.rmdir() if path.is_dir() else path.unlink()
+        for name, content in changed.items():
+            path = self.path / name
+            path.mkdir(exist_ok=True) if content is None else path.write_bytes(content)
+        return pytest.RunResult(
+            status, *(text.replace("{project}", str(self.path)).splitlines() for text in streams), 0
+        )
+
+    @property
+    def _tree(self):
+        """The contents of all files but compiled ones, by name, and no contents of each folder."""
+        found = (path for path in sorted(self.path.rglob("*")) if "__pycache__" not in path.parts)
+        return {path.relative_to(self.path).as_posix(): None if path.is_dir() else path.read_bytes() for path in found}
 
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
         """What a process leaves behind that died while a test ran a scenario, or several at once."""
@@ -152,21 +185,33 @@ class Project:
         return self.only_file.name.removesuffix(".pafot.yaml")
 
 
+class Installed:
+    """An installed package, read once."""
+
+    def __init__(self, distribution):
+        self.entry_points, self.files = distribution.entry_points, distribution.files
+        self.metadata, self.version = distribution.metadata, distribution.version
+        self.name = self.metadata["Name"]
+
+
 @pytest.fixture(scope="session")
 def distributions():
     """Installed packages in which pytest may find plugins, of all that it would read again in each session."""
-    return [each for each in metadata.distributions() if each.entry_points.select(group="pytest11")]
+    found = (each for each in metadata.distributions() if each.entry_points.select(group="pytest11"))
+    return [Installed(each) for each in found]
 
 
 @pytest.fixture(scope="session")
 def found():
-    """The corpus files of every search that one session does for all tests."""
+    """What every session showed and left behind that is run once for all tests."""
     return {}
 
 
 @pytest.fixture
 def project(pytester, monkeypatch, distributions, found):
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
+    known_to_have_no_fixtures(monkeypatch)
+    monkeypatch.setattr(confirmation, "_difference_in_gym", lambda run, simulation: "")
     for name in (
         "CI",
         "BUILD_NUMBER",
@@ -183,6 +228,12 @@ def project(pytester, monkeypatch, distributions, found):
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester, found)
+
+
+@pytest.fixture
+def in_highway_env(project, monkeypatch):
+    """Let sessions run each find in highway-env's own environment too, as users' do, which takes longest of all."""
+    monkeypatch.setattr(confirmation, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 FAILING = """
@@ -202,5 +253,5 @@ def failing(project):
 @pytest.fixture
 def saved(failing):
     """The failing project after a session that has saved its failure."""
-    failing.search_once()
+    failing.run_once()
     return failing

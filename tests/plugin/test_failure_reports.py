@@ -29,7 +29,7 @@ def block(result, name):
 
 
 def search(project, *args, **kwargs):
-    return project.run(*args, **{"generations": 10, **kwargs})
+    return project.run_once(*args, **{"generations": 10, **kwargs})
 
 
 def summary(result):
@@ -143,5 +143,5 @@ def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monke
 
 
 def test_a_run_is_short_in_the_header_of_a_traceback(failing):
-    (header,) = re.findall(r"^run = .*$", failing.run("-v").stdout.str(), re.MULTILINE)
+    (header,) = re.findall(r"^run = .*$", failing.run_once("-v").stdout.str(), re.MULTILINE)
     assert len(header) < 80

@@ -30,7 +30,7 @@ class TestClass:
 def test_a_renamed_class_and_a_renamed_method_leave_orphans(project):
     source = METHOD
     project.write(source)
-    project.search_once()
+    project.run_once()
     project.write(source.replace("TestClass", "TestOther").replace("assert not run", "pass"))
     assert "orphaned: 1" in project.run().stdout.str()
     project.write(source.replace("test_fails", "test_renamed").replace("assert not run", "pass"))
@@ -45,7 +45,7 @@ def test_it(run, limit):
     assert not limit
 """
     project.write(source)
-    project.search_once()
+    project.run_once()
     project.write(source.replace("[1, 2]", "[2]"))
     project.run(generations=0).stdout.fnmatch_lines(
         ["orphaned: 1 saved scenario of no test in pafot_corpus/test_it/test_it@1"]
@@ -136,7 +136,7 @@ class TestOther:
 """
     )
     project.write("def test_other():\n    pass\n", name="test_other")
-    project.search_once()
+    project.run_once()
     assert len(project.files) == 2
     assert "orphaned:" not in project.run(*selection, generations=0).stdout.str()
 
@@ -158,7 +158,7 @@ def test_a_module_that_cannot_be_imported_makes_no_orphans(saved):
 def test_prune_removes_orphans_and_nothing_else(project):
     source = "@pafot.search(SHORT, stop_after=1)\ndef test_a(run):\n    assert not run\n"
     project.write(source + source.replace("test_a", "test_b"))
-    project.search_once()
+    project.run_once()
     project.write(source)
     result = project.run("--pafot-prune", generations=0)
     result.stdout.fnmatch_lines(["removed: 1 saved scenario of no test in pafot_corpus/test_it/test_b"])

@@ -65,7 +65,7 @@ def wrapped(project, wrappers="wrappers=[FlattenObservation]", shape="(25,)", ve
 def saved(project):
     """A project with one scenario that was saved in a world of its own."""
     own(project)
-    project.search_once(generations=5)
+    project.run_once(generations=5)
     return project
 
 
@@ -73,7 +73,7 @@ def saved(project):
 def saved_wrapped(project):
     """The same in a wrapped environment."""
     wrapped(project)
-    project.search_once(generations=5)
+    project.run_once(generations=5)
     return project
 
 
@@ -279,7 +279,7 @@ def registered(project, monkeypatch):
     )
     project.pytester.makepyfile(rings=RINGS)
     project.write(FINDS)
-    project.search_once(generations=5)
+    project.run_once(generations=5)
     return project
 
 

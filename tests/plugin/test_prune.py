@@ -18,7 +18,7 @@ BOTH = FAILING + FAILING.replace("test_fails", "test_gone")
 def orphaned(project):
     """A project with the saved scenarios of two tests, one of which is gone."""
     project.write(BOTH)
-    project.search_once()
+    project.run_once()
     project.write(FAILING)
     assert len(project.files) == 2
     return project
@@ -158,7 +158,7 @@ TEST_FILE = "def test_in_the_corpus():\n    raise AssertionError\n"
 @pytest.mark.parametrize("place", ["", "test_it", "test_it/test_fails"])
 @pytest.mark.parametrize("name", ["pafot_corpus", "finds", "data/finds"])
 def test_test_files_in_a_corpus_are_not_collected(failing, name, place):
-    failing.search_once("--pafot-corpus", name)
+    failing.run_once("--pafot-corpus", name)
     (failing.path / name / place / "test_extra.py").write_text(TEST_FILE)
     failing.run("--pafot-corpus", name, generations=0).assert_outcomes(failed=1, skipped=1)
 

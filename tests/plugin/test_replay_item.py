@@ -28,7 +28,7 @@ def test_fails(run):
 def saved(project):
     """A project with one saved scenario, whose search finds nothing but that."""
     project.write(FAILS)
-    project.search_once(generations=5)
+    project.run_once(generations=5)
     assert len(project.files) == 1
     return project
 
@@ -168,7 +168,7 @@ def test_a_replay_that_fails_at_another_time_is_drifted_and_fails(saved):
 
 def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
-    project.search_once("--pafot-shrink-rollouts=0", generations=5)
+    project.run_once("--pafot-shrink-rollouts=0", generations=5)
     braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
     project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
     edited(project, "highway-env: ", "highway-env: 0.")
@@ -178,7 +178,7 @@ def test_a_replay_in_which_nothing_happens_any_more_tells_how_long_that_was(proj
 
 def test_two_runs_in_which_nothing_happened_are_told_apart_by_their_most_critical_moment(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert run.collision\n")
-    project.search_once("--pafot-shrink-rollouts=0")
+    project.run_once("--pafot-shrink-rollouts=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
     result = project.run(generations=0)
@@ -229,7 +229,7 @@ def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_i
 )
 def test_an_environment_that_cannot_be_made_is_told_with_its_line(project, old, new, told):
     project.write(GYM)
-    project.search_once()
+    project.run_once()
     edited(project, old, new)
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)

@@ -42,7 +42,7 @@ def page(project):
 
 
 def test_the_page_has_the_find_and_its_search(failing, page):
-    result = failing.run("--pafot-report=report.html")
+    result = failing.run_once("--pafot-report=report.html")
     data = data_of(page)
     (finding,), (campaign,) = data["findings"], data["campaigns"]
     assert finding["id"] == failing.only_id
@@ -64,7 +64,7 @@ def test_the_page_counts_the_runs_of_a_find(project, page):
 
 
 def test_the_text_of_the_file_is_on_the_page(failing, page):
-    failing.run("--pafot-report=report.html")
+    failing.run_once("--pafot-report=report.html")
     assert html.escape(failing.only_file.read_text()) in page.read_text(encoding="utf-8")
 
 
@@ -79,7 +79,7 @@ def test_a_saved_scenario_that_still_fails_is_on_the_page(saved, page):
 
 def test_a_known_failure_has_the_number_of_runs_that_it_covers(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
-    project.run(generations=2)
+    project.run_once(generations=2)
     project.run("--pafot-report=report.html", generations=2)
     data = data_of(page)
     assert set(labels_of(data)) == {"still failing"}
@@ -151,7 +151,7 @@ def test_a_page_that_cannot_be_written_is_one_line_and_changes_no_result(failing
 
 def test_a_folder_in_the_place_of_the_page_is_a_problem_and_stays(failing, page):
     page.mkdir()
-    result = failing.run("--pafot-report=report.html")
+    result = failing.run_once("--pafot-report=report.html")
     assert "not written" in result.stdout.str()
     assert list(failing.path.glob("**/.pafot-*")) == []
     assert page.is_dir()
@@ -228,7 +228,7 @@ def test_an_error_in_a_fixture_is_shown_on_the_page_of_the_other_tests(project, 
 
 
 def test_only_finds_are_shown_where_a_search_and_its_finds_fail(failing, page):
-    failing.run("--pafot-report=report.html").assert_outcomes(failed=2)
+    failing.run_once("--pafot-report=report.html").assert_outcomes(failed=2)
     assert '<article class="error"' not in page.read_text(encoding="utf-8")
 
 
@@ -256,7 +256,7 @@ def test_a_search_that_time_cut_says_so_on_the_page(project, page):
 
 def test_known_failures_whose_scenarios_did_not_run_are_not_taken_for_a_property_that_was_kept(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
-    project.run("--pafot-shrink-rollouts=0")
+    project.run_once("--pafot-shrink-rollouts=0")
     project.run("--pafot-report=report.html", "test_it.py::test_fails[search]")
     text = page.read_text(encoding="utf-8")
     assert "No new findings. Runs that failed are known" in text

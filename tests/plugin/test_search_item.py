@@ -6,25 +6,25 @@ import pytest
 
 
 def test_a_search_fails_and_reports_each_find_under_the_id_of_its_replay(failing):
-    result = failing.run()
+    result = failing.run_once()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
     result.stdout.fnmatch_lines(["FAILED test_it.py::test_fails[[]search[]]*"])
 
 
 def test_the_search_lists_its_finds(failing):
-    result = failing.run()
+    result = failing.run_once()
     result.stdout.fnmatch_lines(["1 new finding in 1 run, reported below", f"  {failing.only_id} (1 run)"])
 
 
 def test_a_find_is_a_readable_file_beside_the_test(failing):
-    failing.run()
+    failing.run_once()
     assert re.fullmatch(r"pafot_corpus/test_it/test_fails/[a-z0-9-]+\.pafot\.yaml", failing.files[0])
     assert "test: test_it.py::test_fails\n" in failing.only_file.read_text()
 
 
 def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(failing):
-    result = failing.run()
+    result = failing.run_once()
     result.stdout.fnmatch_lines(
         [
             f"pafot: found test_it.py::test_fails[[]saved-{failing.only_id}[]]",
@@ -36,8 +36,8 @@ def test_a_find_is_announced_while_the_search_runs_and_its_report_has_the_file(f
 
 
 def test_the_next_session_replays_the_find_under_the_same_id(failing):
-    failing.run()
-    result = failing.run(generations=0)
+    failing.run_once()
+    result = failing.run_once(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
 
@@ -58,7 +58,7 @@ def test_a_search_that_finds_nothing_passes_and_says_what_it_did(project):
 
 
 def test_assertions_in_the_test_are_explained_as_pytest_does(failing):
-    result = failing.run()
+    result = failing.run_once()
     result.stdout.fnmatch_lines(
         ["    assert run.duration < 1", "E   assert * < 1", "E    +  where * = <Run *>.duration"]
     )

@@ -8,6 +8,7 @@ from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
+from tests.support.sessions import section
 
 MISSPELT = """
 @pafot.search(SHORT, ARGUMENTS)
@@ -32,18 +33,20 @@ def misspelt(arguments=""):
 
 
 class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
-    @pytest.mark.parametrize("arguments", ["", "stop_after=1", "blame='ego'", "algorithm='random'", "population=2"])
-    def test_in_the_test_function_with_the_line_and_the_name_that_is_meant(self, project, arguments):
-        project.write(misspelt(arguments))
+    def test_in_the_test_function_with_the_line_and_the_name_that_is_meant(self, project):
+        each = ["", "stop_after=1", "blame='ego'", "algorithm='random'", "population=2"]
+        project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
         result = project.run(generations=3)
-        result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(
-            [
-                "*assert not run.collided",
-                "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                "E*So it was in all * runs of the first generation*an error of the test function*finding is asserted.",
-            ]
-        )
+        result.assert_outcomes(failed=len(each))
+        for n in range(len(each)):
+            shown = pytest.LineMatcher(section(result, f"test_drive_{n}").splitlines())
+            shown.fnmatch_lines(
+                [
+                    "*assert not run.collided",
+                    "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
+                    "E*So it was in all * runs of the first generation*an error of the test function*finding is asserted.",
+                ]
+            )
         result.stdout.no_fnmatch_line("*pafot: found*")
         result.stdout.no_fnmatch_line("*During handling*")
         result.stdout.no_fnmatch_line("*by the ego's fault*")
@@ -51,25 +54,25 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         assert project.files == []
         assert not (project.path / "pafot_corpus").exists()
 
-    @pytest.mark.parametrize("option", ["-x", "--maxfail=1", "--pafot-save=none", "-n1"])
+    @pytest.mark.parametrize("option", ["-x", "--pafot-save=none", pytest.param("-n1", marks=pytest.mark.processes)])
     def test_whatever_the_session_does_with_failures(self, project, option):
         project.write(misspelt() + "\ndef test_other():\n    pass\n")
         project.run(option).stdout.fnmatch_lines(["E*AttributeError: *did you mean `run.collision`?", "*1 failed*"])
         assert project.files == []
 
-    @pytest.mark.parametrize(
-        ("broken", "told"),
-        [
-            ("return {}['lane'], 0.0", "the ADS failed: KeyError: 'lane'"),
-            ("pytest.skip('no GPU')", "the ADS failed: Skipped: no GPU"),
-            ("return None", "the ADS failed: BadAction: expected (acceleration *received None*"),
-        ],
-    )
-    def test_in_an_ads_that_fails_at_its_first_decision(self, project, broken, told):
-        project.write(BROKEN.replace("BROKEN", broken))
+    def test_in_an_ads_that_fails_at_its_first_decision(self, project):
+        told = {
+            "return {}['lane'], 0.0": "the ADS failed: KeyError: 'lane'",
+            "pytest.skip('no GPU')": "the ADS failed: Skipped: no GPU",
+            "return None": "the ADS failed: BadAction: expected (acceleration *received None*",
+        }
+        for n, broken in enumerate(told):
+            project.write(BROKEN.replace("BROKEN", broken).replace("test_drive", f"test_{n}"), name=f"test_it{n}")
         result = project.run(generations=3)
-        result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines([told, "*in all 4 runs of the first generation, before anything had happened*"])
+        result.assert_outcomes(failed=len(told))
+        for n, line in enumerate(told.values()):
+            shown = pytest.LineMatcher(section(result, f"test_{n}").splitlines())
+            shown.fnmatch_lines([line, "*in all 4 runs of the first generation, before anything had happened*"])
         assert project.files == []
 
     def test_in_an_ads_that_decides_for_many_runs(self, project):
@@ -154,13 +157,14 @@ class TestNothingThatWasFoundIsLost:
         project.run("--pafot-max-time=0").assert_outcomes(failed=2)
         assert len(project.files) == 1
 
-    @pytest.mark.parametrize(
-        "raised", ["assert run.duration < 0", "raise AssertionError('late')", "pytest.fail('late')"]
-    )
-    def test_where_it_was_asserted(self, project, raised):
-        project.write(f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_drive(run):\n    {raised}\n")
+    def test_where_it_was_asserted(self, project):
+        raised = ["assert run.duration < 0", "raise AssertionError('late')", "pytest.fail('late')"]
+        for n, statement in enumerate(raised):
+            project.write(
+                f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_drive(run):\n    {statement}\n", f"test_it{n}"
+            )
         project.run()
-        assert project.files
+        assert {name.split("/")[1] for name in project.files} == {"test_it0", "test_it1", "test_it2"}
 
     def test_where_an_ads_fails_in_every_run_but_later_than_at_its_first_decision(self, project):
         project.write(BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None"))
@@ -206,9 +210,11 @@ async def later(observation):
 
 def in_turn(observation):
     yield 0.0, 0.0
+"""
 
+NEWCOMER = """
 @pafot.search(ARGUMENTS)
-def test_drive(run):
+def test_drive_NUMBER(run):
     pass
 """
 
@@ -289,14 +295,18 @@ MESSAGES = {
 }
 
 
-@pytest.mark.parametrize("arguments", MESSAGES)
-def test_a_newcomer_reads_what_came_and_what_to_write(project, arguments):
-    project.write(NEWCOMERS.replace("ARGUMENTS", arguments))
+def test_a_newcomer_reads_what_came_and_what_to_write(project):
+    tests = [NEWCOMER.replace("ARGUMENTS", given).replace("NUMBER", str(n)) for n, given in enumerate(MESSAGES)]
+    project.write(NEWCOMERS + "".join(tests))
     result = project.run("-W", "error")
-    assert result.ret == pytest.ExitCode.TESTS_FAILED
-    shown = " ".join(result.stdout.str().split()).replace('"', "'")
-    missing = [text for text in MESSAGES[arguments] if not fnmatch.fnmatchcase(shown, f"*{as_pattern(text)}*")]
-    assert missing == []
+    missing = {}
+    for n, given in enumerate(MESSAGES):
+        shown = " ".join(section(result, f"test_drive_{n}").split()).replace('"', "'")
+        missing[given] = [text for text in MESSAGES[given] if not fnmatch.fnmatchcase(shown, f"*{as_pattern(text)}*")]
+    assert {given: texts for given, texts in missing.items() if texts} == {}
+    outcomes = result.parseoutcomes()
+    assert outcomes["failed"] + outcomes["errors"] == len(MESSAGES)
+    assert "passed" not in outcomes
     assert project.files == []
 
 
@@ -323,28 +333,39 @@ def test_runs_that_were_not_judged_are_not_said_to_have_been():
         first.end()
 
 
-@pytest.mark.parametrize("mark", ["pytest.mark.pafot", "pytest.mark.pafot(ads=1)"])
-def test_the_mark_that_selects_searched_tests_says_that_it_makes_none(project, mark):
-    project.write(f"@{mark}\ndef test_drive(run):\n    pass\n\n@pytest.mark.pafot\ndef test_other():\n    pass\n")
+def test_the_mark_that_selects_searched_tests_says_that_it_makes_none(project):
+    marked = [
+        f"@{mark}\ndef test_{n}(run):\n    pass\n"
+        for n, mark in enumerate(("pytest.mark.pafot", "pytest.mark.pafot(ads=1)"))
+    ]
+    project.write("\n".join([*marked, "@pytest.mark.pafot\ndef test_other():\n    pass\n"]))
     result = project.run()
-    result.assert_outcomes(errors=1, passed=1)
-    result.stdout.fnmatch_lines(["*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*"])
+    result.assert_outcomes(errors=2, passed=1)
+    told = "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*"
+    result.stdout.fnmatch_lines([told, "_*", told])
 
 
-@pytest.mark.parametrize(
-    ("action", "told"),
-    [
-        ("(0.0, 3.0)", ["*asked for a steering angle of 3, in rad, of which 0.79*convert degrees with math.radians*"]),
-        ("(0.05, -6.0)", ["*an action is (acceleration, steering), in this order*"]),
-        ("(80.0, 0.0)", ["*asked for an acceleration of 80, in m/s^2, of which 6*holds no speed*"]),
-    ],
-)
-def test_a_note_doubts_actions_in_other_units_or_in_another_order(project, action, told):
-    project.write(f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive(run):\n    pass\n")
-    project.run().stdout.fnmatch_lines(told)
+def steers(actions):
+    """A test of an ADS that always acts in the same way, for each action."""
+    return "\n".join(
+        f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive_{n}(run):\n    pass\n"
+        for n, action in enumerate(actions)
+    )
 
 
-@pytest.mark.parametrize("action", ["(6.0, 0.7)", "(-100.0, -0.7)", "(0, 1)"])
-def test_no_note_doubts_actions_that_a_planner_may_mean(project, action):
-    project.write(f"@pafot.search(SHORT, ads=lambda: lambda seen: {action})\ndef test_drive(run):\n    pass\n")
-    project.run().stdout.no_fnmatch_line("*the ADS asked for*")
+def test_a_note_doubts_actions_in_other_units_or_in_another_order(project):
+    told = {
+        "(0.0, 3.0)": "asked for a steering angle of 3, in rad, of which 0.79*convert degrees with math.radians*",
+        "(0.05, -6.0)": "an action is (acceleration, steering), in this order*",
+        "(80.0, 0.0)": "asked for an acceleration of 80, in m/s^2, of which 6*holds no speed*",
+    }
+    project.write(steers(told))
+    lines = [each for n, line in enumerate(told.values()) for each in (f"*test_drive_{n}[[]search[]]", f"*{line}")]
+    project.run().stdout.fnmatch_lines(lines)
+
+
+def test_no_note_doubts_actions_that_a_planner_may_mean(project):
+    project.write(steers(["(6.0, 0.7)", "(-100.0, -0.7)", "(0, 1)"]))
+    result = project.run()
+    assert sum(result.parseoutcomes().values()) == 3
+    result.stdout.no_fnmatch_line("*the ADS asked for*")

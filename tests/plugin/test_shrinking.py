@@ -42,7 +42,7 @@ def test_a_run_off_the_road_has_no_later_start():
 
 
 def run(project, *args, **kwargs):
-    return project.run(*args, **{"generations": 10, **kwargs})
+    return project.run_once(*args, **{"generations": 10, **kwargs})
 
 
 def test_a_find_is_announced_once_as_it_was_found(collides):
@@ -221,7 +221,7 @@ def test_brakes(run):
     assert finding.shrunk is None
 
 
-def test_a_find_that_the_plain_environment_does_not_show_is_flaky(project):
+def test_a_find_that_the_plain_environment_does_not_show_is_flaky(project, in_highway_env):
     project.write(
         """
 import sys

@@ -48,7 +48,7 @@ def test_workers_find_shrink_save_report_and_show_the_same_as_one_process(projec
 
 def test_workers_replay_and_label(project):
     project.write(TWO)
-    project.search_once("-x")
+    project.run_once("-x")
     result = project.run("-n1", generations=0)
     result.assert_outcomes(failed=1, skipped=2)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -63,7 +63,7 @@ def test_workers_use_one_fresh_base_seed(project):
 
 def test_workers_report_orphans_once_and_prune_them(project):
     project.write(TWO)
-    project.search_once("-x")
+    project.run_once("-x")
     project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run("-n2", "--pafot-prune", generations=0)
     assert result.stdout.str().count("of no test in pafot_corpus/test_it/test_first") == 1
@@ -129,7 +129,7 @@ def test_two_sessions_at_once_that_find_the_same_write_one_file(project):
 
 def test_workers_run_a_corpus_file_alone(project):
     project.write(TWO)
-    project.search_once("-x")
+    project.run_once("-x")
     project.run("-n1", project.files[0]).assert_outcomes(failed=1)
 
 

@@ -3,14 +3,17 @@
 import faulthandler
 import json
 import os
+import re
 import signal
 import sys
 import tempfile
 import time
 import traceback
+import types
 import warnings
 
 import pytest
+from _pytest.fixtures import FixtureManager
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -22,6 +25,16 @@ def read_record(text):
     searches = [SearchRecord(**each) for each in plain.pop("searches")]
     findings = [FindingRecord(**each) for each in plain.pop("findings")]
     return SessionRecord(searches=searches, findings=findings, **plain)
+
+
+def section(result, name):
+    """What a session shows of the failure of the test function of this name."""
+    lines = result.outlines
+    title = re.compile(rf"_{{3,}} (.*[ .])?{re.escape(name)}(\[.*\])? _{{3,}}")
+    start = next(number for number, line in enumerate(lines) if title.fullmatch(line))
+    rest = range(start + 1, len(lines))
+    end = next(number for number in rest if re.fullmatch(r"([_=])\1{2,} .* \1{3,}", lines[number]))
+    return "\n".join(lines[start:end])
 
 
 def in_process(pytester, *args, **kwargs):
@@ -49,6 +62,34 @@ def in_a_copy(pytester, *args):
     out, err = (stream.read_text(encoding="utf-8") for stream in streams)
     print(out, err, sep="\n")
     return pytest.RunResult(status, out.splitlines(), err.splitlines(), time.monotonic() - begun)
+
+
+FIXTURE = type(pytest.fixture(lambda: None))
+
+BARE = set()
+"""Plugins in which a session of this process has looked for fixtures and found none."""
+
+
+def known_to_have_no_fixtures(monkeypatch):
+    """Let sessions look for fixtures only in plugins that have some: else it is a third of a short session."""
+    look = FixtureManager.pytest_plugin_registered
+
+    def look_once(self, plugin, plugin_name):
+        source = plugin if isinstance(plugin, types.ModuleType) else type(plugin)
+        if source not in BARE:
+            look(self, plugin, plugin_name)
+            if _is_shared(source) and not any(isinstance(each, FIXTURE) for each in vars(source).values()):
+                BARE.add(source)
+
+    monkeypatch.setattr(FixtureManager, "pytest_plugin_registered", look_once)
+
+
+def _is_shared(source):
+    """Whether it is a part of pytest, or of this plugin, that all sessions of this process share."""
+    name = source.__name__ if isinstance(source, types.ModuleType) else source.__module__
+    return name.startswith(("_pytest.", "pytest_pafot.plugin")) and "<locals>" not in getattr(
+        source, "__qualname__", ""
+    )
 
 
 def _be_a_session(streams, args):
