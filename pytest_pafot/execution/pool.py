@@ -50,6 +50,10 @@ STUCK, EXHAUSTED = 1, 2
 POLL = 0.5
 """How long to wait for answers at most before looking whether those who owe one still live [s]."""
 
+LARGEST = 0x2020_2020 - 1
+"""Bytes of an answer. A message begins with its length, and what an ADS prints into the pipe, whose descriptor it found
+by chance, reads as more: the session would wait for so many bytes for ever."""
+
 Work: TypeAlias = Callable[..., ResultT]
 """Runs a task in a process of the pool: it is called with the task, with a function that can be told the share of it
 that is done, and with what goes along with the tasks, where anything does."""
@@ -252,7 +256,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
             how = f"ignored the interruption of a decision for {self.grace:.1f} s and was ended"
             self._lose(task, worker, how, is_hang=True)
         elif is_gone:
-            self._lose(task, worker)
+            is_garbled = not worker.connection.readable  # since what it said is longer than any answer
+            how = "wrote into the pipe to the session, by a descriptor that it did not open, and was ended"
+            self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
             self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
 
@@ -326,7 +332,7 @@ class _Worker(Generic[TaskT]):
     def hear(self) -> tuple[bool, Any] | None:
         """Whether its task is done, and the result, or else the share that is; None where it ended before."""
         try:
-            is_done, said = self.connection.recv()
+            is_done, said = pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (of a process of this one)
         except (EOFError, OSError):
             return None
         except Exception as error:  # noqa: BLE001  (made of what cannot be had here)

@@ -36,7 +36,10 @@ ESCAPES = r"\e[2J\e]0;owned\a\r::error::owned\n::add-mask::owned\n##[error]owned
 TEST = """
 import pytest_pafot as pafot
 
-@pafot.search(ads=lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(duration=10.0))
+def drive(observation):  # in an environment by its own actions
+    return (0.0, 0.0) if hasattr(observation, "ego") else 1
+
+@pafot.search(ads=lambda: drive, world=pafot.Highway(duration=10.0))
 def test_it(run):
     assert run.duration < 0
 
@@ -167,7 +170,7 @@ def _cache_linked_outside(place: Place) -> None:
 
 
 def _many_files(place: Place) -> None:
-    for number in range(2000):
+    for number in range(500):
         (place.folder / f"many-{number}.pafot.yaml").write_text("pafot: 2\n")
 
 
@@ -194,7 +197,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "half-written file that is a link": beside(_temporary_linked_outside),
         "folder of records that is a link": beside(_cache_linked_outside),
         "deep folders": beside(_deep_folders),
-        "2,000 files": beside(_many_files),
+        "500 files": beside(_many_files),
         "escapes in the message": file(lambda: good(assertion=f'"{ESCAPES}"', failure="ValueError")),
         "escapes in the test": file(lambda: good(test=f'"{ESCAPES}"')),
         "escapes in a version": file(lambda: good(algorithm=f'"{ESCAPES}"')),

@@ -1,11 +1,13 @@
 """A pool of processes for any task: what it answers, and what is told of processes that do not come back."""
 
+import contextlib
 import faulthandler
 import gc
 import multiprocessing
 import os
 import select
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -208,6 +210,21 @@ def test_a_process_that_dies_names_its_task_and_the_others_are_answered(pool_of,
     assert (lost.task, lost.how, lost.is_hang) == (2, how, False)
     assert answers == [0, 1, 9, 16, 25]
     assert pool.recovered == []
+
+
+def test_a_process_that_prints_into_the_pipe_of_the_pool_is_ended_and_named(pool_of):
+    def scribble(number):
+        for descriptor in range(3, 256) if number == 3 else ():
+            with contextlib.suppress(OSError):
+                if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+                    os.write(descriptor, b"see here\n")
+
+    pool = pool_of(scribble)
+    pool.expect(TASKS)
+    answers = fetched(pool)
+    assert isinstance(answers[3], ProcessLostError)
+    assert answers[3].how.startswith("wrote into the pipe to the session, by a descriptor that it did not open")
+    assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
 
 
 def test_a_task_in_which_a_process_died_is_tried_once_more_alone(pool_of, tmp_path):
