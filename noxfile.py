@@ -16,6 +16,7 @@ PYTHONS = nox.project.python_versions(PROJECT)
 """Every Python that the project says it supports, the oldest first."""
 README = Path("README.md").read_text(encoding="utf-8")
 QUICK = "@tests/quick.txt"
+STAGES = "oracle or stories or processes or hypothesis"
 
 nox.options.sessions = ["lint", "types", f"quick-{PYTHONS[-1]}"]
 nox.options.reuse_venv = "yes"
@@ -36,10 +37,18 @@ def requirement(name: str) -> str:
 
 @nox.session(python=PYTHONS)
 def tests(session: nox.Session) -> None:
-    """The whole suite, as the README runs it."""
+    """The main stage of the tests, as the README runs it."""
     install, run = readme_commands()
     session.run(*install)
     session.run(*run, *session.posargs)
+
+
+@nox.session(python=PYTHONS[0])
+def stages(session: nox.Session) -> None:
+    """The stages that the README's command leaves out, with more examples of hypothesis."""
+    install, run = readme_commands()
+    session.run(*install)
+    session.run(*run, "--hypothesis-profile=thorough", "-m", STAGES, *session.posargs)
 
 
 @nox.session(python=PYTHONS)
@@ -68,5 +77,7 @@ def types(session: nox.Session) -> None:
 def docs(session: nox.Session) -> None:
     """Every sample, table, link and option in the documents, and their site."""
     session.install(".[test,docs]")
-    session.run("python", "-m", "pytest", "-n", "2", "tests/test_docs.py", *session.posargs)
+    session.run(
+        "python", "-m", "pytest", "-n", "2", "-m", "stories or not stories", "tests/test_docs.py", *session.posargs
+    )
     session.run(*shlex.split("python -m sphinx -W --keep-going -n -b html docs build/site"))

@@ -85,12 +85,13 @@ def test_the_quick_part_names_files_that_exist():
     assert "@tests/quick.txt" in NOX
 
 
-def test_ci_runs_every_stage_that_the_readme_command_leaves_out():
+def test_ci_and_nox_run_every_stage_that_the_readme_command_leaves_out():
     (*_, chosen) = PYTEST["addopts"]
     left_out = set(re.findall(r"not (\w+)", chosen))
     assert left_out == {line.partition(":")[0] for line in PYTEST["markers"]}
     (stages,) = re.findall(r'^part python -m pytest -n 2 --hypothesis-profile=thorough -m "(.*)"$', CI, re.MULTILINE)
     assert set(stages.split(" or ")) == {*left_out, "hypothesis"}
+    assert f'STAGES = "{stages}"' in NOX
 
 
 @pytest.mark.parametrize("command", ["ruff check", "ruff format", "mypy"])
