@@ -37,6 +37,12 @@ def pytest_configure(config: pytest.Config) -> None:
         providers.is_local_module_file = lambda path: False
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the long ones, so that at the end no worker has one to go while the others have none."""
+    items.sort(key=lambda item: not (item.get_closest_marker("stories") or item.get_closest_marker("processes")))
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """What is made meanwhile stays to the end: looking for garbage in it, then or after every few tests, finds none."""
