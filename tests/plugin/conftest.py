@@ -111,7 +111,7 @@ class Project:
     def run_once(self, *args, **options):
         """A session that begins with the same files and settings as one of another test is not run again.
 
-        What that one showed and left behind is there as if it had been. Not for a test that patches what a session does.
+        What that one showed and left behind is there as if it had been. Not for a test that patches a session's code.
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}

@@ -7,6 +7,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import safe_name
 from tests.plugin.conftest import CONFTEST
+from tests.support.sessions import section
 
 GARBLED = {
     "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),
@@ -29,25 +30,34 @@ GARBLED = {
 }
 
 
-@pytest.mark.parametrize("fault", GARBLED)
-def test_a_garbled_file_is_one_failing_item_with_its_place(saved, fault):
-    pattern, replacement, field = GARBLED[fault]
-    text = saved.only_file.read_text()
-    garbled = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
-    assert garbled != text
-    saved.only_file.write_text(garbled)
+def test_each_garbled_file_is_one_failing_item_with_its_place(saved):
+    text, first = saved.only_file.read_text(), saved.only_file
+    for number, (pattern, replacement, _) in enumerate(GARBLED.values()):
+        garbled = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
+        assert garbled != text
+        first.with_name(f"garbled-{number}.pafot.yaml").write_text(garbled)
+    first.unlink()
     saved.write("def test_other():\n    pass\n", name="test_other")
     result = saved.run(generations=0)
-    result.assert_outcomes(failed=1, passed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*{saved.only_file.name}*{field}*expected *, received *"])
+    result.assert_outcomes(failed=len(GARBLED), passed=1, skipped=1)
+    for number, (_, _, field) in enumerate(GARBLED.values()):
+        shown = pytest.LineMatcher(section(result, f"test_fails[saved-garbled-{number}]").splitlines())
+        shown.fnmatch_lines([f"*garbled-{number}.pafot.yaml*{field}*expected *, received *"])
 
 
-@pytest.mark.parametrize("name", ["with space", "\xfcber", "a%b", "copy (1)", "[x]"])
-def test_a_file_whose_name_is_no_id_is_one_failing_item(saved, name):
-    saved.only_file.rename(saved.only_file.with_name(f"{name}.pafot.yaml"))
+def test_each_file_whose_name_is_no_id_is_one_failing_item(saved):
+    names = ["with space", "\xfcber", "a%b", "copy (1)", "[x]"]
+    for name in names:
+        saved.only_file.with_name(f"{name}.pafot.yaml.new").write_text(saved.only_file.read_text())
+    saved.only_file.unlink()
+    for path in saved.path.rglob("*.new"):
+        path.rename(path.with_suffix(""))
     result = saved.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*: expected a name of letters, digits*; rename the file"])
+    result.assert_outcomes(failed=len(names), skipped=1)
+    lines = [line for line in result.outlines if line.endswith("; rename the file")]
+    for name in names:
+        told = [line for line in lines if f"{name}.pafot.yaml: expected a name of letters, digits" in line]
+        assert told, name
 
 
 def test_crlf_line_ends_are_accepted(saved):
@@ -65,7 +75,7 @@ def test_a_garbled_file_does_not_stop_the_search_of_its_item(saved):
 
 
 def test_a_deleted_file_is_found_again_under_its_name(failing):
-    failing.run()
+    failing.run_once()
     first = failing.contents
     failing.only_file.unlink()
     failing.run().assert_outcomes(failed=2)
@@ -107,6 +117,7 @@ def test_fails(run):
 """
 
 
+@pytest.mark.processes
 def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(project):
     texts = []
     for folder, process in (("first", {"apart": True}), ("second", {"fresh": True})):

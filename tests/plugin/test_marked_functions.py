@@ -5,13 +5,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.rejection import Rejected
-
-
-def test_an_async_test_is_refused_and_not_passed_without_being_awaited(project):
-    project.write("@pafot.search\nasync def test_async(run):\n    assert False\n")
-    result = project.run()
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*expected a plain function, received an async one*write `def`*"])
+from tests.support.sessions import section
 
 
 def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project):
@@ -22,27 +16,24 @@ def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project
     assert project.files == []
 
 
-@pytest.mark.parametrize("through", ["subtests", "indirectly"])
-def test_the_fixture_subtests_is_refused_since_its_failures_do_not_leave_the_function(project, through):
-    project.write(
-        f"""
-@pytest.fixture
-def indirectly(subtests):
-    return subtests
-
+def test_the_fixture_subtests_is_refused_since_its_failures_do_not_leave_the_function(project):
+    source = """
 @pafot.search(SHORT)
-def test_parts(run, {through}):
-    with {through}.test("part"):
+def test_parts_THROUGH(run, THROUGH):
+    with THROUGH.test("part"):
         assert not run.duration
 
-def test_other({through}):
-    with {through}.test("part"):
+def test_other_THROUGH(THROUGH):
+    with THROUGH.test("part"):
         pass
 """
-    )
+    indirectly = "@pytest.fixture\ndef indirectly(subtests):\n    return subtests\n"
+    project.write(indirectly + "".join(source.replace("THROUGH", each) for each in ("subtests", "indirectly")))
     result = project.run()
-    result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["*received one with the fixture '*', which collects failures*write `assert ...`*"])
+    result.assert_outcomes(failed=2, passed=2)
+    told = "*received one with the fixture '*', which collects failures*write `assert ...`*"
+    for each in ("subtests", "indirectly"):
+        pytest.LineMatcher(section(result, f"test_parts_{each}").splitlines()).fnmatch_lines([told])
     assert project.files == []
 
 
@@ -63,48 +54,58 @@ def test_failures_that_pytest_check_has_collected_are_refused_and_not_passed_ove
     result.stdout.fnmatch_lines(["*received one with pytest-check, which collects failures*"])
 
 
-def test_a_method_of_unittest_testcase_is_refused(project):
+def test_a_function_that_cannot_be_searched_is_one_clear_error_and_others_run(project):
     project.write(
         """
 import unittest
+
+@pafot.search
+async def test_async(run):
+    assert False
 
 class TestCase(unittest.TestCase):
     @pafot.search
     def test_method(self):
         pass
+
+@pafot.search
+def test_nothing():
+    pass
+
+@pafot.search(arg="rnu")
+def test_misspelt(run):
+    pass
+
+@pytest.mark.parametrize("run", [1, 2])
+@pafot.search
+def test_double(run):
+    pass
+
+@pytest.mark.pafot_search
+def test_raw(run):
+    pass
+
+def test_other():
+    pass
 """
     )
     result = project.run()
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*received a method of the unittest.TestCase TestCase*"])
-
-
-def test_a_missing_parameter_is_one_clear_error_and_others_run(project):
-    project.write("@pafot.search\ndef test_nothing():\n    pass\n\ndef test_other():\n    pass\n")
-    result = project.run()
-    result.assert_outcomes(errors=1, passed=1)
-    result.stdout.fnmatch_lines(["expected a parameter 'run'*name it, as in `def test_nothing(run)`"])
-
-
-def test_a_misspelt_arg_is_one_clear_error_and_not_a_missing_fixture(project):
-    project.write('@pafot.search(arg="rnu")\ndef test_misspelt(run):\n    pass\n')
-    result = project.run()
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(
-        ["*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)"]
-    )
+    result.assert_outcomes(errors=7, passed=1)
+    told = {
+        "test_async": "*expected a plain function, received an async one*write `def`*",
+        "TestCase.test_method": "*received a method of the unittest.TestCase TestCase*",
+        "test_nothing": "expected a parameter 'run'*name it, as in `def test_nothing(run)`",
+        "test_misspelt": "*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)",
+        "test_double": "*expected the parameter 'run' to be free for the simulated run*",
+        "test_raw": "*mark it with @pafot.search(...)*",
+    }
+    for name, line in told.items():
+        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([line])
 
 
 def test_arg_renames_the_parameter_also_where_it_is_keyword_only(project):
     project.write('@pafot.search(SHORT, arg="drive")\ndef test_renamed(*, drive):\n    assert drive.duration > 0\n')
     project.run().assert_outcomes(passed=1)
-
-
-def test_a_parameter_that_is_parametrised_already_is_one_clear_error(project):
-    project.write('@pytest.mark.parametrize("run", [1, 2])\n@pafot.search\ndef test_double(run):\n    pass\n')
-    result = project.run()
-    result.assert_outcomes(errors=2)
-    result.stdout.fnmatch_lines(["*expected the parameter 'run' to be free for the simulated run*"])
 
 
 def test_the_decorator_works_bare_called_and_on_classes(project):
@@ -142,77 +143,73 @@ class TestClass:
     result.stdout.fnmatch_lines([f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"])
 
 
-@pytest.mark.parametrize(
-    "order", [("@given(number=st.integers())", "@pafot.search"), ("@pafot.search", "@given(number=st.integers())")]
-)
-def test_given_and_search_on_one_function_are_refused(project, order):
-    decorators = "\n".join(order)
+def test_given_and_search_on_one_function_are_refused(project):
+    given, search = "@given(number=st.integers())", "@pafot.search"
     project.write(
-        f"from hypothesis import given, strategies as st\n\n{decorators}\ndef test_both(run, number):\n    pass\n"
+        "from hypothesis import given, strategies as st\n\n"
+        f"{given}\n{search}\ndef test_given_first(run, number):\n    pass\n\n"
+        f"{search}\n{given}\ndef test_search_first(run, number):\n    pass\n"
     )
     result = project.run(plugins=("hypothesispytest",))
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*expected @pafot.search or @given, received both*pafot_simulate*"])
+    result.assert_outcomes(errors=2)
+    told = "*expected @pafot.search or @given, received both*pafot_simulate*"
+    for name in ("test_given_first", "test_search_first"):
+        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([told])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("colour='red'", "*(colour=...): expected one of *received 'colour'*"),
-        ("5", "*expected keyword arguments only, received (5,)*"),
-        ("prune=True", "*this concerns the whole session; give --pafot-prune on the command line*"),
-        ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, received 'npc'*"),
-        ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
-        ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
-        ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
-        ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
-        ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
-        ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
-        ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
-    ],
-)
-def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project, arguments, message):
-    project.write(
-        f"""
-@pytest.fixture
-def ads():
-    raise RuntimeError("set up")
+WRONG = [
+    ("colour='red'", "*(colour=...): expected one of *received 'colour'*"),
+    ("5", "*expected keyword arguments only, received (5,)*"),
+    ("prune=True", "*this concerns the whole session; give --pafot-prune on the command line*"),
+    ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, received 'npc'*"),
+    ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
+    ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
+    ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
+    ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
+    ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*give lanes to the world*"),
+    ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
+    ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
+]
+"""Arguments that are an error of their item before any fixture, with what it says."""
 
-@pafot.search({arguments})
-def test_wrong(run):
-    pass
 
-def test_other():
-    pass
-"""
-    )
+def shown_of(project, cases, before=""):
+    """What a session shows, and of each of these arguments the lines of its failure."""
+    tests = [f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n" for n, (arguments, _) in enumerate(cases)]
+    project.write("\n".join([before, *tests, "def test_other():\n    pass\n"]))
     result = project.run()
-    result.assert_outcomes(errors=1, passed=1)
-    result.stdout.fnmatch_lines([message])
+    return result, [pytest.LineMatcher(section(result, f"test_{n}").splitlines()) for n in range(len(cases))]
+
+
+def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project):
+    result, shown = shown_of(project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n")
+    result.assert_outcomes(errors=len(WRONG), passed=1)
+    for lines, (_, message) in zip(shown, WRONG, strict=True):
+        lines.fnmatch_lines([message])
     result.stdout.no_fnmatch_line("*another exception occurred*")
     result.stdout.no_fnmatch_line("All traceback entries are hidden*")
     assert "set up" not in result.stdout.str()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
-        ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-        ("npcs=1.5", "*npcs: expected a whole number, received 1.5*"),
-        ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0, received 0*"),
-        ("ego_lane='left'", "*ego_lane*"),
-        ("ego_lane=7", "*ego_lane*"),
-        ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
-        ("fitness='best'", "*(fitness=...): *'best'*"),
-        ("fitness=lambda trace: 'high'", "*fitness: expected *"),
-    ],
-)
-def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(project, arguments, message):
-    project.write(f"@pafot.search({arguments})\ndef test_wrong(run):\n    pass\n")
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines([message])
+REFUSED = [
+    ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
+    ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
+    ("npcs=1.5", "*npcs: expected a whole number, received 1.5*"),
+    ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0, received 0*"),
+    ("ego_lane='left'", "*ego_lane*"),
+    ("ego_lane=7", "*ego_lane*"),
+    ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
+    ("fitness='best'", "*(fitness=...): *'best'*"),
+    ("fitness=lambda trace: 'high'", "*fitness: expected *"),
+]
+"""Arguments that only a world or a run can refuse."""
+
+
+def test_an_argument_that_only_a_world_or_a_run_can_refuse_fails_its_item(project):
+    result, shown = shown_of(project, REFUSED)
+    result.assert_outcomes(failed=len(REFUSED), passed=1)
+    for lines, (_, message) in zip(shown, REFUSED, strict=True):
+        lines.fnmatch_lines([message])
     result.stdout.no_fnmatch_line("*another exception occurred*")
     result.stdout.no_fnmatch_line("*ended before its time*")
 
@@ -268,23 +265,22 @@ def test_a_factory_that_raises_shows_its_own_traceback_and_is_no_find(project):
     assert project.files == []
 
 
-@pytest.mark.parametrize("call", ["pytest.skip('no GPU')", "pytest.importorskip('no_such_module')", "pytest.xfail('')"])
-@pytest.mark.parametrize("where", ["factory", "fitness"])
-def test_a_skip_in_the_middle_of_a_search_is_an_error_and_not_green(project, where, call):
-    arguments = {"factory": "ads=other", "fitness": "fitness=other"}[where]
+def test_a_skip_in_the_middle_of_a_search_is_an_error_and_not_green(project):
+    calls = ["pytest.skip('no GPU')", "pytest.importorskip('no_such_module')", "pytest.xfail('')"]
+    cases = [(where, call) for where in ("factory", "fitness") for call in calls]
+    arguments = {"factory": "ads", "fitness": "fitness"}
     project.write(
-        f"def other(*args):\n    {call}\n\n@pafot.search(SHORT, {arguments})\ndef test_drive(run):\n    pass\n"
+        "\n".join(
+            f"def other_{n}(*args):\n    {call}\n\n"
+            f"@pafot.search(SHORT, {arguments[where]}=other_{n})\ndef test_drive_{n}(run):\n    pass\n"
+            for n, (where, call) in enumerate(cases)
+        )
     )
     result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines([f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"])
-
-
-def test_a_raw_mark_says_which_decorator_to_use(project):
-    project.write("@pytest.mark.pafot_search\ndef test_raw(run):\n    pass\n")
-    result = project.run()
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*mark it with @pafot.search(...)*"])
+    result.assert_outcomes(failed=len(cases))
+    for n, (where, _) in enumerate(cases):
+        shown = pytest.LineMatcher(section(result, f"test_drive_{n}").splitlines())
+        shown.fnmatch_lines([f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"])
 
 
 def test_skip_inside_a_scenario_does_not_hide_finds(project):
@@ -327,10 +323,9 @@ def test_reject_outside_of_a_search_says_where_it_belongs():
         pafot.reject()
 
 
-@pytest.mark.parametrize("raised", ["GeneratorExit", "Panic('lost')", "Mute", "MuteAndExits"])
-def test_whatever_else_the_test_function_raises_is_a_find(project, raised):
-    project.write(
-        f"""
+def test_whatever_else_the_test_function_raises_is_a_find(project):
+    raised = ["GeneratorExit", "Panic('lost')", "Mute", "MuteAndExits"]
+    classes = """
 class Panic(BaseException):
     pass
 
@@ -341,15 +336,18 @@ class Mute(Exception):
 class MuteAndExits(Exception):
     def __str__(self):
         raise SystemExit(3)
-
-@pafot.search(SHORT, shrink_rollouts=0)
-def test_raises(run):
-    if run.scenario.npcs[0][0].cell < 5:
-        raise {raised}
 """
-    )
-    project.run().stdout.fnmatch_lines(["*new finding*"])
-    assert {load(project.path / name).expect.failure for name in project.files} == {raised.partition("(")[0]}
+    test = """
+@pafot.search(SHORT, shrink_rollouts=0)
+def test_NUMBER(run):
+    if run.scenario.npcs[0][0].cell < 5:
+        raise RAISED
+"""
+    tests = (test.replace("NUMBER", str(n)).replace("RAISED", each) for n, each in enumerate(raised))
+    project.write(classes + "".join(tests))
+    project.run().stdout.fnmatch_lines(["*new finding*"] * len(raised))
+    failures = {(name.split("/")[2], load(project.path / name).expect.failure) for name in project.files}
+    assert failures == {(f"test_{n}", each.partition("(")[0]) for n, each in enumerate(raised)}
 
 
 def test_the_skip_of_unittest_is_a_skip_too(project):

@@ -52,19 +52,22 @@ def test_it(run, limit):
     )
 
 
-@pytest.mark.parametrize("place", ["pafot_corpus/test_it", "pafot_corpus", "."])
-def test_a_file_that_lies_too_high_is_told_with_the_folder_where_it_should_be(saved, place):
-    home, id_ = saved.only_file.parent, saved.only_id
-    saved.only_file.rename(saved.path / place / saved.only_file.name)
+def test_files_that_lie_too_high_are_told_with_the_folder_where_they_should_be(saved):
+    home = saved.only_file
+    text, places = home.read_text(), ["pafot_corpus/test_it", "pafot_corpus", "."]
+    home.unlink()
+    for number, place in enumerate(places):
+        (saved.path / place / f"a-{number}.pafot.yaml").write_text(text)
     result = saved.run(generations=0)
     result.assert_outcomes(skipped=1)
-    assert told(result) == [
-        f"{saved.files[0]}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails"
+    assert sorted(told(result)) == [
+        f"{name}, which lies in no folder of a test; move it to pafot_corpus/test_it/test_fails" for name in saved.files
     ]
-    saved.only_file.rename(home / saved.only_file.name)
+    saved.forget()
+    home.write_text(text)
     again = saved.run(generations=0)
     again.assert_outcomes(failed=1, skipped=1)
-    assert (saved.only_id, told(again)) == (id_, [])
+    assert told(again) == []
 
 
 def told(result):
@@ -87,13 +90,13 @@ def test_a_file_in_a_folder_above_its_test_is_told_and_one_elsewhere_is_not_look
     ]
 
 
-@pytest.mark.parametrize(
-    ("line", "place"),
-    [("test: test_old.py::test_it", "the folder of test_old.py::test_it"), ("", "the folder of its test")],
-)
-def test_a_file_that_lies_too_high_and_names_no_collected_test_is_told(failing, line, place):
-    (failing.path / "a.pafot.yaml").write_text(line)
-    assert told(failing.run(generations=0)) == [f"a.pafot.yaml, which lies in no folder of a test; move it to {place}"]
+def test_files_that_lie_too_high_and_name_no_collected_test_are_told(failing):
+    (failing.path / "a.pafot.yaml").write_text("test: test_old.py::test_it")
+    (failing.path / "b.pafot.yaml").write_text("")
+    assert told(failing.run(generations=0)) == [
+        "a.pafot.yaml, which lies in no folder of a test; move it to the folder of test_old.py::test_it",
+        "b.pafot.yaml, which lies in no folder of a test; move it to the folder of its test",
+    ]
 
 
 def test_without_a_search_nobody_looks_for_files_that_lie_too_high(project):
@@ -170,7 +173,7 @@ def test_prune_spares_what_lies_below_a_file_that_lies_too_high(project):
     project.write(one, name="test_top")
     project.write(one, name="tests/test_low")
     corpus = project.path / "all"
-    project.run("--pafot-corpus", corpus)
+    project.run("--pafot-corpus", corpus, "--pafot-shrink-rollouts=0")
     files = project.files
     assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
     (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")

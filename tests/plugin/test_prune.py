@@ -62,6 +62,7 @@ def test_a_file_that_cannot_be_removed_is_a_problem_with_the_way_out(orphaned, m
     prune(orphaned).stdout.fnmatch_lines([f"  problem: --pafot-prune: {gone(orphaned)}: {told}"])
 
 
+@pytest.mark.processes
 def test_the_workers_of_pytest_xdist_remove_the_same(orphaned):
     file = gone(orphaned)
     result = orphaned.run("--pafot-prune", "-n2", generations=0)
@@ -80,12 +81,18 @@ def test_notes_beside_orphans_stay(orphaned):
     assert notes.exists()
 
 
-@pytest.mark.parametrize("line", ["test: test_it.py::test_other", "test: sub/test_it.py::test_gone", "", "test: 3"])
-def test_a_file_that_names_a_test_of_another_folder_stays(orphaned, line):
+def test_files_that_name_a_test_of_another_folder_stay(orphaned):
     file = gone(orphaned)
-    file.write_text(file.read_text().replace("test: test_it.py::test_gone", line))
-    left_alone(prune(orphaned))
-    assert file.exists()
+    text = file.read_text()
+    lines = ["test: test_it.py::test_other", "test: sub/test_it.py::test_gone", "", "test: 3"]
+    for number, line in enumerate(lines):
+        file.with_name(f"copy-{number}.pafot.yaml").write_text(text.replace("test: test_it.py::test_gone", line))
+    file.unlink()
+    before = orphaned.contents
+    result = prune(orphaned)
+    result.stdout.fnmatch_lines(["orphaned: 4 saved scenarios of no test in *", "  left alone: *"])
+    result.stdout.no_fnmatch_line("removed: *")
+    assert orphaned.contents == before
 
 
 def test_a_broken_file_that_names_the_test_goes(orphaned):
@@ -155,11 +162,11 @@ def test_a_file_of_a_nested_project_with_a_rootdir_of_its_own_stays(orphaned):
 TEST_FILE = "def test_in_the_corpus():\n    raise AssertionError\n"
 
 
-@pytest.mark.parametrize("place", ["", "test_it", "test_it/test_fails"])
 @pytest.mark.parametrize("name", ["pafot_corpus", "finds", "data/finds"])
-def test_test_files_in_a_corpus_are_not_collected(failing, name, place):
+def test_test_files_in_a_corpus_are_not_collected(failing, name):
     failing.run_once("--pafot-corpus", name)
-    (failing.path / name / place / "test_extra.py").write_text(TEST_FILE)
+    for place in ("", "test_it", "test_it/test_fails"):
+        (failing.path / name / place / "test_extra.py").write_text(TEST_FILE)
     failing.run("--pafot-corpus", name, generations=0).assert_outcomes(failed=1, skipped=1)
 
 
@@ -170,7 +177,7 @@ def test_test_files_in_an_absolute_corpus_are_not_collected(failing):
     failing.run("--pafot-corpus", corpus, generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-@pytest.mark.parametrize("args", [(), ("pafot_corpus",), ("-n2",)])
+@pytest.mark.parametrize("args", [(), ("pafot_corpus",), pytest.param(("-n2",), marks=pytest.mark.processes)])
 def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_either(project, args):
     project.write("def test_ordinary():\n    pass\n")
     project.pytester.makeini("[pytest]")
@@ -183,7 +190,7 @@ def test_nothing_in_a_corpus_of_the_usual_name_is_collected_without_a_search_eit
 def test_folders_of_tests_are_collected_whatever_the_corpus_is_called(project, corpus):
     project.write(FAILING, name="tests/test_low")
     args = ("--pafot-corpus", corpus if corpus == "tests" else project.path)
-    project.run(*args, "tests").assert_outcomes(failed=2)
+    project.run(*args, "tests", "--pafot-shrink-rollouts=0").assert_outcomes(failed=2)
     project.run(*args, "tests", generations=0).assert_outcomes(failed=1, skipped=1)
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from tests.support.sessions import section
 
 KNOWN = """
 @pafot.search(genes=2, gene_seconds=5, npcs=1, ego_lane=1, ego_speed=22)
@@ -99,6 +100,7 @@ def test_a_failure_is_accepted_on_its_last_day_and_counts_with_a_warning_on_the_
     next_day.stdout.fnmatch_lines([OVER])
 
 
+@pytest.mark.processes
 def test_workers_hold_the_last_day_against_the_day_of_the_controller(saved):
     edited(saved, '# xfail: "reason"', UNTIL)
     saved.run("-n1", "--pafot-today=2027-01-31", generations=0).assert_outcomes(xfailed=1, skipped=1)
@@ -200,40 +202,42 @@ def test_a_replay_that_passes_where_its_run_is_cut_is_drifted_and_not_fixed(save
     result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration 10.0 in the file, 0.4 now*"])
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
+def copies_that_differ(project, edits):
+    """What a session shows of copies of a file, each with other text in one place, that lie where the file did."""
+    file, text = project.only_file, project.only_file.read_text()
+    for number, (old, new, _) in enumerate(edits):
+        assert old in text
+        file.with_name(f"copy-{number}.pafot.yaml").write_text(text.replace(old, new))
+    file.unlink()
+    result = project.run(generations=0)
+    result.assert_outcomes(failed=len(edits), skipped=1)
+    return [section(result, f"test_fails[saved-copy-{number}]").splitlines() for number in range(len(edits))]
+
+
+def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_its_line(saved):
+    edits = [
         ("lanes: 4", "lanes: 40", "3: world.lanes: expected a whole number from 3 to 6, received 40; correct it, or *"),
         ("braking: 8.0", "braking: 1.0e-300", "5: world.limits.braking: expected a number from 0.1 to 100, received *"),
         ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
         ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
         ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
         ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
-    ],
-)
-def test_a_world_that_cannot_be_built_or_does_not_fit_is_one_failing_item_with_its_line(saved, old, new, told):
-    edited(saved, old, new)
-    result = saved.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*{saved.only_file.name}:{told}"])
+    ]
+    for number, lines in enumerate(copies_that_differ(saved, edits)):
+        pytest.LineMatcher(lines).fnmatch_lines([f"*copy-{number}.pafot.yaml:{edits[number][2]}"])
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
+def test_an_environment_that_cannot_be_made_is_told_with_its_line(project):
+    project.write(GYM)
+    project.run_once()
+    edits = [
         ("lanes_count: 3", "lanes_count: many", "4: world.config: expected a configuration that the environment *"),
         ("lanes_count: 3", "lanes_cound: 3", "4: world.config: expected options of highway-fast-v0, received lanes_c*"),
         ("policy_frequency: 1", "policy_frequency: 0", "5: world.config.policy_frequency: expected a whole number *"),
         ("highway-fast-v0", "highway-slow-v0", "3: world.env_id: expected a registered environment, received *"),
-    ],
-)
-def test_an_environment_that_cannot_be_made_is_told_with_its_line(project, old, new, told):
-    project.write(GYM)
-    project.run_once()
-    edited(project, old, new)
-    result = project.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*{project.only_file.name}:{told}"])
+    ]
+    for number, lines in enumerate(copies_that_differ(project, edits)):
+        pytest.LineMatcher(lines).fnmatch_lines([f"*copy-{number}.pafot.yaml:{edits[number][2]}"])
 
 
 def test_a_rejected_replay_is_skipped_and_not_green(saved):

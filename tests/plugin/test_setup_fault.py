@@ -44,7 +44,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
                 [
                     "*assert not run.collided",
                     "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                    "E*So it was in all * runs of the first generation*an error of the test function*finding is asserted.",
+                    "E*So it was in all * runs of the first generation*an error of the test function*is asserted.",
                 ]
             )
         result.stdout.no_fnmatch_line("*pafot: found*")
