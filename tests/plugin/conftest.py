@@ -16,7 +16,7 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.grid import Cell
 from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.support.sessions import in_a_copy, in_process, known_to_have_no_fixtures
+from tests.support.sessions import in_a_copy, in_process, known_statements, known_to_have_no_fixtures
 
 # pytester forgets the modules that a session imports; those of the package stay, as reading them takes a while.
 ROOMS = ("attribution", "campaign", "corpus", "execution", "findings", "plugin", "report", "searching", "world")
@@ -115,7 +115,8 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
-        key = repr((before, settings, [str(arg).replace(str(self.path), "") for arg in args], options))
+        confirms = confirmation._difference_in_gym is DIFFERENCE_IN_GYM
+        key = repr((before, settings, confirms, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
             changed = {name: text for name, text in self._tree.items() if before.get(name, ...) != text}
@@ -211,6 +212,7 @@ def found():
 def project(pytester, monkeypatch, distributions, found):
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
     known_to_have_no_fixtures(monkeypatch)
+    known_statements(monkeypatch)
     monkeypatch.setattr(confirmation, "_difference_in_gym", lambda run, simulation: "")
     for name in (
         "CI",

@@ -29,7 +29,7 @@ def changed(project):
     """A project whose policy speeds up, which it did not before, with what a session found of it."""
     project.write(TEST.replace("MORE", ""))
     policies(project, SPEEDS, KEEPS)
-    project.result = project.run(AGAINST)
+    project.result = project.run_once(AGAINST)
     return project
 
 
@@ -87,6 +87,7 @@ def test_a_fixture_that_the_mark_does_not_ask_for_is_refused_with_what_to_give(f
     )
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 def test_a_reference_that_ends_the_session_is_named_by_the_next_one_and_the_ads_is_not_blamed(project):
     project.write(TEST.replace("MORE", ""))

@@ -1,5 +1,7 @@
 """What a process was running when it died is reported and saved by the next session."""
 
+import pytest
+
 
 def test_what_a_died_process_ran_is_reported_and_saved_in_the_next_session(project):
     project.write(
@@ -53,6 +55,7 @@ def test_a_crash_that_is_an_ordinary_failure_now_says_so(failing):
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
 
 
+@pytest.mark.processes
 def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers_further_deaths(project):
     project.write(PASSES)
     project.leave_crash("test_it.py::test_lives")
@@ -64,7 +67,7 @@ def test_a_search_in_which_a_process_died_runs_nothing_in_the_session_and_covers
 
 
 def test_a_killed_session_leaves_no_false_crash_of_a_replay(failing):
-    failing.run()
+    failing.run_once()
     failing.leave_behind(f"test_it.py::test_fails[saved-{failing.only_id}]")
     for _ in range(2):
         result = failing.run(generations=0)

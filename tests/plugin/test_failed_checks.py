@@ -41,16 +41,16 @@ def test_drives_well(run):
 
 
 @pytest.fixture
-def buggy(project):
+def buggy(project, monkeypatch):
     """A project whose planner has both bugs."""
+    monkeypatch.setenv("COLUMNS", "80")
     project.pytester.makeconftest(BUGGY)
     project.write(PROPERTY)
     return project
 
 
-def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    result = buggy.run(generations=12, seed=4)
+def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy):
+    result = buggy.run_once(generations=12, seed=4)
     result.assert_outcomes(failed=3)
     assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == ["headway", "jerk"]
     text = result.stdout.str()
@@ -62,7 +62,7 @@ def test_two_checks_make_one_finding_each_with_its_name_and_shrunk(buggy, monkey
 
 
 def test_a_planner_without_these_bugs_keeps_what_was_found_as_a_guard(buggy):
-    buggy.run(generations=12, seed=4)
+    buggy.run_once(generations=12, seed=4)
     buggy.run(generations=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
     buggy.pytester.makeconftest(FIXED)
     result = buggy.run(generations=12, seed=4)

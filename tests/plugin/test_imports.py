@@ -4,8 +4,6 @@ import ast
 import json
 from pathlib import Path
 
-import pytest
-
 import pytest_pafot
 import pytest_pafot.plugin
 
@@ -35,30 +33,50 @@ def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 
 
-def test_the_plugin_does_not_import_hypothesis(project):
-    project.pytester.makeconftest("")
+def test_a_search_imports_neither_hypothesis_nor_without_the_option_anything_of_the_page(project):
     project.write(
         """
-import sys
+import atexit, json, sys
 
-@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))
-def test_a(run):
-    assert "hypothesis" not in sys.modules
+@pafot.search(SHORT, stop_after=1, ads=lambda: lambda observation: (0.0, 0.0))
+def test_fails(run):
+    assert run.duration < 1
+
+def dump():
+    with open("modules.json", "w") as file:
+        json.dump(sorted(sys.modules), file)
+
+atexit.register(dump)
 """
     )
-    project.run(fresh=True).assert_outcomes(passed=1)
+    project.pytester.makeconftest("")
+    project.run(fresh=True).assert_outcomes(failed=2)
+    names = set(json.loads((project.path / "modules.json").read_text()))
+    assert "hypothesis" not in names
+    own = {name for name in names if name.startswith("pytest_pafot.report")}
+    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("terminal", "wrapping"))}
+    assert own == texts
+    assert "pytest_pafot.plugin.page_messages" not in names
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.name)
-def test_the_plugin_uses_no_private_names_of_pytest(path):
+def test_the_plugin_uses_no_private_names_of_pytest():
+    assert {path.name: used for path in SOURCES if (used := private_names(path))} == {}
+
+
+def private_names(path):
+    """Modules and attributes of others that a module uses though they are private."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     imported += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
-    assert not [name for name in imported if name.split(".")[0] == "_pytest"]
-    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr.startswith("_")]
-    foreign = [
-        node.attr for node in attributes if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+    private = [
+        node.attr
+        for node in attributes
+        if node.attr.startswith("_") and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
     ]
     of_python = ("_exit", "_current_frames")  # documented, of os and sys
-    assert [name for name in foreign if not name.startswith("__") and name not in of_python] == []
-    assert not [node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "callspec"]
+    return [
+        *(name for name in imported if name.split(".")[0] == "_pytest"),
+        *(name for name in private if not name.startswith("__") and name not in of_python),
+        *(node.attr for node in attributes if node.attr == "callspec"),
+    ]

@@ -25,7 +25,7 @@ def all_in(folder):
 
 def test_links_to_anything_fail_in_one_line_each_and_show_nothing(failing, elsewhere):
     (failing.path / ".env").write_text("TOKEN=HUSH\n")
-    failing.run()
+    failing.run_once()
     folder = failing.only_file.parent
     os.mkfifo(elsewhere / "pipe")
     targets = [
@@ -72,7 +72,7 @@ def test_links_and_names_that_are_too_long_end_no_session(failing):
 @pytest.mark.parametrize(("level", "cache"), [(0, ()), (1, ()), (2, ("-p", "no:cacheprovider"))])
 def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, elsewhere, level, cache):
     """A link in the place of the test's folder, the module's or the corpus."""
-    failing.run()
+    failing.run_once()
     file = failing.only_file
     folder = file.parents[level]
     shutil.move(folder, elsewhere / folder.name)
@@ -89,7 +89,7 @@ def test_a_search_writes_and_removes_nothing_behind_a_linked_folder(failing, els
 
 
 def test_a_link_within_the_project_is_read_and_not_written_through(failing):
-    failing.run()
+    failing.run_once()
     id_, corpus = failing.only_id, failing.path / "pafot_corpus"
     corpus.rename(failing.path / "shared")
     corpus.symlink_to("shared")

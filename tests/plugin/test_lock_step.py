@@ -43,7 +43,7 @@ def test_calls():
 def searched(project, ads, source=PLANNERS + SEARCH, **more):
     """The finds of a search, and the line of calls."""
     project.write(source.replace("ADS", ads))
-    output = project.run("-s", generations=3, **more).stdout.str()
+    output = project.run_once("-s", generations=3, **more).stdout.str()
     finds = {
         name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
         for name, text in project.contents.items()
@@ -53,7 +53,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, **more):
     return finds, calls, output
 
 
-def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project):
+def test_a_search_in_lock_step_finds_and_saves_what_one_by_one_finds(project, in_highway_env):
     together, calls, output = searched(project, "Batched")
     alone, calls_alone, output_alone = searched(project, "Planner")
     assert together == alone != {}
@@ -151,6 +151,7 @@ def test_dies(run):
 """
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("alone", "expected"),
     [("len(calls) > 70", ([9, 1], ["crash-"])), ("False", ([0, 0], []))],  # a run by itself is 50 calls

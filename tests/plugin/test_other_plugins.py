@@ -3,23 +3,23 @@
 import pytest
 
 TWO = """
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
 def test_first(run):
     assert run.scenario.id == ""
 
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
 def test_second(run):
     assert run.scenario.id == ""
 """
 
 MANY = """
-@pafot.search(SHORT)
+@pafot.search(SHORT, shrink_rollouts=0)
 def test_many(run):
     pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 """
 
 ONE_SIGNATURE = """
-@pafot.search(SHORT, generations=5)
+@pafot.search(SHORT, generations=5, shrink_rollouts=0)
 def test_one(run):
     if run.event_cell != 6:
         pafot.reject()
@@ -28,7 +28,7 @@ def test_one(run):
 """All failures of this are one finding; a few generations make sure that there is one."""
 
 COUNTED = """
-@pafot.search(SHORT)
+@pafot.search(SHORT, shrink_rollouts=0)
 def test_counted(run):
     with open("runs.txt", "a") as file:
         file.write("run\\n")
@@ -94,7 +94,7 @@ def test_junit_has_a_case_for_the_search_and_each_find(project, family):
 
 @pytest.mark.parametrize("option", ["-x", "--maxfail=1"])
 def test_a_search_stops_at_the_first_find_when_the_session_stops_at_the_first_failure(project, option):
-    project.write(TWO.replace(", stop_after=1", ""))
+    project.write(TWO.replace("stop_after=1, ", ""))
     result = project.run(option, generations=5)
     assert len(project.files) == 1
     result.assert_outcomes(failed=2)
@@ -132,7 +132,7 @@ class Quiet(pdb.Pdb):
 
 def test_collect_only_lists_the_items_and_simulates_nothing(project):
     project.write(COUNTED)
-    project.run("-x")
+    project.run_once("-x")
     before = runs(project)
     result = project.run("--collect-only", "-q")
     result.stdout.fnmatch_lines(
@@ -149,7 +149,7 @@ def test_setup_plan_simulates_nothing(project):
 
 
 def test_last_failed_runs_the_finds_and_not_the_search_that_found_them(failing):
-    failing.run()
+    failing.run_once()
     result = failing.run("--lf", "-v")
     result.assert_outcomes(failed=1, deselected=1)
     result.stdout.fnmatch_lines([f"*saved-{failing.only_id}[]] FAILED*"])
@@ -161,7 +161,7 @@ def test_last_failed_runs_a_search_whose_finds_are_no_items(failing):
 
 
 def test_last_failed_runs_the_search_again_once_its_finds_pass(failing):
-    failing.run()
+    failing.run_once()
     failing.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run\n")
     failing.run("--lf").assert_outcomes(passed=1, deselected=1)
     result = failing.run("--lf", "-v")

@@ -24,7 +24,7 @@ class Ring:
 OWN = (
     RING
     + """
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1)
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1, shrink_rollouts=9)
 def test_fails(run):
     assert run.VERDICT
 """
@@ -38,7 +38,13 @@ def ads():
     return lambda observation: seen.append(observation.shape) or 1
 
 @pafot.search(
-    genes=2, gene_seconds=5, npcs=1, ads=ads, world=pafot.World("highway-v0", duration=10.0, WRAPPERS), stop_after=1
+    genes=2,
+    gene_seconds=1,
+    npcs=1,
+    ads=ads,
+    world=pafot.World("highway-v0", duration=2.0, WRAPPERS),
+    stop_after=1,
+    shrink_rollouts=2,
 )
 def test_fails(run):
     assert set(seen) == {SHAPE}
@@ -162,7 +168,7 @@ def test_a_file_of_version_1_of_a_world_of_ones_own_is_replayed(saved):
 # --- environments in wrappers
 
 
-def test_a_find_in_a_wrapped_environment_is_replayed_in_the_wrappers_that_the_test_names(saved_wrapped):
+def test_a_find_in_a_wrapped_environment_is_replayed_in_the_wrappers_that_the_test_names(in_highway_env, saved_wrapped):
     assert load(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
     assert load(saved_wrapped.only_file).flaky is None
     saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -236,9 +242,9 @@ def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_n
                 def batch(self, observations):
                     raise AssertionError("in lock step")
 
-            FLAT = pafot.World("highway-v0", duration=10.0, wrappers=[FlattenObservation])
+            FLAT = pafot.World("highway-v0", duration=2.0, wrappers=[FlattenObservation])
 
-            @pafot.search(SHORT, ads=Policy, world=FLAT)
+            @pafot.search(genes=2, gene_seconds=1, npcs=2, ads=Policy, world=FLAT)
             def test_holds(run):
                 assert run.ads_error is None, run.explain()
             """

@@ -37,7 +37,7 @@ def test_calls():
 def searched(project, ads, source=PLANNERS + SEARCH, args=()):
     """The finds of a search as saved, the number of decisions, and what was printed."""
     project.write(source.replace("ads=ADS", f"ads={ads}"))
-    output = project.run("-s", *args, generations=3).stdout.str()
+    output = project.run_once("-s", *args, generations=3).stdout.str()
     finds = {
         name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
         for name, text in project.contents.items()
@@ -137,6 +137,7 @@ class PureMixing(Mixing):
     assert not any("flaky" in text for text in finds.values())
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 def test_runs_of_other_processes_are_resumed_by_none_and_change_nothing(project):
     slow = """

@@ -7,8 +7,6 @@ import sys
 
 import pytest
 
-import pytest_pafot.plugin.page_messages
-import pytest_pafot.report.session_report  # noqa: F401  pytester forgets modules that a run imports; reading them takes a while
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import prevention_text
 from pytest_pafot.world.reference_drivers import REFERENCES
@@ -176,22 +174,26 @@ NOT_KEPT = {
 }
 
 
-@pytest.mark.parametrize("case", NOT_KEPT)
-def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_kept(project, page, case):
-    arguments, body, told = NOT_KEPT[case]
-    passing = "@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"
-    project.write(f"{passing}\n@pafot.search(SHORT, {arguments})\ndef test_drive(run):\n    {body}\n")
+def test_the_page_shows_an_error_first_and_does_not_say_that_the_property_was_kept(project, page):
+    tests = ["@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n"]
+    for number, (arguments, body, _) in enumerate(NOT_KEPT.values()):
+        tests.append(f"@pafot.search(SHORT, {arguments})\ndef test_drive_{number}(run):\n    {body}\n")
+    project.write("\n".join(tests))
     result = project.run("--pafot-report=report.html")
-    result.assert_outcomes(passed=1, failed=1)
+    result.assert_outcomes(passed=1, failed=len(NOT_KEPT))
     text = html.unescape(page.read_text(encoding="utf-8"))
     assert KEPT not in text
     assert "No findings, since not everything ran to its end" in text
-    error, _, rest = text.partition('<article class="error"')[2].partition("<main>")
-    assert "test_it.py::test_drive[search]" in error
-    assert told in error
-    assert "test_passes" not in error
+    errors, main, rest = text.partition('<article class="error"')[2].partition("<main>")
+    assert main
     assert rest
-    result.stdout.fnmatch_lines(["report: report.html (1 error, 0 findings)"])
+    assert "test_passes" not in errors
+    for number, (error, (_, _, told)) in enumerate(
+        zip(errors.split('<article class="error"'), NOT_KEPT.values(), strict=True)
+    ):
+        assert f"test_it.py::test_drive_{number}[search]" in error
+        assert told in error
+    result.stdout.fnmatch_lines([f"report: report.html ({len(NOT_KEPT)} errors, 0 findings)"])
 
 
 def test_an_error_after_a_find_is_shown_beside_it(project, page):
@@ -293,30 +295,6 @@ def test_a_session_without_search_and_replay_writes_nothing_and_says_so(project,
     result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: nothing was written*"])
 
 
-def test_without_the_option_nothing_of_the_page_is_imported(project):
-    project.write(
-        """
-import atexit, json, sys
-
-@pafot.search(SHORT, stop_after=1)
-def test_fails(run):
-    assert run.duration < 1
-
-def dump():
-    with open("modules.json", "w") as file:
-        json.dump(sorted(sys.modules), file)
-
-atexit.register(dump)
-"""
-    )
-    project.run(fresh=True).assert_outcomes(failed=2)
-    names = set(json.loads((project.path / "modules.json").read_text()))
-    own = {name for name in names if name.startswith("pytest_pafot.report")}
-    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("terminal", "wrapping"))}
-    assert own == texts
-    assert "pytest_pafot.plugin.page_messages" not in names
-
-
 def rows_of(project, *options, **more):
     """The frames in a report of pytest-html."""
     project.run("--html=out.html", "--self-contained-html", *options, plugins=("html", "metadata"), **more)
@@ -331,6 +309,7 @@ def test_rows_of_pytest_html_show_finds_and_failing_replays(failing, page):
     assert rows_of(failing, generations=0) == [title]
 
 
+@pytest.mark.processes
 def test_rows_of_pytest_html_come_from_workers_too(failing):
     assert len(rows_of(failing, "-n", "1", apart=True)) == 1
 

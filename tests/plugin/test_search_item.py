@@ -91,7 +91,7 @@ def test_counts(run, once, tmp_path):
 
 def test_stop_after_ends_a_search_at_that_many_distinct_finds(project):
     check = 'pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)'
-    project.write(f"@pafot.search(SHORT)\ndef test_fails(run):\n    {check}\n")
+    project.write(f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_fails(run):\n    {check}\n")
     project.run("--pafot-stop-after=2", generations=20).assert_outcomes(failed=3)
     assert len(project.files) == 2
 

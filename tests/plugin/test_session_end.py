@@ -53,7 +53,7 @@ def test_a_fault_at_the_end_is_one_line_of_the_summary(project, monkeypatch, fun
         raise ValueError("a fault")
 
     project.write(FAILS.replace("test_fails", "test_old"))
-    project.run()
+    project.run_once()
     project.write(FAILS)
     monkeypatch.setattr(f"pytest_pafot.{function}", fail)
     result = project.run("--pafot-prune", "--pafot-report=x.html")

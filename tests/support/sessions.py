@@ -1,6 +1,7 @@
 """Sessions of pytest inside of a test, deep in the calls of the session that runs it."""
 
 import faulthandler
+import functools
 import json
 import os
 import re
@@ -12,7 +13,9 @@ import traceback
 import types
 import warnings
 
+import _pytest._code.code
 import pytest
+from _pytest._code.source import Source, getstatementrange_ast
 from _pytest.fixtures import FixtureManager
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
@@ -82,6 +85,25 @@ def known_to_have_no_fixtures(monkeypatch):
                 BARE.add(source)
 
     monkeypatch.setattr(FixtureManager, "pytest_plugin_registered", look_once)
+
+
+@functools.cache
+def _statement_at(line, source):
+    """The first and the last line of a statement, without the syntax tree, of which all together take much memory."""
+    return None, *getstatementrange_ast(line, Source(source))[1:]
+
+
+def known_statements(monkeypatch):
+    """Let sessions look for a statement of a traceback only once.
+
+    A session that is interrupted shows all frames, down to those of the session that runs it, and looks for the
+    statement of each in the syntax tree of its source, which takes nine tenths of such a session.
+    """
+
+    def look_once(line, source, **_):
+        return _statement_at(line, str(source))
+
+    monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", look_once)
 
 
 def _is_shared(source):
