@@ -33,7 +33,6 @@ def test_chains_visit_only_the_cells_given(chain):
 
 
 @given(strategies.scenarios(min_npcs=1, max_npcs=8, lanes=5))
-@settings(max_examples=150)
 def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
     assert Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane) == scenario
 

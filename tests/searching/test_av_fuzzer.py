@@ -205,7 +205,7 @@ class TestCourse:
         def fitness(each):
             return sum(gene.speed for chain in each.npcs for gene in chain)
 
-        events = list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=30, seed=2))
+        events = list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=12, seed=2))
         start = next(event for event in events if isinstance(event, LocalSearchStarted))
         assert start.generation > 2
         generations = [event for event in events if isinstance(event, GenerationFinished)]
@@ -244,7 +244,7 @@ class TestCourse:
 
         for seed in range(2):
             restarted = 0
-            for event in run_campaign(AvFuzzerSearch(), landscape(fitness), generations=24, seed=seed):
+            for event in run_campaign(AvFuzzerSearch(), landscape(fitness), generations=16, seed=seed):
                 if isinstance(event, Restarted):
                     restarted = event.generation
                 if isinstance(event, LocalSearchStarted):
@@ -255,7 +255,7 @@ class TestCourse:
             return -sum(gene.speed for chain in each.npcs for gene in chain)
 
         def events(batch):
-            return list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=15, seed=5, batch=batch))
+            return list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=9, seed=5, batch=batch))
 
         runs = events(batch=1), events(batch=3)
         assert runs[0] == runs[1]

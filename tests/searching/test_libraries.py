@@ -47,7 +47,7 @@ def test_scenarios_are_valid_distinct_in_cells_and_within_the_space(name, cheap_
 def test_equal_seeds_give_equal_events_whatever_the_batch_and_others_differ(name, cheap_world):
     search = resolve_algorithm(name).make(SearchSpace())
     runs = [
-        list(run_campaign(search, cheap_world(), generations=8, seed=seed, batch=batch))
+        list(run_campaign(search, cheap_world(), generations=5, seed=seed, batch=batch))
         for seed, batch in ((3, 1), (3, 4), (4, 1))
     ]
     assert runs[0] == runs[1] != runs[2]
@@ -73,8 +73,8 @@ def test_it_learns(name, cheap_world):
 
     def failing(name):
         search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world(crash_speed=25.0)
-        events = run_campaign(search, world, generations=120, seed=2)
-        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 60)
+        events = run_campaign(search, world, generations=60, seed=2)
+        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 30)
 
     assert failing(name) > 1.3 * failing("random")
 

@@ -52,8 +52,8 @@ def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(che
             results[index] = world.run(scenarios[index])
         return [results[index] for index in range(len(scenarios))]
 
-    one_by_one = list(run_campaign(algorithm, cheap_world(), generations=8, seed=seed))
-    assert one_by_one == list(run_campaign(algorithm, shuffled, generations=8, seed=seed, batch=batch))
+    one_by_one = list(run_campaign(algorithm, cheap_world(), generations=5, seed=seed))
+    assert one_by_one == list(run_campaign(algorithm, shuffled, generations=5, seed=seed, batch=batch))
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
@@ -125,7 +125,7 @@ def shows(run, scenario):
 @given(st.integers(0, 2**32), st.floats(0, 30))
 def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(cheap_world, seed, crash_speed):
     world, runs = cheap_world(crash_speed=crash_speed), []
-    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=15, seed=seed)):
+    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=10, seed=seed)):
         scenario = event.evaluation.scenario
         assert event.reused == any(shows(run, scenario) for run in runs)
         assert event.evaluation == cheap_world(crash_speed=crash_speed).run(scenario)
@@ -192,15 +192,20 @@ def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
     assert events[-1].reason == "generations"
 
 
+@pytest.fixture(scope="module")
+def longer(cheap_world):
+    """The events of a search of more runs than those that are ended."""
+    return list(run_campaign(PafotSearch(), cheap_world(), generations=12, seed=1))
+
+
 @pytest.mark.parametrize("runs", [1, 4, 6, 8, 21])
 @pytest.mark.parametrize("batch", [1, 3, 100])
-def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, runs, batch):
+def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, longer, runs, batch):
     world, foreseen = cheap_world(), []
     campaign = run_campaign(
         PafotSearch(), world, generations=None, runs=runs, seed=1, batch=batch, foresee=foreseen.extend
     )
     events = list(campaign)
-    longer = list(run_campaign(PafotSearch(), cheap_world(), generations=20, seed=1))
     assert len(world.simulated) == len(foreseen) == events[-1].simulated == runs
     assert of(Evaluated, events) == of(Evaluated, longer)[: len(of(Evaluated, events))]
     told = [each for event in of(GenerationFinished, events) for each in event.population[event.elites :]]
@@ -348,12 +353,12 @@ def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simul
         ]
 
     def bests(algorithm):
-        return [best_after(algorithm, evaluate, simulations=250, seed=seed) for seed in range(8)]
+        return [best_after(algorithm, evaluate, simulations=200, seed=seed) for seed in range(5)]
 
     by_chance = bests(RandomSearch())
     for algorithm in (PafotSearch(), PafotSearch(restart_after=50)):
         scores = list(zip(bests(algorithm), by_chance, strict=True))
-        assert sum(ours > theirs for ours, theirs in scores) >= 7, scores
+        assert all(ours > theirs for ours, theirs in scores), scores
 
 
 def test_a_time_limit_needs_a_clock(cheap_world):
