@@ -22,20 +22,18 @@ def test_dir_lists_the_catalogue():
     assert set(pafot.__all__) <= set(dir(pafot))
 
 
-def test_importing_the_package_imports_nothing_else():
-    code = (
-        "import sys; before = set(sys.modules); import pytest_pafot;"
-        "new = set(sys.modules) - before - {'pytest_pafot'};"
-        "assert not {name for name in new if name.split('.')[0] not in sys.stdlib_module_names}, new"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+FRESH = """
+import sys
+before = set(sys.modules)
+import pytest_pafot
+new = set(sys.modules) - before - {"pytest_pafot"}
+assert not {name for name in new if name.split(".")[0] not in sys.stdlib_module_names}, new
+pytest_pafot.Highway(); pytest_pafot.World
+assert "highway_env" not in sys.modules
+import pytest_pafot.campaign.verdict
+assert callable(pytest_pafot.reject), "a module in the place of the function"
+"""
 
 
-def test_importing_a_world_does_not_import_highway_env():
-    code = "import sys, pytest_pafot as p; p.Highway(); p.World; assert 'highway_env' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_the_function_that_rejects_stays_a_function_once_its_module_is_imported():
-    code = "import pytest_pafot as p, pytest_pafot.campaign.verdict; assert callable(p.reject)"
-    subprocess.run([sys.executable, "-c", code], check=True)
+def test_importing_the_package_imports_nothing_else_a_world_no_highway_env_and_reject_stays_a_function():
+    subprocess.run([sys.executable, "-c", FRESH], check=True)

@@ -10,7 +10,7 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.world.reference_drivers import REFERENCES
 
-SHORT = {"generations": 6, "genes": 2, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
+SHORT = {"generations": 4, "genes": 2, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
 ROAD = pafot.Highway(duration=20.0)
 CAREFUL = REFERENCES["idm-aeb"]
 

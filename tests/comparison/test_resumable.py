@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.comparison import algorithm_run
+from pytest_pafot.comparison import algorithm_run, resumable
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, PlanError
 from pytest_pafot.comparison.resumable import ProgressLine
+from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.world import Highway
 
 
@@ -69,6 +70,57 @@ def test_interrupted_anywhere_it_goes_on_with_what_is_missing(tmp_path, quick, q
     assert not list(tmp_path.rglob("*.tmp"))
 
 
+class Pool:
+    """In the place of processes: completes tasks from the last to the first, or answers something else."""
+
+    failure = ""
+    __class_getitem__ = classmethod(lambda cls, types: cls)
+
+    def __init__(self, work, size, **options):
+        self.work = work
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        """Has nothing to end."""
+
+    def expect(self, tasks):
+        self.tasks = tasks
+
+    def completed(self, tick):
+        for task in reversed(self.tasks):
+            yield task, self.answer(task, tick)
+
+    def answer(self, task, tick):
+        return self.work(task, tick)
+
+
+def test_in_whatever_order_workers_finish_they_leave_the_same_bytes(tmp_path, quick, quiet, whole, monkeypatch):
+    monkeypatch.setattr(resumable, "WorkerPool", Pool)
+    run_all(quick(), tmp_path, workers=2, told=quiet, clock=clock)
+    assert contents(tmp_path) == whole
+
+
+def test_what_a_worker_could_not_do_is_raised_with_a_way_out(tmp_path, quick, quiet, monkeypatch):
+    monkeypatch.setattr(resumable, "WorkerPool", Pool)
+    plan = quick(algorithms=("random",), runs=1)
+
+    def raised(answer, kind, match):
+        monkeypatch.setattr(Pool, "answer", lambda self, task, tick: answer)
+        with pytest.raises(kind, match=match):
+            run_all(plan, tmp_path, workers=2, told=quiet, clock=clock)
+
+    lost = ProcessLostError(("random", 0), pid=1, how="was ended by SIGKILL")
+    raised(lost, ChildProcessError, r"finish \('random', 0\), .*: its process was ended by SIGKILL; .* fewer --workers")
+    raised(LookupError("no such planner"), LookupError, "no such planner")
+    monkeypatch.setattr(Pool, "failure", "no memory")
+    raised(
+        RuntimeError("no memory"), ChildProcessError, r"finish \('random', 0\), received: no memory; .* fewer --work"
+    )
+
+
+@pytest.mark.processes
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill")
 def test_killed_with_its_workers_running_it_goes_on(tmp_path, quick, quiet, whole):
     root = str(Path(__file__).parents[2])
@@ -187,6 +239,7 @@ def dying():
     os._exit(5)
 
 
+@pytest.mark.processes
 def test_a_worker_that_is_killed_is_told_with_a_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
@@ -197,6 +250,7 @@ def raising():
     raise LookupError("no such planner")
 
 
+@pytest.mark.processes
 def test_what_a_worker_raises_is_raised_with_the_place(tmp_path, quick, quiet):
     plan = quick(ads="tests.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:

@@ -238,6 +238,7 @@ def test_without_the_package_by_which_it_travels_the_way_out_is_told(tmp_path, m
         packed(job_of(tmp_path))
 
 
+@pytest.mark.processes
 def test_a_run_that_hangs_or_ends_its_process_costs_the_worker_neither_its_thread_nor_its_life(tmp_path):
     def drive(observation):
         if len(observation.others) == 2:

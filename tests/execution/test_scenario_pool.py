@@ -128,6 +128,7 @@ def test_filters_of_warnings_act_in_the_process_that_runs_the_scenario(pool_of, 
     assert not recwarn.list
 
 
+@pytest.mark.processes
 def test_processes_that_are_not_forked_run_a_factory_that_can_be_pickled(job_of, monkeypatch):
     monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
     with pool_for(job_of(idle), 1) as pool:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +36,7 @@ for number, line in enumerate(sys.stdin):
 def program(folder, body, **options):
     file = folder / f"planner_{len(list(folder.iterdir()))}.py"
     file.write_text(LOOP.replace("{body}", textwrap.indent(textwrap.dedent(body), "    ").strip()))
-    return pafot.policies.process([sys.executable, str(file)], **options)
+    return pafot.policies.process([sys.executable, "-S", "-E", str(file)], **options)  # which start twice as fast
 
 
 def children():
@@ -153,10 +154,13 @@ def test_what_a_program_does_in_the_place_of_an_answer_is_told(body, kind, messa
     assert error is not None
     assert (error.kind, error.tick) == (kind, 15)
     assert re.search(message, error.message)
+
+
+def test_after_a_program_that_failed_another_and_the_same_start_again(tmp_path):
+    ads = program(tmp_path, "sys.exit(3) if seen['time'] == 1.0 else answer(acceleration=0.0, steering=0.0)")
+    assert ROAD.rollout(CUT_IN, ads).error.tick == 15
     assert ROAD.rollout(CUT_IN, program(tmp_path, "answer(acceleration=0.0, steering=0.0)")).error is None
-    again = ROAD.rollout(CUT_IN, ads).error
-    assert again is not None
-    assert again.tick == 15
+    assert ROAD.rollout(CUT_IN, ads).error.tick == 15
 
 
 def test_a_program_that_does_not_answer_in_its_time_is_killed(tmp_path):
@@ -304,6 +308,24 @@ print(pid)
 """
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked elsewhere alone")
+def test_a_forked_process_starts_a_program_of_its_own(tmp_path):
+    loader = program(tmp_path, "answer(action=os.getpid())")
+    ads = loader()
+    pid = ads([1])
+    ads.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which libraries have
+        child = os.fork()
+    if not child:
+        os._exit(loader()([1]) == pid)
+    assert os.waitpid(child, 0)[1] == 0
+    ads = loader()
+    assert ads([1]) == pid
+    ads.close()
+
+
+@pytest.mark.processes
 def test_a_program_is_kept_in_its_process_and_ends_with_it_while_a_forked_one_starts_its_own(tmp_path):
     command = program(tmp_path, "answer(action=os.getpid())").command
     pid = int(subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command]))
@@ -314,7 +336,7 @@ def test_a_program_is_kept_in_its_process_and_ends_with_it_while_a_forked_one_st
 def test_the_hash_is_of_the_files_that_the_command_names(tmp_path):
     one = program(tmp_path, "answer(action=1)")
     before = one.weights_digest
-    Path(one.command[1]).write_text("pass")
+    Path(one.command[-1]).write_text("pass")
     assert pafot.policies.process(one.command).weights_digest != before
     assert pafot.policies.process(["planner", "--fast"]).weights_digest == ""
 
