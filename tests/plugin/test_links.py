@@ -133,5 +133,6 @@ def test_a_crash_record_that_a_checkout_brings_is_reported_and_not_taken_up(proj
     for _ in range(2):
         result = project.run()
         result.assert_outcomes(passed=1)
-        result.stdout.fnmatch_lines([f"*problem: {record}: expected a record that this user made on this machine*delete them"])
+        said = "expected a record that this user made on this machine*delete them"
+        result.stdout.fnmatch_lines([f"*problem: {record}: {said}"])
     assert project.files == []
