@@ -93,8 +93,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.assertion": "The failing assertion without its message, with `N` for each number.",
     "expect.reference_drivers": "For each reference driver what becomes of it in the ego's place: `avoids`, `hit`, "
     "`at-fault` or `fails` ([their meaning](../explanation/responsibility.md#who-could-have-prevented-it)); not "
-    "there where it means nothing. Older files have a list `preventable_by` of drivers without a collision, which is "
-    "read as `avoids`.",
+    "there where it means nothing.",
     "expect.check": "What the failed check measured, and its bounds, in its unit: `value`, `at_most`, `at_least`, "
     "`unit`. The assertion is its name then.",
     "expect.last_chance": "When one of them would last have stayed free of fault in the ego's place: `time` [s], the "

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, get_args
@@ -18,9 +17,8 @@ from pytest_pafot.attribution.manoeuvres import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.corpus import schema
 from pytest_pafot.corpus.fields import Field
-from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.schema import VERSION, VERSIONS
+from pytest_pafot.corpus.schema import VERSION
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, parse
 from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
 from pytest_pafot.errors import CorpusError, FieldError
@@ -124,7 +122,7 @@ def _at_the_end_of_links(path: Path) -> Path:
 
 
 def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
-    """The document in the content of a file, as one of the version that is written."""
+    """Return the document in the content of a file."""
     __tracebackhide__ = True
     value, lines = parse(path, content, loader)
     top = Field(path, lines, (), value)
@@ -134,12 +132,11 @@ def _top(path: Path, content: bytes, loader: type[Any] | None = None) -> Field:
         raise top.error(f"the key 'pafot' with the version {VERSION}", received="a document without it")
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
-    if not is_whole or version.value not in VERSIONS:
-        known = " or ".join(map(str, VERSIONS))
-        fix = f"install the pytest-pafot that wrote it; this one reads versions {known}"
+    if not is_whole or version.value != VERSION:
+        fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
         # Without a version the file may be anybody's, a secret with that key included.
-        raise version.error(f"the format version {known}", fix, None if is_whole else "no whole number")
-    return replace(top, value=upgraded(top.value)) if version.value == 1 else top
+        raise version.error(f"the format version {VERSION}", fix, None if is_whole else "no whole number")
+    return top
 
 
 def _given(fields: Mapping[str, Field], key: str, get: Callable[[Field], Any], default: Any = None) -> Any:
@@ -232,11 +229,10 @@ def _expect(field: Field, npcs: int) -> Expect:
         cell=_given(fields, "cell", lambda inner: Cell(inner.whole(1, 8))),
         side=_given(fields, "side", lambda inner: inner.choice(get_args(Side))),
         responsibility=fields["responsibility"].choice(get_args(Responsibility)),
-        fault=_given(fields, "fault", _fault),
+        fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
-        reference_drivers=_given(fields, "preventable_by", _survivors, {})
-        | _given(fields, "reference_drivers", _outcomes, {}),
+        reference_drivers=_given(fields, "reference_drivers", _outcomes, {}),
         last_chance=_given(fields, "last_chance", _last_chance),
         against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
@@ -258,16 +254,6 @@ def _check(field: Field) -> Bounded:
         _given(fields, name, lambda inner: inner.number(-MAX_NUMBER)) for name in ("value", "at_most", "at_least")
     )
     return Bounded(value=value, at_most=at_most, at_least=at_least, unit=_given(fields, "unit", Field.text, ""))
-
-
-def _fault(field: Field) -> Any:
-    """``braked-hard`` is what files of before call ``braked-for-nothing``."""
-    return "braked-for-nothing" if field.value == "braked-hard" else field.choice(get_args(Fault))
-
-
-def _survivors(field: Field) -> dict[str, ReferenceOutcome]:
-    """As in files of before, which name the reference drivers that had no collision, and no other."""
-    return {name.text(): "avoids" for name in field.items()}
 
 
 def _outcomes(field: Field) -> dict[str, ReferenceOutcome]:

@@ -1,4 +1,4 @@
-"""Which keys a corpus file may have, and which versions of the format there are.
+"""Which keys a corpus file may have, and the version of the format.
 
 Version 2 holds the world complete, so that no default that changes later changes what a saved scenario is. A key that
 comes to it later is optional, and a file without it means what it meant before.
@@ -11,10 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 VERSION = 2
-"""That is written."""
-
-VERSIONS = (1, 2)
-"""That are read."""
+"""The one that is written and read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +53,7 @@ EXPECT = Keys(
     ("failure", "outcome", "time", "responsibility"),
     (
         *("assertion", "check", "message", "npc", "cell", "side", "fault", "npc_manoeuvre", "ego_manoeuvre"),
-        *("preventable_by", "reference_drivers", "last_chance", "against", "traceback"),
+        *("reference_drivers", "last_chance", "against", "traceback"),
     ),
 )
 EXPECT_OF_COLLISION = Keys((*EXPECT.required, "npc", "cell", "side"), EXPECT.optional)

@@ -255,10 +255,7 @@ def changes(data: Mapping[str, Any], world: Any) -> list[str]:
     """What differs between the world of a file, where it is code, and the one that the test names."""
     if not is_code(data):
         return []
-    now = described(world)
-    if "class" not in data:  # version 1 of the format did not tell it
-        now.pop("class", None)
-    return differences("world", data, now)
+    return differences("world", data, described(world))
 
 
 def differences(place: str, file: Mapping[str, Any], session: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.mutants [--mutants 2000] [--seed 0] [--seconds 20]
 
-Damages files of searches of several policies, of gym worlds too, and of both versions of the format, in the ways of
+Damages files of searches of several policies, of gym worlds too, in the ways of
 ``tests/support/mutations.py``. Every damaged file that is read is judged by another reading of its text; where its
 world or scenario is another one, that is built and run once, which must end in time and raise nothing but an error with
 the file. Prints for each way how many files were refused, how many were read as what they say, and each that was not.
@@ -27,15 +27,14 @@ from typing import Any
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Finding
 from tests.benchmarks.command import options
 from tests.support.mutations import MUTATIONS, misread
 
-GOLDEN = Path(__file__).parents[1] / "corpus" / "format_1"
+GOLDEN = Path(__file__).parents[1] / "corpus" / "saved"
 REPOSITORY = Path(__file__).parents[2]
 
 SEARCHES = """
@@ -72,11 +71,10 @@ def test_merge(run):
 
 
 def sources(folder: Path) -> dict[str, str]:
-    """Texts to damage, by name: files of version 1, the same in version 2, and what searches of today write."""
+    """Return texts to damage, by name: saved files, and what searches of today write."""
     texts: dict[str, str] = {}
     for path in sorted(GOLDEN.glob("*.pafot.yaml")):
-        texts[f"1 {path.name}"] = path.read_text(encoding="utf-8")
-        texts[f"2 {path.name}"] = text_of(load(path))
+        texts[path.name] = path.read_text(encoding="utf-8")
     (folder / "test_searches.py").write_text(SEARCHES)
     command = [
         sys.executable,

@@ -77,16 +77,6 @@ def test_comments_order_and_style_do_not_matter(path):
     assert load(path) == plain_finding()
 
 
-def test_a_file_that_names_survivors_alone_means_the_drivers_that_avoid_the_failure(path):
-    path.write_text(swapped(DRIVERS, "preventable_by: [careful-human, idm-aeb]"))
-    assert load(path) == plain_finding()
-
-
-def test_a_fault_that_has_another_name_now_is_read_by_that(path):
-    path.write_text(swapped("responsibility: ego", "responsibility: ego, fault: braked-hard"))
-    assert load(path).expect.fault == "braked-for-nothing"
-
-
 def test_the_name_of_the_file_is_the_id(path):
     renamed = path.with_name("cut-in_at.night.pafot.yaml")
     renamed.write_text(TEXT)
@@ -163,8 +153,6 @@ def test_an_error_says_where_what_and_the_way_out(path):
         ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
         ("side: front", "side: top", 14, "expect.side"),
         ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
-        (DRIVERS, "preventable_by: careful-human", 14, "expect.preventable_by"),
-        (DRIVERS, "preventable_by: [careful-human, 2]", 14, "expect.preventable_by[1]"),
         (DRIVERS, "reference_drivers: [careful-human]", 14, "expect.reference_drivers"),
         (DRIVERS, "reference_drivers: {careful-human: survives}", 14, "expect.reference_drivers.careful-human"),
         ("generation: 17", "generation: -1", 15, "found.generation"),

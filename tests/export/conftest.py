@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.comparison.plan import ads_factory
 
-FILES = Path(__file__).parents[1] / "corpus" / "format_1"
+FILES = Path(__file__).parents[1] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}
 """Who drives in which file; the first and the last collide."""
 

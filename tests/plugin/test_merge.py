@@ -137,7 +137,7 @@ def test_the_summary_of_a_job_says_that_a_merge_failed_and_calls_it_no_search(fa
     lines = summary.read_text().splitlines()
     assert lines[2:6] == ["No search was asked for.", "", "**Merged**", ""]
     assert lines[6].startswith("- failed: test\\_it.py::test\\_fails\\[search\\]: ")
-    assert "expected the format version 1 or 2, received 99" in lines[6]
+    assert "expected the format version 2, received 99" in lines[6]
 
 
 def test_a_scenario_in_which_the_process_dies_is_run_in_another_one_and_merged(failing):

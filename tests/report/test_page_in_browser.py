@@ -21,7 +21,7 @@ from tests.report.builders import HOSTILE, bend_report, cut_in_trace, finding_of
 from tests.support.browser import Browser, find_chromium
 
 CHROMIUM = find_chromium()
-FILES = Path(__file__).parents[1] / "corpus" / "format_1"
+FILES = Path(__file__).parents[1] / "corpus" / "saved"
 
 pytestmark = [
     pytest.mark.processes,

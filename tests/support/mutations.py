@@ -11,7 +11,6 @@ from typing import Any
 import yaml
 
 from pytest_pafot.attribution.last_chance import LastChance
-from pytest_pafot.corpus.format_1 import upgraded
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.scenario import Scenario
 
@@ -282,11 +281,6 @@ def misread(text: str, finding: Finding) -> list[str]:
     except UnclearError as error:
         return [f"read, although it is not clear what it says: {error}"]
     version = said.pop("pafot", None)
-    if version == 1:
-        said = {key: value for key, value in upgraded({**said, "pafot": 1}).items() if key != "pafot"}
-    elif version != 2:
+    if version != 2:
         return [f"read as of version {version!r}"]
-    survivors = said["expect"].pop("preventable_by", None)
-    if survivors:
-        said["expect"]["reference_drivers"] = dict.fromkeys(survivors, "avoids")
     return differences(said, holds(finding))
