@@ -193,6 +193,11 @@ class Installed:
         self.entry_points, self.files = distribution.entry_points, distribution.files
         self.metadata, self.version = distribution.metadata, distribution.version
         self.name = self.metadata["Name"]
+        self._distribution = distribution
+
+    def __getattr__(self, name):
+        """Leave what importlib.metadata asks of its own kind to the package itself."""
+        return getattr(self._distribution, name)
 
 
 @pytest.fixture(scope="session")
