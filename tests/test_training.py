@@ -16,6 +16,7 @@ from pytest_pafot.errors import CorpusError
 from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.world.kernel.action import BadAction
 from tests.findings.builders import plain_finding
+from tests.support.stages import oracle
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])
@@ -94,7 +95,7 @@ def test_a_crash_ends_a_scenario_with_the_reward_that_the_environment_has_for_cr
     assert not any(each[4]["crashed"] or each[4]["responsible"] for each in results[:-1])
 
 
-@pytest.mark.parametrize("decide", [ppo.make(), keeping(3)], ids=["careful", "faster"])
+@pytest.mark.parametrize("decide", [oracle(ppo.make(), id="careful"), pytest.param(keeping(3), id="faster")])
 def test_ordinary_traffic_is_that_of_the_environment_itself(decide):
     env, plain = pafot.training_env(FAST, share=0.0), gym.make(FAST.env_id, config=FAST.config)
     first, results = driven(env, 3, decide)

@@ -26,6 +26,7 @@ def gallery():
     return module
 
 
+@pytest.mark.stories
 def test_the_page_and_its_pictures_are_as_the_situations_have_it():
     module = gallery()
     page = module.PAGE.read_text(encoding="utf-8")

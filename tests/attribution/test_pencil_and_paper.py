@@ -17,14 +17,14 @@ SAMPLE = {
     "constant-speed": (8, 8),
     "idm-mobil": (3, 6),
     "careful-human": (3, 6),
-    "fuzzy-safety": (1, 4),
+    "fuzzy-safety": (0, 4),
     "idm-aeb": (2, 6),
-    "sound-lane-changer": (1, 6),
+    "sound-lane-changer": (0, 6),
     "erratic": (50, 50),
     "stop-and-go": (30, 30),
-    "looks-only-ahead": (2, 10),
+    "looks-only-ahead": (1, 10),
     "sees-cut-ins-late": (0, 8),
-    "erratic, other roads": (3, 16),
+    "erratic, other roads": (2, 16),
 }
 """How many collisions of each policy in every session, and how many with ``-m oracle``: those soon found come first."""
 

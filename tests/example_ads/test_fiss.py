@@ -57,6 +57,7 @@ def test_from_an_outer_lane_it_overtakes_on_the_side_where_the_road_is(lane, sid
     assert (ego.y - lane * 4.0) * side == pytest.approx(4.0, abs=0.2)
 
 
+@pytest.mark.oracle
 def test_where_both_sides_are_taken_it_follows_instead():
     wall = [vehicle(x=100.0 + 15.0 * n, lane=lane, speed=15.0) for lane in (0, 2) for n in range(-2, 8)]
     ego, (slow, *_) = drive(15, vehicle(x=150.0, speed=15.0), *wall, lanes=3)[-1]

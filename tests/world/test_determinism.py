@@ -53,7 +53,7 @@ def digests():
     for number, (world, ads) in enumerate(cases()):
         rng = random.Random(number)
         digest = hashlib.sha256()
-        for lane in (0, 1, 3):
+        for lane in (0, 3):
             scenario = Scenario.repaired(chains(rng, 4, 4, 26.8), seed=lane, ego_lane=lane, gene_seconds=2.0)
             trace = world.rollout(scenario, ads)
             digest.update(trace.states.tobytes())

@@ -86,7 +86,7 @@ def test_limits_hold_at_a_thousand_ticks_a_second():
 def test_limits_hold_on_the_environments_roads_too(env_id, lanes):
     rng = random.Random(lanes)
     world = World(env_id, config={"lanes_count": lanes}, duration=8.0)
-    for _ in range(8):
+    for _ in range(5):
         lane = rng.randrange(lanes)
         most = len(world.road.cells(lane))
         scenario = Scenario.repaired(chains(rng, rng.randint(1, most), 3, 30.0), ego_lane=lane, gene_seconds=3.0)

@@ -46,7 +46,7 @@ states = st.tuples(positions, st.floats(-4, 4), st.floats(-5, 42))
 
 
 @pytest.mark.parametrize("ego_class", [Car, oracle(MDPVehicle), oracle(Vehicle)])
-@settings(max_examples=100)  # of eleven options, any of which may be left out
+@settings(max_examples=50)  # of eleven options, any of which may be left out
 @given(config=configs, others=st.lists(states, min_size=1, max_size=9))
 def test_observations_equal_highway_envs_own_to_the_last_bit(env, config, others, ego_class):
     env.road.vehicles = [ego_class(env.road, *others[0])]

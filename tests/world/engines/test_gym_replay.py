@@ -14,7 +14,7 @@ from pytest_pafot.scenario import PositionInstruction, Scenario
 from pytest_pafot.trace import Outcome
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
-from tests.support.stages import mostly_oracle
+from tests.support.stages import mostly_oracle, oracle
 from tests.support.world_cases import EGOS, constant_speed, random_scenario
 
 
@@ -44,7 +44,9 @@ def ending(world, ads, outcome, seed=0):
 
 
 @pytest.mark.parametrize("ads", EGOS, ids=lambda ads: ads.__name__)
-@pytest.mark.parametrize("world", [Highway(), Highway(lanes=3, physics_hz=20, ads_hz=10, clearance=0.0)], ids=str)
+@pytest.mark.parametrize(
+    "world", [oracle(Highway()), Highway(lanes=3, physics_hz=20, ads_hz=10, clearance=0.0)], ids=str
+)
 def test_planners_and_vehicle_classes_on_a_highway(world, ads):
     for scenario in scenarios(world.lanes, 2, lanes=world.lanes):
         assert_confirmed(world, scenario, ads)
