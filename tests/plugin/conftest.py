@@ -1,5 +1,6 @@
 """A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
 
+import functools
 import importlib
 import os
 import pkgutil
@@ -186,25 +187,19 @@ class Project:
         return self.only_file.name.removesuffix(".pafot.yaml")
 
 
-class Installed:
-    """An installed package, read once."""
+class Installed(metadata.PathDistribution):
+    """An installed package whose files are read once."""
 
-    def __init__(self, distribution):
-        self.entry_points, self.files = distribution.entry_points, distribution.files
-        self.metadata, self.version = distribution.metadata, distribution.version
-        self.name = self.metadata["Name"]
-        self._distribution = distribution
-
-    def __getattr__(self, name):
-        """Leave what importlib.metadata asks of its own kind to the package itself."""
-        return getattr(self._distribution, name)
+    entry_points = functools.cached_property(metadata.PathDistribution.entry_points.fget)
+    files = functools.cached_property(metadata.PathDistribution.files.fget)
+    metadata = functools.cached_property(metadata.PathDistribution.metadata.fget)
 
 
 @pytest.fixture(scope="session")
 def distributions():
     """Installed packages in which pytest may find plugins, of all that it would read again in each session."""
     found = (each for each in metadata.distributions() if each.entry_points.select(group="pytest11"))
-    return [Installed(each) for each in found]
+    return [Installed(each._path) for each in found]
 
 
 @pytest.fixture(scope="session")
@@ -232,6 +227,7 @@ def project(pytester, monkeypatch, distributions, found):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
     monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester, found)
@@ -241,6 +237,12 @@ def project(pytester, monkeypatch, distributions, found):
 def in_highway_env(project, monkeypatch):
     """Let sessions run each find in highway-env's own environment too, as users' do, which takes longest of all."""
     monkeypatch.setattr(confirmation, "_difference_in_gym", DIFFERENCE_IN_GYM)
+
+
+@pytest.fixture
+def shrinking(project, monkeypatch):
+    """Let sessions shrink their finds, as users' do; the others save them as they were found."""
+    monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS")
 
 
 FAILING = """

@@ -13,9 +13,9 @@ TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n 
 
 
 @pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])
-def test_a_find_without_cells_is_saved_confirmed_shrunk_and_replayed(project, algorithm):
+def test_a_find_without_cells_is_saved_confirmed_shrunk_and_replayed(project, algorithm, in_highway_env):
     project.write(TEST.format(algorithm))
-    result = project.run(generations=6)
+    result = project.run("--pafot-shrink-rollouts=50", generations=6)
     result.assert_outcomes(failed=2)
     result.stdout.no_fnmatch_line("*flaky*")
     text = project.only_file.read_text()

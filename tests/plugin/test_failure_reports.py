@@ -14,7 +14,7 @@ def test_collides(run):
 
 
 @pytest.fixture
-def explained(project):
+def explained(project, shrinking):
     """A project whose test says of each failing run what happened."""
     project.write(EXPLAINED)
     return project
@@ -86,7 +86,9 @@ def test_a_find_is_a_block_of_20_lines_that_fits_the_terminal(explained, monkeyp
 
 
 @pytest.mark.parametrize(("flags", "is_named"), [((), False), (("-v",), True)], ids=["compact", "verbose"])
-def test_an_explanation_that_the_message_lacks_names_the_scenario_only_to_those_who_ask(failing, flags, is_named):
+def test_an_explanation_that_the_message_lacks_names_the_scenario_only_to_those_who_ask(
+    shrinking, failing, flags, is_named
+):
     lines = block(search(failing, *flags), f"test_fails[saved-{failing.only_id}]")
     assert "no collision in 5.0 s" in lines
     assert any(line.startswith("  scenario ") for line in lines) is is_named

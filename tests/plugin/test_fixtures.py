@@ -1,5 +1,7 @@
 """The fixtures for ordinary tests, and the world that may be overridden."""
 
+import pytest
+
 
 def test_pafot_simulate_runs_a_scenario_against_any_ads(project):
     project.write(
@@ -35,6 +37,7 @@ def test_simulates(pafot_simulate):
     result.stdout.fnmatch_lines(["the ADS failed: AttributeError: *'sped'*", "*in broken"])
 
 
+@pytest.mark.processes
 def test_pafot_simulate_drives_given_tests_and_its_first_run_loads_no_more_than_others(project):
     project.write(
         """

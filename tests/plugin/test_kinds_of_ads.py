@@ -6,6 +6,7 @@ import textwrap
 import pytest
 
 from pytest_pafot.corpus.reader import load
+from tests.support.sessions import section
 
 VEHICLES = {
     "mark": """
@@ -60,13 +61,16 @@ def test_vehicle(run):
 
 
 class TestAVehicleClassIsItsOwnFactory:
-    @pytest.mark.parametrize("given", VEHICLES)
-    def test_for_a_search_and_for_the_replay_of_what_it_finds(self, project, given):
-        project.write(textwrap.dedent(VEHICLES[given]))
-        project.run("--pafot-shrink-rollouts=5").stdout.fnmatch_lines(["*1 new finding in 1 run*"])
-        assert len(project.files) == 1
-        project.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    def test_for_a_search_and_for_the_replay_of_what_it_finds(self, project, in_highway_env):
+        for given, source in VEHICLES.items():
+            project.write(textwrap.dedent(source), name=f"test_{given}")
+        result = project.run("--pafot-shrink-rollouts=5")
+        result.stdout.fnmatch_lines(["*1 new finding in 1 run*"] * len(VEHICLES))
+        assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
+        assert "flaky" not in result.stdout.str()
+        project.run(generations=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
 
+    @pytest.mark.processes
     @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
     def test_for_the_processes_of_a_search_too(self, project):
         project.write(SLOW_VEHICLE)
@@ -121,20 +125,26 @@ RAISED = {
 
 
 class TestWhatAnAdsRaisesIsAFinding:
-    @pytest.mark.parametrize("statement", RAISED)
-    def test_of_a_search_and_of_the_replay_of_its_file(self, project, statement):
-        project.write(RAISING.replace("RAISE", statement))
+    def test_of_a_search_and_of_the_replay_of_its_file(self, project, in_highway_env):
+        for number, statement in enumerate(RAISED):
+            source = RAISING.replace("RAISE", statement).replace("test_drive", f"test_drive_{number}")
+            project.write(source, name=f"test_{number}")
         result = project.run()
-        result.assert_outcomes(failed=2)
-        result.stdout.fnmatch_lines([f"*the ADS failed: {RAISED[statement]}*", "*4 failing*"])
-        assert load(project.only_file).expect.failure == RAISED[statement]
-        project.run(generations=0).assert_outcomes(failed=1, skipped=1)
+        result.assert_outcomes(failed=2 * len(RAISED))
+        for number, failure in enumerate(RAISED.values()):
+            (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]
+            finding = load(project.path / name)
+            assert f"the ADS failed: {failure}" in section(result, f"test_drive_{number}[saved-{finding.id}]")
+            assert finding.expect.failure == failure
+        result.stdout.fnmatch_lines(["*4 failing*"] * len(RAISED))
+        project.run(generations=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 
     def test_of_runs_in_lock_step(self, project):
         project.write(RAISING.replace("RAISE", "pytest.skip('no GPU')") + BATCHED)
         project.run().assert_outcomes(failed=2)
         assert load(project.only_file).expect.failure == "Skipped"
 
+    @pytest.mark.processes
     @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
     def test_of_the_processes_of_a_search(self, project):
         slow = RAISING.replace("def drive", "import time\n\ndef drive").replace("RAISE", "pytest.skip('no GPU')")

@@ -91,18 +91,36 @@ def test_a_budget_comes_from_one_place_and_no_profile_cuts_what_is_asked_for(pro
     assert (found.runs, found.generations) == (runs, generations)
 
 
-@pytest.mark.parametrize("option", [option for option in OPTIONS if option.everywhere], ids=lambda option: option.name)
-def test_an_option_is_an_ini_key_a_variable_and_unless_it_is_the_sessions_a_marker_argument(project, option):
-    word = option.choices[-1] if option.choices else "x"
-    text = {"integer": "7", "seconds": "7", "text": word, "page": "x.html", "switch": "true", "workers": "7"}
-    expected = option.read(text[option.kind])
-    marker = [{"marker": {option.name: expected}}] if option.is_argument else []
-    for source in (
-        {"ini": f"{option.key} = {text[option.kind]}"},
-        {"environ": {option.variable: text[option.kind]}},
-        *marker,
-    ):
-        assert getattr(settings(project, **source), option.name) == expected
+EVERYWHERE = [option for option in OPTIONS if option.everywhere and option.name != "profile"]
+"""All but the one that changes the others, which has a test above."""
+
+
+SWITCHES = [option.name for option in EVERYWHERE if option.kind == "switch"]
+
+
+def text_of(option, switch):
+    """A text for an option in which it differs from the others; of switches one is on."""
+    number = EVERYWHERE.index(option)
+    texts = {"text": f"x{number}", "page": f"x{number}.html", "switch": str(option.name == switch).lower()}
+    return option.choices[-1] if option.choices else texts.get(option.kind, str(7 + number))
+
+
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_every_option_is_an_ini_key_a_variable_and_unless_it_is_the_sessions_a_marker_argument(project, switch):
+    texts = {option.name: text_of(option, switch) for option in EVERYWHERE}
+    expected = {option.name: option.read(texts[option.name]) for option in EVERYWHERE}
+    arguments = {option.name: expected[option.name] for option in EVERYWHERE if option.is_argument}
+    assert given(settings(project, marker=arguments), arguments) == arguments
+    assert (
+        given(settings(project, environ={each.variable: texts[each.name] for each in EVERYWHERE}), expected) == expected
+    )
+    ini = "\n".join(f"{option.key} = {texts[option.name]}" for option in EVERYWHERE)
+    assert given(settings(project, ini=ini), expected) == expected
+
+
+def given(found, names):
+    """These settings of all."""
+    return {name: getattr(found, name) for name in names}
 
 
 def test_native_toml_takes_native_types(project):

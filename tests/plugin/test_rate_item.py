@@ -4,6 +4,7 @@ import pytest
 
 import pytest_pafot.rating.rate_request
 import pytest_pafot.world.engines.ordinary_traffic  # noqa: F401  pytester forgets modules that a run imports
+from tests.support.sessions import section
 
 WORLD = 'world=pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 12})'
 
@@ -71,25 +72,26 @@ def test_a_rate_that_is_too_high_is_told_in_lines_that_fit_and_by_nothing_else(p
     assert "4 of 10 episodes crashed, 40.0 % (95 %: 12.2 to 73.8 %); 136 an hour in 0.029 h" in result.outlines
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (f"episodes=2, {WORLD}", "@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02"),
-        ("at_most=0.1", "@pafot.rate(world=...): expected it to be given"),
-        ("at_most=0.1, world=pafot.Highway()", "@pafot.rate(world=...): expected an environment with traffic of its"),
-        ('at_most=0.1, world="highway-v9"', "*did you mean 'highway-v0'*"),
-        (f"at_most=2, {WORLD}", "@pafot.rate(at_most=...): expected a share of the episodes, from 0 to less than 1"),
-        (f"at_most=0.1, episode=2, {WORLD}", "@pafot.rate(episode=...): did you mean 'episodes'?"),
-        (f"at_most=0.1, episodes=0, {WORLD}", "@pafot.rate(episodes=...): expected a whole number, at least 1"),
-        (f"at_most=0.1, planner='no', {WORLD}", "@pafot.rate(planner=...): expected True or False, received 'no'"),
-        (f"at_most=0.1, confidence=95, {WORLD}", "@pafot.rate(confidence=...): expected a number between 0 and 1"),
-    ],
-)
-def test_a_wrong_argument_fails_the_test_with_a_way_out(project, arguments, text):
-    project.write(rated(arguments))
+WRONG = [
+    (f"episodes=2, {WORLD}", "@pafot.rate(at_most=...): expected it to be given, as in at_most=0.02"),
+    ("at_most=0.1", "@pafot.rate(world=...): expected it to be given"),
+    ("at_most=0.1, world=pafot.Highway()", "@pafot.rate(world=...): expected an environment with traffic of its"),
+    ('at_most=0.1, world="highway-v9"', "*did you mean 'highway-v0'*"),
+    (f"at_most=2, {WORLD}", "@pafot.rate(at_most=...): expected a share of the episodes, from 0 to less than 1"),
+    (f"at_most=0.1, episode=2, {WORLD}", "@pafot.rate(episode=...): did you mean 'episodes'?"),
+    (f"at_most=0.1, episodes=0, {WORLD}", "@pafot.rate(episodes=...): expected a whole number, at least 1"),
+    (f"at_most=0.1, planner='no', {WORLD}", "@pafot.rate(planner=...): expected True or False, received 'no'"),
+    (f"at_most=0.1, confidence=95, {WORLD}", "@pafot.rate(confidence=...): expected a number between 0 and 1"),
+]
+
+
+def test_a_wrong_argument_fails_the_test_with_a_way_out(project):
+    tests = [rated(given).replace("test_rate", f"test_{number}") for number, (given, _) in enumerate(WRONG)]
+    project.write("\n".join(tests))
     result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines([f"{text}*"])
+    result.assert_outcomes(failed=len(WRONG))
+    for number, (_, text) in enumerate(WRONG):
+        pytest.LineMatcher(section(result, f"test_{number}").splitlines()).fnmatch_lines([f"{text}*"])
 
 
 def test_a_bare_mark_fails_the_test_with_what_it_lacks(project):

@@ -26,7 +26,7 @@ def test_fails(run):
 
 
 @pytest.fixture
-def saved(project):
+def saved(shrinking, project):
     """A project with one saved scenario, whose search finds nothing but that."""
     project.write(FAILS)
     project.run_once(generations=5)

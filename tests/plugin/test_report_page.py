@@ -314,7 +314,7 @@ def test_rows_of_pytest_html_come_from_workers_too(failing):
     assert len(rows_of(failing, "-n", "1", apart=True)) == 1
 
 
-def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page):
+def test_what_shrinking_and_reference_drivers_came_to_is_on_the_page_also_at_the_replay(project, page, shrinking):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", generations=6)
     (finding, *_) = [each for each in data_of(page)["findings"] if each["event"]["side"] == "front"]

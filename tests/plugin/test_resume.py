@@ -47,13 +47,13 @@ def forget(project):
 
 def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
     project.write(SOURCE)
-    project.run("--pafot-runs=40", generations=None)
+    project.run("--pafot-runs=24", generations=None)
     whole = forget(project)
     assert whole
     for _ in range(4):
-        result = night(project, runs=10)
+        result = night(project, runs=6)
     assert project.contents == whole
-    result.stdout.fnmatch_lines(["*went on after 30 runs of earlier sessions*"])
+    result.stdout.fnmatch_lines(["*went on after 18 runs of earlier sessions*"])
     (state,) = project.path.glob("states/*.json")
     assert state.name.startswith("test_it.py.test_it~")
 

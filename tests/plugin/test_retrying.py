@@ -92,6 +92,7 @@ def test_it(run):
 
 
 @forks
+@pytest.mark.processes
 def test_what_builds_up_until_each_session_dies_is_a_finding_of_the_third(project):
     builds_up = """
 RUNS = []
@@ -138,6 +139,7 @@ def test_a_death_in_the_test_function_comes_again(project):
 
 
 @forks
+@pytest.mark.processes
 def test_a_process_that_does_not_return_to_the_interpreter_is_a_hang(project, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
     write(project, "sum(range(10**12))")

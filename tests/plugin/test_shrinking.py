@@ -21,6 +21,9 @@ def test_collides(run):
 """
 
 
+pytestmark = pytest.mark.usefixtures("shrinking")
+
+
 @pytest.fixture
 def collides(project):
     project.write(COLLIDES)
