@@ -183,11 +183,12 @@ def never_collides(run):
     assert not run.collision
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("name", "seed", "fault", "npcs"),
     [
-        oracle("brakes-for-ghosts", 7, "braked-for-nothing", 1),
-        oracle("stops-in-its-lane", 35, "stopped-for-nothing", 1),
+        ("brakes-for-ghosts", 7, "braked-for-nothing", 1),
+        ("stops-in-its-lane", 35, "stopped-for-nothing", 1),
         ("trusts-any-gap-behind", 2, "entered-lane", 2),
     ],
 )
