@@ -68,7 +68,7 @@ def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
 
         return both_move
 
-    pairs = strategies.scenarios(min_npcs=2, min_genes=2, max_genes=2)
+    pairs = strategies.scenarios(min_npcs=2, max_npcs=2, min_genes=2, max_genes=2)
     many = settings(max_examples=5000, phases=[Phase.generate])
     assert find(pairs, follows(1), settings=many)
     assert find(pairs, follows(-1), settings=many)

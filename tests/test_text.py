@@ -111,7 +111,7 @@ def test_pages_and_junit_files_have_no_markup_of_others(text):
     assert obeyed(ElementTree.tostring(element, "unicode")) == []
 
 
-@settings(max_examples=12)  # each reads nineteen files
+@settings(max_examples=6)  # each reads nineteen files
 @given(TEXTS.filter(str.strip))
 def test_no_line_of_the_corpus_command_and_of_its_errors_is_obeyed(tmp_path_factory, text):
     folder = tmp_path_factory.mktemp("corpus")

@@ -71,7 +71,12 @@ def test_the_reference_runs_where_the_policy_fails_and_nowhere_else():
 def test_what_is_found_is_the_same_in_other_processes():
     here, apart = (
         pafot.explore(
-            constant_speed.make, against=CAREFUL, holds=never_collides, isolate=isolate, stop_after=1, **SHORT
+            constant_speed.make,
+            against=CAREFUL,
+            holds=never_collides,
+            isolate=isolate,
+            stop_after=1,
+            **SHORT | {"shrink_rollouts": 4},
         ).findings
         for isolate in (False, True)
     )

@@ -27,7 +27,14 @@ def avoids_collisions(run):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-@pytest.mark.parametrize("settings", [{"blame": "any"}, {"blame": "ego"}, {"fitness": "npcs.ttc", "blame": "ego"}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param({"blame": "any"}, marks=pytest.mark.processes),
+        {"blame": "ego"},
+        {"fitness": "npcs.ttc", "blame": "ego"},
+    ],
+)
 def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypatch, settings):
     monkeypatch.setattr(prefetching, "DEAR", 0.0)
 

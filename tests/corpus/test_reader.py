@@ -309,8 +309,8 @@ def test_a_billion_laughs_are_refused_before_they_are_told(path):
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])
 def test_nesting_without_end_is_refused(path, opening):
-    text, errors = "pafot: 1\nworld: \n  " + opening * (100_000 // len(opening)), []
-    assert calls_in(lambda: errors.append(fault(path, text))) < 100_000
+    text, errors = "pafot: 1\nworld: \n  " + opening * (40_000 // len(opening)), []
+    assert calls_in(lambda: errors.append(fault(path, text))) < 40_000
     assert errors[0].expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
 
 
@@ -330,9 +330,7 @@ def test_a_huge_file_is_refused_unread(path):
 
 
 def test_more_values_than_a_written_file_has_are_refused(path, monkeypatch):
-    path.write_text(f"pafot: 2\nworld: {{kind: own, data: [{'1,' * yaml_document.MOST_VALUES}]}}\n")
-    with pytest.raises(CorpusError, match=r":2: .*at most 40000 values"):
-        load(path)
+    assert yaml_document.MOST_VALUES == 40_000
     monkeypatch.setattr(yaml_document, "MOST_VALUES", 400)
     for values in ("1," * 400, "[]," * 400, "{a: 1}," * 200):
         error = fault(path, f"pafot: 2\nworld: {{kind: own, data: [{values}]}}\n")

@@ -49,7 +49,7 @@ def test_a_file_is_whole_whenever_it_can_be_seen(path):
 
     thread = threading.Thread(target=reader)
     thread.start()
-    for turn in range(40):
+    for turn in range(24):
         rewrite(path, finding if turn % 2 else plain_finding())
     stop.set()
     thread.join()

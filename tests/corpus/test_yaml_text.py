@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.corpus.reader import load, parsed
@@ -132,6 +132,7 @@ def test_a_wide_world_is_broken_between_its_entries_and_goes_on_below_the_first_
     assert text.split("\n", 2)[2].split("\nscenario:")[0] == GYM_WORLD
 
 
+@settings(max_examples=settings.default.max_examples // 2)  # PyYAML's own parser is slow
 @given(findings())
 def test_every_finding_is_read_as_it_was_written_also_by_an_ordinary_reader(finding):
     text = text_of(finding)

@@ -78,13 +78,14 @@ def test_without_the_library_the_error_says_what_to_install(tmp_path, monkeypatc
         WORLD.rollout(CUT_IN, policy)
 
 
+@pytest.mark.processes
 def test_it_is_searched_alike_in_this_process_and_in_isolated_ones(tmp_path):
     policy = pafot.policies.onnx(saved_network(tmp_path / "policy.onnx", 25, 5, ["runs", 25]))
 
     def holds(run):
         assert run.min_distance > 10
 
-    given = {"holds": holds, "world": WORLD, "runs": 6, "seed": 3, "shrink_rollouts": 0, "population": 3}
+    given = {"holds": holds, "world": WORLD, "runs": 3, "seed": 3, "shrink_rollouts": 0, "population": 3}
     here, apart = pafot.explore(policy, **given), pafot.explore(policy, isolate=True, **given)
     assert [each.id for each in here.findings] == [each.id for each in apart.findings] != []
     assert {each.found.weights for each in here.findings} == {policy.weights_digest}

@@ -10,6 +10,7 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.rating import crash_picture, rate_plan
 from pytest_pafot.rating.rate import EpisodeRow, Pair, Rate, shown
+from pytest_pafot.report import animation
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
 ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
@@ -113,7 +114,8 @@ def test_without_pillow_the_report_has_no_picture_and_that_is_told(tmp_path, cap
     assert "seeds of the crashes: 2" in (tmp_path / "report.md").read_text()
 
 
-def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys):
+def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])
     assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path)) == 0
     assert "constant_speed@planner in highway-fast-v0, seed 2: crashed after " in capsys.readouterr().out
     assert (tmp_path / "constant_speed-planner-2.png").read_bytes().startswith(b"\x89PNG")

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.report.finding_view import shrink_view
-from pytest_pafot.report.page import data_json, render_frame, render_page
+from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_codec import decode
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report
 from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
@@ -118,14 +118,6 @@ def test_hostile_text_stays_text_wherever_it_stands():
         hostile = Reader(page)
         assert [(tag, list(attrs)) for tag, attrs in hostile.tags] == expected, text
         assert hostile.raw["script:"] == harmless.raw["script:"], text
-
-
-@given(values_of(Report))
-def test_data_survives_its_script_element(report):
-    data = data_json(report)
-    assert data.isascii()
-    assert not set("<>&") & set(data)
-    assert json.loads(data)["title"] == report.title
 
 
 def test_a_view_with_numbers_that_json_lacks_is_refused():

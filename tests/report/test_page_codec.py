@@ -6,16 +6,21 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 
+from pytest_pafot.report.page import data_json
 from pytest_pafot.report.page_codec import decode, encode
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report, ShrinkView
 from tests.report.builders import real_report, values_of
 
 
 @given(values_of(Report))
-def test_any_report_and_the_views_in_it_come_back_from_json_as_they_were(report):
+def test_any_report_comes_back_from_json_as_it_was_and_survives_its_script_element(report):
     assert decode(Report, json.loads(json.dumps(encode(report)))) == report
     for kind, views in ((FindingView, report.findings), (CampaignView, report.campaigns)):
         assert [decode(kind, json.loads(json.dumps(encode(view)))) for view in views] == [*views]
+    data = data_json(report)
+    assert data.isascii()
+    assert not set("<>&") & set(data)
+    assert json.loads(data)["title"] == report.title
 
 
 def test_a_real_report_comes_back_as_it_was():

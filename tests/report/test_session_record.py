@@ -41,7 +41,7 @@ RECORDS = st.builds(
     searches=st.lists(SUMMARIES.map(SearchRecord.of), max_size=2),
     findings=st.lists(
         findings().map(lambda each: FindingRecord.of(each, node_id="test_it.py::x", status="new", file=None)),
-        max_size=2,
+        max_size=1,
     ),
     rates=st.lists(TEXTS, max_size=1),
     merged=st.lists(TEXTS, max_size=1),

@@ -74,7 +74,7 @@ def shared_decisions(child, parent=PARENT):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(
     seed=st.integers(0, 2**32),
     npcs=st.integers(1, 4),

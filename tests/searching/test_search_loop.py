@@ -41,7 +41,7 @@ def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
     assert last.best.rank == max(event.evaluation.rank for event in evaluated)
 
 
-@settings(max_examples=15)
+@settings(max_examples=12)
 @given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64), st.integers(2, 9))
 def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(cheap_world, algorithm, seed, batch):
     def shuffled(scenarios, draw=random.Random(seed)):  # noqa: B008
@@ -121,11 +121,11 @@ def shows(run, scenario):
     return genes == executed or (genes == asked and scenario.seed == run.scenario.seed)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32), st.floats(0, 30))
 def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(cheap_world, seed, crash_speed):
     world, runs = cheap_world(crash_speed=crash_speed), []
-    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=10, seed=seed)):
+    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=8, seed=seed)):
         scenario = event.evaluation.scenario
         assert event.reused == any(shows(run, scenario) for run in runs)
         assert event.evaluation == cheap_world(crash_speed=crash_speed).run(scenario)
@@ -353,7 +353,7 @@ def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simul
         ]
 
     def bests(algorithm):
-        return [best_after(algorithm, evaluate, simulations=200, seed=seed) for seed in range(5)]
+        return [best_after(algorithm, evaluate, simulations=120, seed=seed) for seed in range(5)]
 
     by_chance = bests(RandomSearch())
     for algorithm in (PafotSearch(), PafotSearch(restart_after=50)):

@@ -79,11 +79,11 @@ def test_the_same_generator_gives_the_same_sample(space, seed):
 def test_first_cells_and_speeds_are_uniform(assert_rate):
     rng = np.random.default_rng(3)
     space = SearchSpace(speed_limit=0.9)
-    scenarios = [sample(space, rng) for _ in range(1000)]
+    scenarios = [sample(space, rng) for _ in range(600)]
     for npc in range(2):
         first = [scenario.npcs[npc][0].cell for scenario in scenarios]
         for cell in range(1, 9):
-            assert_rate(first.count(cell), 1000, 1 / 8)
+            assert_rate(first.count(cell), 600, 1 / 8)
     speeds = [gene.speed for scenario in scenarios for chain in scenario.npcs for gene in chain]
     for step in range(10):
         assert_rate(speeds.count(step / 10), len(speeds), 1 / 10)
