@@ -99,7 +99,12 @@ def link_out(test_file: Path, corpus: str, rootpath: Path) -> Path | None:
     """The link by which the corpus that serves a test file lies out of the project; None where it does not."""
     root = corpus_root(test_file, corpus, rootpath)
     link = link_below(chosen_folder(test_file, corpus), root)
-    return None if Path(os.path.realpath(root)).is_relative_to(os.path.realpath(rootpath)) else link
+    return None if is_inside(root, rootpath) else link
+
+
+def is_inside(path: Path, rootpath: Path) -> bool:
+    """Return whether a path lies in the project once all links are followed."""
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(rootpath))
 
 
 def is_corpus(path: Path, corpus: Path) -> bool:

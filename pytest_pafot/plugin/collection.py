@@ -13,12 +13,12 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus import layout
-from pytest_pafot.corpus.saved import Saved, refused_in, saved_in
+from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of
 from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, saved_part
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
-from pytest_pafot.plugin.session import SHARED, base_line
+from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.text import visible
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
@@ -163,6 +163,11 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
+        links = {root: layout.link_below(directory, root) for root, directory in roots.items()}
+        out = {root: link for root, link in links.items() if link and not layout.is_inside(root, self._rootpath)}
+        for link in sorted(set(out.values())):  # Not even the names of what lies behind it are listed.
+            self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
+        roots = {root: directory for root, directory in roots.items() if root not in out}
         if not self._collected.roots and not any(map(layout.is_folder, roots)):
             return
         collected = replace(self._collected, roots=roots, files={item.path for item in items})

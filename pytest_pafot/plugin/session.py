@@ -16,6 +16,7 @@ import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
 from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
+from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.text import plural
 
@@ -133,6 +134,12 @@ def unclaimed(config: pytest.Config) -> list[str]:
             f"{plural(len(others), 'record')} from elsewhere or from before a restart; they are ignored: delete them"
         )
     return own
+
+
+def refused_output(config: pytest.Config, name: str, folder: Path) -> str:
+    """Return why an output of a relative name is not written, or an empty text: links may come with a checkout."""
+    link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
+    return "" if link is None else refusal(link)
 
 
 def _cached_folder(config: pytest.Config) -> Path | None:

@@ -19,7 +19,7 @@ from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.item_properties import AS_SAVED
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.session import HERE, SUMMARY_LINES
+from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, refused_output
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.finding import Finding
@@ -171,6 +171,11 @@ class Records:
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
 
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._file))
+        refused = refused_output(self._config, self._file, path.parent)
+        if refused:
+            if code is not None:
+                self._lines.problems.append(f"{JSON.flag}={self._file}: not written: {refused}")
+            return
         try:
             write_whole(path, to_text(self._record(code)))
         except OSError as error:

@@ -108,6 +108,30 @@ def test_a_corpus_that_the_user_names_by_its_absolute_path_may_be_a_link(failing
     failing.run("--pafot-corpus", failing.path / "link", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
+def test_no_output_of_a_relative_name_is_written_behind_a_linked_folder(failing, elsewhere):
+    (elsewhere / "o.json").write_text("KEEP")
+    (failing.path / "out").symlink_to(elsewhere)
+    before = all_in(elsewhere)
+    for report in ("out/page.html", "out/"):
+        result = failing.run(f"--pafot-report={report}", "--pafot-json=out/o.json")
+        why = f"not written: expected a folder, received the link {failing.path / 'out'}, *"
+        result.stdout.fnmatch_lines_random([f"*--pafot-report={report}: {why}", f"*--pafot-json=out/o.json: {why}"])
+        assert all_in(elsewhere) == before
+    failing.run(f"--pafot-json={failing.path / 'out' / 'o.json'}")
+    assert all_in(elsewhere) != before
+
+
+def test_nothing_behind_a_corpus_that_leads_out_is_listed(project, elsewhere):
+    project.write("@pafot.search(SHORT)\ndef test_lives(run):\n    pass\n")
+    (elsewhere / "secret_name").mkdir()
+    (elsewhere / "secret_name" / "a.pafot.yaml").write_text("")
+    corpus = project.path / "pafot_corpus"
+    corpus.symlink_to(elsewhere.parent)
+    result = project.run(generations=0)
+    result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, behind which*"])
+    assert "secret_name" not in result.stdout.str()
+
+
 def test_states_and_crash_records_behind_links_are_left_alone(failing, elsewhere):
     (elsewhere / "d" / "pafot").mkdir(parents=True)
     (elsewhere / "d" / "pafot" / "1-x.inflight").write_text("\n")  # which would be removed

@@ -156,15 +156,6 @@ def test_a_world_without_what_a_search_needs_is_refused_with_what_is_missing(pro
     result.stdout.fnmatch_lines(["*which has no speed_limit, longest_run*"])
 
 
-def test_a_file_of_version_1_of_a_world_of_ones_own_is_replayed(saved):
-    text = saved.only_file.read_text()
-    text = text.replace("pafot: 2", "pafot: 1").replace("{kind: own, class: Ring, data: {lanes: 3}}", "{lanes: 3}")
-    saved.only_file.write_text(text)
-    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-    own(saved, verdict=PASSES)
-    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
-
-
 # --- environments in wrappers
 
 
