@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pytest_pafot.errors import FieldError
@@ -45,7 +45,6 @@ def hidden_by_rays(everybody, wider):
 PLACES = st.tuples(st.floats(-25.0, 25.0), st.floats(-9.0, 9.0), st.floats(-math.pi, math.pi))
 
 
-@settings(max_examples=60)
 @given(st.lists(PLACES, min_size=2, max_size=5))
 @example([(0.0, 0.0, 0.0), (0.0, 5e-324, 0.0)])
 def test_a_vehicle_is_hidden_where_rays_that_are_followed_step_by_step_say_so(places):

@@ -51,7 +51,7 @@ class Told(gym.Wrapper):
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")  # the environment's own
-@pytest.mark.parametrize("share", [0.0, 1.0])
+@pytest.mark.parametrize("share", [oracle(0.0), 1.0])
 def test_gymnasium_finds_no_fault(share):
     env = gym.make("pytest_pafot.training:pafot/Scenarios-v0", world=FAST, share=share)
     check_env(env.unwrapped)
@@ -68,7 +68,7 @@ def test_scenarios_are_the_runs_of_the_world_to_the_last_bit():
         assert results[-1][2] == (trace.outcome == "collision")
 
 
-@pytest.mark.parametrize(("env_id", "action"), [("highway-fast-v0", 4), ("merge-v0", 0)])
+@pytest.mark.parametrize(("env_id", "action"), [("highway-fast-v0", 4), oracle("merge-v0", 0)])
 def test_observations_and_rewards_of_scenarios_are_those_of_the_environments_own_steps(env_id, action):
     own = []
 

@@ -71,10 +71,12 @@ def test_a_vehicle_close_behind_does_not_make_it_brake():
     assert min(ego.speed for ego, _ in track) >= 21.9
 
 
-def test_the_road_never_ends_although_the_map_is_short():
-    distance = drive(24, ego=vehicle(speed=26.8))[-1][0].x - 100.0
+def test_the_road_never_ends_although_the_map_is_short(monkeypatch):
+    monkeypatch.setattr(fiss, "MAP_AHEAD", 260.0)
+    monkeypatch.setattr(fiss, "MAP_RENEWED_AHEAD", 200.0)
+    distance = drive(14, ego=vehicle(speed=26.8))[-1][0].x - 100.0
     assert distance > fiss.MAP_BEHIND + fiss.MAP_AHEAD
-    assert distance == pytest.approx(24 * 26.8, rel=0.01)
+    assert distance == pytest.approx(14 * 26.8, rel=0.01)
 
 
 def test_the_same_traffic_gives_the_same_actions():

@@ -70,7 +70,9 @@ def test_constant_speed_runs_into_whoever_brakes_ahead():
     assert collision.ego_speed == pytest.approx(22.0)
 
 
-@pytest.mark.parametrize(("world", "make"), [d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}])
+@pytest.mark.parametrize(
+    ("world", "make"), slow_ones_by_oracle([d for d in DRIVERS if d.id not in {"constant-speed", "ppo"}])
+)
 def test_all_that_can_drive_slowly_cope_with_whoever_brakes_ahead(world, make):
     assert first_run(world, make, BRAKES_AHEAD).collision is None
 

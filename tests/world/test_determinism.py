@@ -105,10 +105,12 @@ def first():
     return digests()
 
 
+@pytest.mark.processes
 def test_another_process_with_another_hash_seed_gives_the_same_traces(first, elsewhere):
     assert elsewhere["digests"] == first
 
 
+@pytest.mark.processes
 def test_nothing_large_is_imported_before_something_of_it_is_used(elsewhere):
     assert elsewhere["with the examples"] == []
     assert elsewhere["by the kernel"] == ["collision", []]

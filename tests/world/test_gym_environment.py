@@ -113,7 +113,6 @@ CASES = {
     mostly_oracle(
         CASES,
         "with running statistics",
-        "other actions",
         "clipped actions",
         "actions that stick by chance",
     ),

@@ -63,7 +63,7 @@ CONFIGS = {
 }
 
 
-@pytest.mark.parametrize("config", mostly_oracle(CONFIGS, "meta-actions", "continuous"))
+@pytest.mark.parametrize("config", mostly_oracle(CONFIGS, "continuous"))
 def test_policies_of_an_environment(config):
     options, choose = CONFIGS[config]
     world = World("highway-v0", config=options, duration=6.0)
