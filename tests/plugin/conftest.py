@@ -209,11 +209,18 @@ def found():
 
 
 @pytest.fixture
-def project(pytester, monkeypatch, distributions, found):
+def project(request, pytester, monkeypatch, distributions, found):
+    """A project in which sessions do what takes long only for a test that asks for it.
+
+    Finds are saved as they were found, and are not run again in highway-env's own environment. Tests of several
+    processes have whole sessions: what one process does, the others must do as well.
+    """
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
     known_to_have_no_fixtures(monkeypatch)
     known_statements(monkeypatch)
-    monkeypatch.setattr(confirmation, "_difference_in_gym", lambda run, simulation: "")
+    if not request.node.get_closest_marker("processes"):
+        monkeypatch.setattr(confirmation, "_difference_in_gym", lambda run, simulation: "")
+        monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     for name in (
         "CI",
         "BUILD_NUMBER",
@@ -227,7 +234,6 @@ def project(pytester, monkeypatch, distributions, found):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
     monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Project(pytester, found)
@@ -235,14 +241,14 @@ def project(pytester, monkeypatch, distributions, found):
 
 @pytest.fixture
 def in_highway_env(project, monkeypatch):
-    """Let sessions run each find in highway-env's own environment too, as users' do, which takes longest of all."""
+    """Let sessions run each find in highway-env's own environment too, as users' sessions do."""
     monkeypatch.setattr(confirmation, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 @pytest.fixture
 def shrinking(project, monkeypatch):
-    """Let sessions shrink their finds, as users' do; the others save them as they were found."""
-    monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS")
+    """Let sessions shrink their finds, as users' sessions do."""
+    monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS", raising=False)
 
 
 FAILING = """
