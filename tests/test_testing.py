@@ -65,6 +65,7 @@ def test_a_world_that_keeps_its_promises_passes(world, given):
     check_world(world, runs=3, **SHORT, **given)
 
 
+@pytest.mark.oracle
 def test_an_environment_whose_road_says_how_the_ego_starts_passes():
     check_world(World("roundabout-v0", duration=4.0), runs=2, ads=lambda: lambda seen: 1, npcs=2)
 

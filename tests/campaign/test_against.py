@@ -10,8 +10,8 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.world.reference_drivers import REFERENCES
 
-SHORT = {"generations": 4, "genes": 2, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
-ROAD = pafot.Highway(duration=20.0)
+SHORT = {"generations": 4, "genes": 2, "gene_seconds": 5, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
+ROAD = pafot.Highway(duration=10.0)
 CAREFUL = REFERENCES["idm-aeb"]
 
 

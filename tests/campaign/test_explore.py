@@ -21,7 +21,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
 
-SHORT = {"generations": 2, "population": 4, "genes": 2, "shrink_rollouts": 20}
+SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
 
 
 class Bare:

@@ -40,7 +40,7 @@ def test_a_search_learns_the_same_from_its_runs_wherever_they_are_read(monkeypat
 
     def learnt(workers):
         found = pafot.explore(
-            lambda: brakes_late, holds=avoids_collisions, runs=12, workers=workers, shrink_rollouts=0, **settings
+            lambda: brakes_late, holds=avoids_collisions, runs=8, workers=workers, shrink_rollouts=0, **settings
         )
         return [each for each in found.events if isinstance(each, Evaluated)], [each.id for each in found.findings]
 

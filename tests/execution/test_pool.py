@@ -54,8 +54,8 @@ def test_its_processes_look_for_no_garbage_in_what_they_are_copies_of_and_the_se
         assert gc.get_freeze_count() >= before + len(young)
 
     before, young = gc.get_freeze_count(), [[] for _ in range(10_000)]
-    assert fetched(pool_of(frozen, 1)) == [number**2 for number in TASKS]
-    assert gc.get_freeze_count() == before
+    assert fetched(pool_of(frozen, 1), [3]) == [9]
+    assert gc.get_freeze_count() <= before  # a few of them are gone by now
 
 
 @pytest.mark.parametrize(
