@@ -39,7 +39,8 @@ def fork_and_go_on():
 
 
 def fork_behind_python():
-    pid = ctypes.CDLL(None).fork()
+    # PyDLL keeps the lock of the interpreter: a copy made while another thread has it would wait for it for ever.
+    pid = ctypes.PyDLL(None).fork()
     if pid:
         os.waitpid(pid, 0)
 
