@@ -114,9 +114,9 @@ def limited(seconds: int) -> Iterator[None]:
 def run_of(finding: Finding, path: Path) -> None:
     """Build the world of a file and run its scenario once; refusals that name the file are as they should be."""
     harness: Any = SimpleNamespace(world=Highway())
-    session: Any = None  # nothing here is replayed in a session of its own
+    elsewhere: Any = None  # nothing here is replayed in a session of its own
     try:
-        world = Replays(harness=harness, session=session).world_of(Saved(path=path, finding=finding))
+        world = Replays(harness=harness, in_own_session=elsewhere).world_of(Saved(path=path, finding=finding))
     except RequestError as error:
         if not str(error).startswith(f"{path}:"):
             raise
