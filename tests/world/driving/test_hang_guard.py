@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bdb
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -38,13 +37,6 @@ def fork_and_go_on():
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
 
 
-def fork_behind_python():
-    # PyDLL keeps the lock of the interpreter: a copy made while another thread has it would wait for it for ever.
-    pid = ctypes.PyDLL(None).fork()
-    if pid:
-        os.waitpid(pid, 0)
-
-
 def forks_once(fork, when):
     """A factory of ADSs that fork in the factory, or in the first decision."""
 
@@ -57,11 +49,10 @@ def forks_once(fork, when):
 
 
 @forks
-@pytest.mark.parametrize("fork", [fork_and_go_on, fork_behind_python])
 @pytest.mark.parametrize("when", ["factory", "decision"])
-def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(fork, when):
+def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(when):
     with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
-        Highway(duration=2.0).rollout(SCENARIO, forks_once(fork, when))
+        Highway(duration=2.0).rollout(SCENARIO, forks_once(fork_and_go_on, when))
     assert Highway(duration=2.0).rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).error is None
 
 
