@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.campaign.options import BY_NAME, is_page_file
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.session import SUMMARY_LINES, refused_output
@@ -101,7 +101,7 @@ class Pages:
             self._drafts.setdefault(path, Draft(target=target)).take(data, finding, campaign)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
-        from pytest_pafot.report.session_report import is_page_file, write_report  # noqa: PLC0415
+        from pytest_pafot.report.session_report import write_report  # noqa: PLC0415
 
         folder = path.parent if is_page_file(draft.target) else path
         refused = refused_output(self._config, draft.target, folder)
