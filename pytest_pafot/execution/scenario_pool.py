@@ -83,14 +83,7 @@ class ExecutionError(Exception):
 def pool_for(job: Job, size: int) -> ScenarioPool:
     """A pool of up to so many processes; an ``ExecutionError`` where they cannot be given what they need."""
     work = partial(_run_recorded, job, job.crash_record())
-    if METHOD != "fork":
-        try:
-            pickle.dumps(work)
-        except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
-            raise ExecutionError(
-                "where processes cannot be forked, the ADS factory must be one that can be pickled, such as a class of "
-                f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
-            ) from None
+    check_can_be_given(work)
     patience, grace = protocol.hang_limit(job.world) + GRACE, min(IGNORED, GRACE)
     return WorkerPool(
         work,
@@ -101,6 +94,23 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         memory=_memory(job, size),
         ended=partial(_forget, job),
     )
+
+
+def check_can_be_given(work: Callable[..., Any]) -> None:
+    """Check that processes can be given their work.
+
+    Raises:
+        ExecutionError: where they cannot be forked, and the work cannot be pickled.
+    """
+    if METHOD == "fork":
+        return
+    try:
+        pickle.dumps(work)
+    except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
+        raise ExecutionError(
+            "where processes cannot be forked, the ADS factory must be one that can be pickled, such as a class of "
+            f"a module that can be imported, received one that raises {type(error).__name__}: {error}"
+        ) from None
 
 
 def _memory(job: Job, size: int) -> int | None:

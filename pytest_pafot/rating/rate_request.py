@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +11,7 @@ from typing import Any, Required, TypedDict
 
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.pool import GRACE, WorkerPool
-from pytest_pafot.execution.scenario_pool import METHOD
+from pytest_pafot.execution.scenario_pool import METHOD, ExecutionError, check_can_be_given
 from pytest_pafot.proportions import percent
 from pytest_pafot.rating.rate import EpisodeRow, Rate
 from pytest_pafot.rating.rate_plan import driven
@@ -67,14 +66,10 @@ class RateRequest:
         seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
         if not isolate and (workers == 1 or METHOD != "fork"):
             return Rate(ads=name, rows=tuple(map(work, seeds)))
-        if METHOD != "fork":
-            try:
-                pickle.dumps(work)
-            except Exception as error:  # noqa: BLE001  (whatever the objects of the user raise when they are pickled)
-                raise RequestError(
-                    "--pafot-isolate: where processes cannot be forked, the ADS factory must be one that can be "
-                    f"pickled, such as a class of a module, received one that raises {type(error).__name__}: {error}"
-                ) from None
+        try:
+            check_can_be_given(work)
+        except ExecutionError as error:
+            raise RequestError(f"--pafot-isolate: {error}") from None
         preload(factory)
         patience = self.world.hang_limit + GRACE
         with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:
