@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.explore import explore as explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario as SavedScenario
     from pytest_pafot.campaign.saved_scenario import load as load
-    from pytest_pafot.checks import CheckFailed as CheckFailed
-    from pytest_pafot.checks import check as check
-    from pytest_pafot.checks import target as target
     from pytest_pafot.criticality.signals import Measure as Measure
     from pytest_pafot.criticality.signals import Signal as Signal
     from pytest_pafot.criticality.temporal import above as above
@@ -28,21 +25,24 @@ if TYPE_CHECKING:
     from pytest_pafot.criticality.temporal import below as below
     from pytest_pafot.criticality.temporal import eventually as eventually
     from pytest_pafot.criticality.temporal import until as until
-    from pytest_pafot.grid import Cell as Cell
+    from pytest_pafot.episodes.rate import Rate as Rate
+    from pytest_pafot.model.grid import Cell as Cell
+    from pytest_pafot.model.scenario import Chromosome as Chromosome
+    from pytest_pafot.model.scenario import LaneInstruction as LaneInstruction
+    from pytest_pafot.model.scenario import PositionInstruction as PositionInstruction
+    from pytest_pafot.model.scenario import Scenario as Scenario
+    from pytest_pafot.model.scenario import ScenarioError as ScenarioError
+    from pytest_pafot.model.trace import Collision as Collision
+    from pytest_pafot.model.trace import Outcome as Outcome
+    from pytest_pafot.model.trace import Trace as Trace
+    from pytest_pafot.oracle.checks import CheckFailed as CheckFailed
+    from pytest_pafot.oracle.checks import check as check
+    from pytest_pafot.oracle.checks import reject as reject
+    from pytest_pafot.oracle.checks import target as target
+    from pytest_pafot.oracle.run import Run as Run
     from pytest_pafot.plugin.marks import rate as rate
     from pytest_pafot.plugin.marks import search as search
-    from pytest_pafot.rating.rate import Rate as Rate
-    from pytest_pafot.rejection import reject as reject
-    from pytest_pafot.run import Run as Run
-    from pytest_pafot.scenario import Chromosome as Chromosome
-    from pytest_pafot.scenario import LaneInstruction as LaneInstruction
-    from pytest_pafot.scenario import PositionInstruction as PositionInstruction
-    from pytest_pafot.scenario import Scenario as Scenario
-    from pytest_pafot.scenario import ScenarioError as ScenarioError
     from pytest_pafot.searching.fitness import Weights as Weights
-    from pytest_pafot.trace import Collision as Collision
-    from pytest_pafot.trace import Outcome as Outcome
-    from pytest_pafot.trace import Trace as Trace
     from pytest_pafot.training import training_env as training_env
     from pytest_pafot.world import Drive as Drive
     from pytest_pafot.world import Highway as Highway
@@ -56,28 +56,28 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Cell": "grid",
-    "CheckFailed": "checks",
-    "Chromosome": "scenario",
-    "Collision": "trace",
+    "Cell": "model.grid",
+    "CheckFailed": "oracle.checks",
+    "Chromosome": "model.scenario",
+    "Collision": "model.trace",
     "Drive": "world",
     "Exploration": "campaign.explore",
     "Highway": "world",
-    "LaneInstruction": "scenario",
+    "LaneInstruction": "model.scenario",
     "LastChance": "attribution.last_chance",
     "Measure": "criticality.signals",
     "NpcLimits": "world",
     "Observation": "world",
-    "Outcome": "trace",
+    "Outcome": "model.trace",
     "Perception": "world",
-    "PositionInstruction": "scenario",
-    "Rate": "rating.rate",
-    "Run": "run",
+    "PositionInstruction": "model.scenario",
+    "Rate": "episodes.rate",
+    "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",
-    "Scenario": "scenario",
-    "ScenarioError": "scenario",
+    "Scenario": "model.scenario",
+    "ScenarioError": "model.scenario",
     "Signal": "criticality.signals",
-    "Trace": "trace",
+    "Trace": "model.trace",
     "Weights": "searching.fitness",
     "World": "world",
     "WorldError": "world",
@@ -86,13 +86,13 @@ _HOMES = {
     "always": "criticality.temporal",
     "below": "criticality.temporal",
     "eventually": "criticality.temporal",
-    "check": "checks",
+    "check": "oracle.checks",
     "explore": "campaign.explore",
     "load": "campaign.saved_scenario",
-    "reject": "rejection",
+    "reject": "oracle.checks",
     "rate": "plugin.marks",
     "search": "plugin.marks",
-    "target": "checks",
+    "target": "oracle.checks",
     "training_env": "training",
     "until": "criticality.temporal",
 }

@@ -12,8 +12,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command, from the arguments of the command line without the program's name; its exit code."""
     from pytest_pafot.comparison import command as comparison  # noqa: PLC0415
     from pytest_pafot.corpus import corpus_command as corpus  # noqa: PLC0415
+    from pytest_pafot.episodes import rate_command as rating  # noqa: PLC0415
     from pytest_pafot.export import export_command as exporting  # noqa: PLC0415
-    from pytest_pafot.rating import rate_command as rating  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     about = "Commands of pytest-pafot beside pytest."
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _without_output(command: str, error: OSError) -> int:
     """Say that the standard output cannot be written; the exit code."""
-    from pytest_pafot.files import way_out  # noqa: PLC0415
+    from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:  # noqa: PTH123  (a name, no path)
         os.dup2(nowhere.fileno(), sys.stdout.fileno())  # Python writes what is left of it when it ends.

@@ -31,11 +31,11 @@ from pytest_pafot.attribution.needless_braking import (
     reasons,
 )
 from pytest_pafot.attribution.responsibility import DISTANCES
-from pytest_pafot.checks import check
 from pytest_pafot.criticality import RoadFrame, RssRules, longitudinal_gap
 from pytest_pafot.criticality.signals import Signal
-from pytest_pafot.run import Run
-from pytest_pafot.trace import LANE, OFFSET, FloatArray, Trace, X, Y
+from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, Trace, X, Y
+from pytest_pafot.oracle.checks import check
+from pytest_pafot.oracle.run import Run
 
 __all__ = [
     "answers_cut_ins", "brakes_for_a_reason", "comfort", "keeps_up", "lane_change_gaps", "no_fault", "rss_distance",

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import (
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import (
     EGO_SPEED,
     GENE_SECONDS,
     PAPER_SPEED_LIMIT,

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import ACCELERATION, ANGLE, HEADING, LANE, SPEED, STEERING, Outcome, Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.trace import ACCELERATION, ANGLE, HEADING, LANE, SPEED, STEERING, Outcome, Trace
 from pytest_pafot.world.codec import OWN, described, from_dict, is_code
-from pytest_pafot.world.kernel.bodies import Box
-from pytest_pafot.world.kernel.contact import overlap
+from pytest_pafot.world.kernel.bodies import Box, overlap
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.protocol import hang_limit, missing, road_start
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 from gymnasium.error import ResetNeeded
@@ -20,17 +20,57 @@ from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.corpus.reader import load, located
-from pytest_pafot.errors import WorldError
-from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.episodes.compiled_traffic import CompiledSteps, why_not
+from pytest_pafot.episodes.episode import Start, Step
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.trace import Trace
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.hang_guard import HangGuard
-from pytest_pafot.world.driving.policy import checked_action
-from pytest_pafot.world.engines.compiled_traffic import CompiledSteps, why_not
-from pytest_pafot.world.engines.episode import Start, Step
-from pytest_pafot.world.engines.scenario_steps import ScenarioSteps
+from pytest_pafot.world.driving.policy import Policy, checked_action
+from pytest_pafot.world.engines.policy_engine import begin
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.protocol import road_start
+from pytest_pafot.world.run_config import Rules
+
+# A scenario as an episode that is given its actions: the run of ``World.rollout``, the reward of the environment.
+
+
+class ScenarioSteps:
+    """One scenario, which fits the rules, in an environment that has no steps of its own."""
+
+    def __init__(self, environment: GymEnvironment, rules: Rules, scenario: Scenario) -> None:
+        self._run = begin(environment, rules, scenario, HangGuard(rules.hang_limit), None)
+        self._env = cast("Policy", self._run.traffic.driver).env
+        self._env.action_space.seed(scenario.seed)
+
+    @property
+    def trace(self) -> Trace | None:
+        """Of the run, once that is over."""
+        return self._run.trace
+
+    def reset(self) -> tuple[Any, dict[str, Any]]:
+        """What the reset of the environment returns."""
+        seen = self._run.observe()
+        return seen, self._env._info(seen, self._env.action_space.sample())
+
+    def step(self, action: Any) -> Step:
+        """What the step of the environment returns, of an action that it has.
+
+        The run is over at the tick of first contact, and then the ego counts as crashed: highway-env, which is asked
+        for the reward, does not look for contact itself here. A run that is over in another way is truncated.
+        """
+        run, env = self._run, self._env
+        run.take(action, 0.0)
+        trace = run.trace
+        if trace is not None and trace.error is not None:
+            raise RuntimeError(f"{trace.error.kind}: {trace.error.message}\n{trace.error.traceback}")
+        seen = run.observe()
+        env.vehicle.crashed = trace is not None and trace.collision is not None
+        reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
+        return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)
+
 
 Sampler = Callable[[Generator], Scenario]
 Scenarios = str | os.PathLike[str] | Sequence[Scenario] | Sampler | None
@@ -106,7 +146,7 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     Observations, actions and reward are those of the world's environment. An episode is either a scenario, then it is
     the run that the world's ``rollout`` makes of the same actions, to the last bit, and ends at the first contact of
     the ego; or it is one of the environment's own random traffic, as it is without this package, but compiled where
-    :mod:`pytest_pafot.world.engines.compiled_traffic` can do so.
+    :mod:`pytest_pafot.episodes.compiled_traffic` can do so.
 
     Beside what the environment tells, ``info`` has ``is_scenario``, ``scenario`` (the id; empty in ordinary traffic)
     and ``responsible`` (once the ego has crashed in a scenario ``ego``, ``npc``, ``both`` or ``none``; else empty).

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.support.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, action, loaded, steps_of
+from tests.helpers.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, action, loaded, steps_of
 
 COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
 """That ``test_ci_script.py`` runs."""

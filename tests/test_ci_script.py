@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.actions import SCRIPT, git, inputs_of, run_action, shell
-from tests.support.sessions import read_record
+from tests.helpers.actions import SCRIPT, git, inputs_of, run_action, shell
+from tests.helpers.sessions import read_record
 
 pytestmark = pytest.mark.processes
 

@@ -40,7 +40,7 @@ import pytest
 import yaml
 
 import pytest_pafot.campaign.replays
-import pytest_pafot.plugin.execution
+import pytest_pafot.plugin.item_checks
 import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
@@ -48,7 +48,7 @@ import pytest_pafot.world.engines.object_engine
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
-from tests.support.sessions import in_process
+from tests.helpers.sessions import in_process
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]

@@ -9,10 +9,9 @@ import pytest_pafot
 PACKAGE = Path(pytest_pafot.__file__).parent
 
 ROOMS = (
-    "text", "errors", "locks", "files", "shown", "versions", "proportions", "grid", "scenario", "trace", "checks",
-    "rejection", "criticality", "attribution", "run", "properties", "sight", "findings", "searching", "corpus",
-    "world", "policies", "execution", "strategies", "testing", "campaign", "training", "comparison", "report",
-    "rating", "export", "plugin", "__main__",
+    "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
+    "world", "policies", "execution", "strategies", "testing", "campaign", "commands", "comparison", "report",
+    "episodes", "training", "export", "plugin", "__main__",
 )  # fmt: skip
 """A room may import the rooms before it, and itself."""
 
@@ -20,14 +19,14 @@ HOMES = {
     "yaml": {"corpus"},
     "cloudpickle": {"execution"},
     "distributed": {"execution"},
-    "highway_env": {"world"},
-    "gymnasium": {"world", "training"},
+    "highway_env": {"world", "episodes"},
+    "gymnasium": {"world", "episodes", "training"},
     "hypothesis": {"strategies"},
     "pytest": {"plugin"},
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},
-    "pandas": {"comparison", "run"},
+    "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
     "matplotlib": {"comparison"},
     "pymoo": {"searching"},
@@ -152,5 +151,5 @@ def test_no_modules_import_each_other_in_a_circle():
 def test_no_module_of_the_pure_rooms_touches_clock_or_global_randomness():
     forbidden = {"time", "random", "datetime", "secrets", "uuid"}
     for path in MODULES:
-        if room_of(path) in ("grid", "scenario", "trace", "run", "criticality", "attribution", "searching"):
+        if room_of(path) in ("model", "oracle", "criticality", "attribution", "searching"):
             assert not {name.split(".")[0] for name in imported_names(path)} & forbidden, path

@@ -133,7 +133,7 @@ def members():
         ({"pytest_pafot/py.typed": None}, "not in the wheel: pytest_pafot/py.typed"),
         ({"pytest_pafot/report/assets/main.js": None}, "not in the wheel: pytest_pafot/report/assets/main.js"),
         ({"pytest_pafot/example_ads/ppo/actor.npz": None}, "not in the wheel: pytest_pafot/example_ads/ppo/actor.npz"),
-        ({"tests/test_run.py": ""}, "in the wheel: tests/test_run.py"),
+        ({"tests/oracle/test_run.py": ""}, "in the wheel: tests/oracle/test_run.py"),
         ({"pytest_pafot/example_ads/conftest.py": ""}, "in the wheel: pytest_pafot/example_ads/conftest.py"),
         ({METADATA: "Name: pytest-pafot\nLicense-Expression: ISC\n"}, "its licence is ISC"),
         ({LICENCE: None}, "the text of the licence is not in the wheel"),

@@ -7,13 +7,13 @@ import pytest_pafot as pafot
 from pytest_pafot import properties
 from pytest_pafot.attribution.needless_braking import braking, reasons
 from pytest_pafot.attribution.responsibility import DISTANCES
-from pytest_pafot.checks import Recording, recorded
 from pytest_pafot.criticality import RoadFrame, RssRules
+from pytest_pafot.model.trace import ACCELERATION, LANE, AdsError, Outcome
+from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.trace import ACCELERATION, LANE, AdsError, Outcome
-from tests.support.drives import HZ, bent
-from tests.support.situations import FAR, LEFT, OWN, RIGHT, SITUATIONS, at_ramp, driven, hit, in_bend
-from tests.support.traces import LENGTH, straight_lanes, trace_of, vehicle
+from tests.helpers.drives import HZ, bent
+from tests.helpers.situations import FAR, LEFT, OWN, RIGHT, SITUATIONS, at_ramp, driven, hit, in_bend
+from tests.helpers.traces import LENGTH, straight_lanes, trace_of, vehicle
 
 FARTHER = 500.0
 """Where an NPC is out of everybody's way [m]."""

@@ -10,8 +10,8 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import strategies
-from pytest_pafot.grid import Cell, is_adjacent
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.grid import Cell, is_adjacent
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # which parts matter is nobody's question
 
@@ -94,7 +94,7 @@ def test_impossible_bounds_say_what_was_expected(arguments, message):
 def test_hypothesis_finds_the_strategies_by_its_entry_point():
     code = (
         "from hypothesis import strategies as st; import sys;"
-        "from pytest_pafot.scenario import Scenario;"
+        "from pytest_pafot.model.scenario import Scenario;"
         "st.from_type(Scenario).validate();"
         "assert 'highway_env' not in sys.modules and 'numpy' not in sys.modules"
     )

@@ -15,7 +15,6 @@ from tests.test_layers import MODULES, ROOMS, nodes_of
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
     "events": "what a campaign of generations yields, and what a whole search tells",
-    "loop": "of a search over its scenarios, and of a run over its ticks",
 }
 """Why modules of different rooms are called alike."""
 BLOCKS = (ast.If, ast.For, ast.While, ast.With, ast.Try, ast.Match)

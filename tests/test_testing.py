@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, NpcLimits, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, X
 from pytest_pafot.testing import check_world
-from pytest_pafot.trace import ACCELERATION, LANE, SPEED, X
-from tests.support.stopped_clock import StoppedClock
+from tests.helpers.stopped_clock import StoppedClock
 
 SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
 ROAD = Highway(duration=4.0, hang_limit=0.3)

@@ -12,11 +12,10 @@ from gymnasium.utils.seeding import np_random
 import pytest_pafot as pafot
 from example_ads import ppo
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.errors import CorpusError
-from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
-from pytest_pafot.world.kernel.action import BadAction
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.support.errors import BadAction, CorpusError
 from tests.findings.builders import plain_finding
-from tests.support.stages import oracle
+from tests.helpers.stages import oracle
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])

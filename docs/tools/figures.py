@@ -28,7 +28,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from pytest_pafot.versions import installed_versions  # noqa: E402
+from pytest_pafot.support.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
 EVERY = "--blame ego --algorithms distinct,distinct@paper,pafot,av-fuzzer@15,random,nsga2,map-elites,cma-es"

@@ -17,8 +17,8 @@ DOCS = Path(__file__).parents[1]
 sys.path.insert(0, str(DOCS.parent))
 
 from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
-from pytest_pafot.trace import ACROSS, ANGLE, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y  # noqa: E402
-from tests.support.situations import SITUATIONS, Situation  # noqa: E402
+from pytest_pafot.model.trace import ACROSS, ANGLE, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y  # noqa: E402
+from tests.helpers.situations import SITUATIONS, Situation  # noqa: E402
 
 PAGE = DOCS / "explanation" / "gallery.md"
 PICTURES = PAGE.with_suffix("")

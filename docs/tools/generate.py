@@ -18,27 +18,27 @@ from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.attribution.last_chance import LastChance
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
-from pytest_pafot.checks import check
+from pytest_pafot.comparison.algorithm_run import Row
 from pytest_pafot.comparison.command import add_arguments
-from pytest_pafot.comparison.rows import Row
-from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
+from pytest_pafot.episodes.rate import EpisodeRow, Rate
+from pytest_pafot.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import AdsError, Collision, Outcome, Trace
+from pytest_pafot.oracle.checks import check
+from pytest_pafot.oracle.run import Moment, Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.marks import rate
-from pytest_pafot.rating.rate import EpisodeRow, Rate
-from pytest_pafot.rating.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
-from pytest_pafot.run import Moment, Run
-from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.trace import AdsError, Collision, Outcome, Trace
 from pytest_pafot.training import training_env
 from pytest_pafot.world import Drive, Highway, NpcLimits, Observation, Perception, VehicleState, World, WorldLike
 

@@ -24,7 +24,7 @@ DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))
 
-from tests.support.browser import Browser, Page, find_chromium  # noqa: E402
+from tests.helpers.browser import Browser, Page, find_chromium  # noqa: E402
 
 MAX_BYTES = 250_000
 WIDTH, HEIGHT = 1280, 1500

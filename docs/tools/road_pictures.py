@@ -22,12 +22,12 @@ from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import is_ego_responsible  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
+from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.drawing import FOOT, HEAD, PAPER, WIDTH, Sheet  # noqa: E402
 from pytest_pafot.report.finding_view import finding_view  # noqa: E402
 from pytest_pafot.report.picture import picture_at  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
-from pytest_pafot.trace import Trace  # noqa: E402
-from tests.support.road_cases import space_of  # noqa: E402
+from tests.helpers.road_cases import space_of  # noqa: E402
 
 ENVIRONMENTS = (
     "merge-v1", "merge-generic-v1", "exit-v1", "two-way-v0", "u-turn-v1", "racetrack-large-v1",

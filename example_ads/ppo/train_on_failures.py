@@ -26,9 +26,9 @@ import numpy as np
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible, rss_rule
-from pytest_pafot.proportions import interval_text
-from pytest_pafot.rating.rate import Pair
-from pytest_pafot.rating.rate_plan import driven
+from pytest_pafot.episodes.rate import Pair
+from pytest_pafot.episodes.rate_plan import driven
+from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.training import random_scenarios
 
 from . import PpoPolicy, read_actor

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 Direction = tuple[FloatArray, FloatArray]
 """Cosine and sine of an angle, tick by tick."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.trace import ACROSS, LANE, OFFSET, FloatArray, Trace, X, Y
+from pytest_pafot.model.trace import ACROSS, LANE, OFFSET, FloatArray, Trace, X, Y
 
 DRIFTING = 0.3
 """Sideways speed towards the other, below which a vehicle keeps its place in the lane [m/s]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
-from pytest_pafot.trace import ACCELERATION, STEERING, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import ACCELERATION, STEERING, Collision, FloatArray, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""

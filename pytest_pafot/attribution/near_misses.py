@@ -18,7 +18,7 @@ from pytest_pafot.attribution.mistakes import Mistake, mistake_with
 from pytest_pafot.attribution.needless_braking import STANDING_SPEED, hard_braking
 from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, Fault, dangers_of
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.trace import SPEED, Trace
+from pytest_pafot.model.trace import SPEED, Trace
 
 NEAR_SECONDS = 1.5
 """The time to contact at which half of its risk is reached [s]: between normal and critical (van der Horst 1990)."""

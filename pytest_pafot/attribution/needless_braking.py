@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pytest_pafot.attribution.lane_changes import DRIFTING, stretches
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.trace import LANE, SPEED, FloatArray, Lane, Trace, X, Y
 
 HARD_BRAKING = 5.0
 """[m/s^2]."""

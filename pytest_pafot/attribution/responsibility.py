@@ -29,7 +29,7 @@ from pytest_pafot.attribution.needless_braking import (
     reasons,
 )
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.trace import FloatArray, Trace
+from pytest_pafot.model.trace import FloatArray, Trace
 
 Responsibility = Literal["ego", "npc", "both", "none"]
 """``none`` where there was no collision."""

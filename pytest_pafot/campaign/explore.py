@@ -10,22 +10,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pytest_pafot.campaign.against import reference_of
-from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent
-from pytest_pafot.campaign.harness import Harness, source_file
+from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent, SearchSummary
+from pytest_pafot.campaign.harness import Harness, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, OptionError, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import Search, SearchResult, time_limit
-from pytest_pafot.campaign.summary import SearchSummary
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.run import Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.events import Evaluated
-from pytest_pafot.shown import Shown
-from pytest_pafot.versions import installed_versions
+from pytest_pafot.support.shown import Shown
+from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
 
@@ -82,7 +80,8 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
 
     Args:
         ads: the factory, called once for each run, or a highway-env vehicle class.
-        holds: the property: a function of a :class:`~pytest_pafot.run.Run` that asserts, as a test function does.
+        holds: the property: a function of a :class:`~pytest_pafot.oracle.run.Run` that asserts, as a test function
+            does.
         world: such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
         runs: of the search, after which it ends; 40 where there is no number of generations.
         generations: of the search, after which it ends.

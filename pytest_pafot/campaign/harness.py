@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.against import Reference
 from pytest_pafot.campaign.request import Request, RequestError
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -19,12 +18,58 @@ from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.execution.separate_runs import replay_in_gym_apart
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
-from pytest_pafot.run import ReferenceOutcome, Run
-from pytest_pafot.scenario import Scenario, ScenarioError
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.run import ReferenceOutcome, Run
+from pytest_pafot.searching.fitness import referred_to
 from pytest_pafot.world import AdsFactoryError, WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import hint_at_object, preload
-from pytest_pafot.world.driving.failure import exits, let_through
+from pytest_pafot.world.guard.failure import exits, let_through
+
+# The reference of a search: a policy beside the one that is tested, such as the one before a change.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """A policy that failures are held against."""
+
+    ads: Callable[..., Any]  # its factory
+    name: str  # by which files call it; empty for a factory that no text can refer to
+
+    @property
+    def shown(self) -> str:
+        """What the summary calls it."""
+        return self.name or "the reference"
+
+
+def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]]) -> Reference | None:
+    """The reference that the option ``against`` gives: a factory, its ``module:factory``, or a fixture by its name.
+
+    Raises:
+        RequestError: for anything else, or a module or a name that there is not.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str) and ":" not in given:
+        return Reference(ads=fixture(given), name=given)
+    try:
+        ads = referred_to(given) if isinstance(given, str) else given
+    except ValueError as error:
+        raise RequestError(f"against: {error}") from error
+    if not callable(ads):
+        raise RequestError(
+            "against: expected a factory such as `lambda: OldPlanner()`, its module:factory, or the name of a fixture "
+            f"that gives it, received {ads!r:.100}. {hint_at_object(ads)}".removesuffix(". ")
+        )
+    return Reference(ads=ads, name=given if isinstance(given, str) else _name_of(ads))
+
+
+def _name_of(factory: Callable[..., Any]) -> str:
+    name = f"{getattr(factory, '__module__', '')}:{getattr(factory, '__qualname__', '')}"
+    try:
+        return name if referred_to(name) is factory else ""
+    except ValueError:
+        return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

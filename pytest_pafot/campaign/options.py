@@ -355,7 +355,7 @@ def _read_text(option: Option, value: object) -> str:
 
 
 def _read_day(option: Option, value: object) -> str:
-    from pytest_pafot.text import day_of  # noqa: PLC0415  (for few sessions)
+    from pytest_pafot.support.text import day_of  # noqa: PLC0415  (for few sessions)
 
     if not isinstance(value, str) or day_of(value) is None:
         raise OptionError(f"expected a day of the calendar, as 2027-01-31, received {value!r}")

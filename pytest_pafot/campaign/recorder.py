@@ -8,25 +8,56 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.events import FindTold, Kept, Listener
-from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.summary import Find
+from pytest_pafot.campaign.events import Find, FindTold, Kept, Listener
+from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import OUT_OF_MEMORY
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived
-from pytest_pafot.findings.portable import portable
+from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, message_of, portable
+from pytest_pafot.findings.replay import disagreement
 from pytest_pafot.findings.signature import PROCESS_CRASH
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.failure import UNFIT, let_through
+
+# Whether a find is what it seems: the same run once more, and once by other means.
+
+NOT_REPEATED = "running it again gave another run"
+
+
+def difference(run: Run, simulation: Simulation) -> str:
+    """What differs when a scenario is run again; empty where the find is confirmed.
+
+    The same means must give a run that is equal to the last bit; highway-env's own environment, in a world that has
+    one, must end the run in the same way.
+    """
+    try:
+        if not is_same_run(run, simulation.rerun(run.scenario)):
+            return NOT_REPEATED
+        differs = _difference_in_gym(run, simulation)
+    except ProcessLostError as error:
+        return f"the process that ran it again {error.how}"
+    return f"in highway-env's own environment: {differs}" if differs else ""
+
+
+def _difference_in_gym(run: Run, simulation: Simulation) -> str:
+    try:
+        other = simulation.rerun_in_gym(run.scenario)
+    except ProcessLostError:
+        raise
+    except UNFIT as error:  # whatever an environment or an ADS raises there is what differs
+        let_through(error)
+        return f"{type(error).__name__}: {message_of(error)}"[:165]
+    return "" if other is None else disagreement(run, other)
+
 
 UNSEEN_CRASH = Expect(
     failure=PROCESS_CRASH,

@@ -20,10 +20,10 @@ from pytest_pafot.execution.separate_runs import run_apart
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario, ScenarioError
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of

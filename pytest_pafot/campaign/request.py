@@ -11,15 +11,15 @@ from typing import Any, TypedDict
 import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
-from pytest_pafot.scenario import EGO_LANE, EGO_SPEED
-from pytest_pafot.searching.algorithms import AlgorithmClass, resolve_algorithm
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace, sample, space_on
-from pytest_pafot.trace import Trace
+from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
-from pytest_pafot.world.kernel.action import shown
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = ("npcs", "genes", "gene_seconds", "ego_lane", "ego_speed")

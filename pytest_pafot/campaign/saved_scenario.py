@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.corpus import reader
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.replay import is_same_event
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario, ScenarioError
-from pytest_pafot.shown import Shown
-from pytest_pafot.text import visible
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.shown import Shown
+from pytest_pafot.support.text import visible
 from pytest_pafot.world import WorldError, WorldLike, codec, protocol
 from pytest_pafot.world.driving.ads import AdsFactory
 

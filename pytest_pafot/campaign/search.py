@@ -15,36 +15,32 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.confirmation import difference
-from pytest_pafot.campaign.events import Kept, Listener, SearchStarted
+from pytest_pafot.campaign.events import Kept, Listener, Progress, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
-from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
-from pytest_pafot.campaign.random_beginning import RandomBeginning
-from pytest_pafot.campaign.read_ahead import read_ahead
-from pytest_pafot.campaign.recorder import Recorder
+from pytest_pafot.campaign.recorder import Recorder, difference
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError, build_space
-from pytest_pafot.campaign.resuming import Sessions
+from pytest_pafot.campaign.resuming import RandomBeginning, Sessions
+from pytest_pafot.campaign.search_loop import SearchLoop, read_ahead
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.simplification import Simplification
-from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.retrying import Retried, retry
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.execution.separate_runs import Retried, retry
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
+from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
-from pytest_pafot.searching.search_loop import CheckpointError
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.sight import Sight
 from pytest_pafot.world import WorldError, codec, protocol
-from pytest_pafot.world.driving.failure import is_interruption
 from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.guard.failure import is_interruption
 
 DONE, ALL_RUN = "all generations done", "all runs done"
 AFTER_A_DEATH = "ran as with --pafot-isolate, since a process has died in this search before"

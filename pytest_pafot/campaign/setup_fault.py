@@ -13,8 +13,8 @@ from typing import Any
 
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, assertions
 from pytest_pafot.findings.finding import Cause, first_decision_cause
-from pytest_pafot.run import Run
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED

@@ -11,19 +11,42 @@ from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import FindTold, Kept
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.imperfections import needed_imperfections
-from pytest_pafot.campaign.loop import SearchLoop
+from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, Perceived, of_failure
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.findings.shrink import Shrunk, Start, shrink
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import LANE, SPEED
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import LANE, SPEED
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import protocol
 from pytest_pafot.world.driving.perception import Perception
+
+# Which imperfections of an ADS's sight a failure needs.
+
+
+def needed_imperfections(sight: Sight, fails: Callable[[Sight], bool]) -> tuple[str, ...]:
+    """Names of those without which a test does not fail; none where it fails also with perfect sight.
+
+    With several, each in turn is left out for good where the test still fails without it. So none of those that remain
+    can be spared, though others may do as well. It takes a run for perfect sight, and one for each where there are
+    several.
+
+    Args:
+        sight: with which the test fails.
+        fails: whether it does with another one.
+    """
+    if fails(sight.only(())):
+        return ()
+    needed = sight.imperfections
+    for name in sight.imperfections:
+        others = tuple(each for each in needed if each != name)
+        if others and fails(sight.only(others)):
+            needed = others
+    return needed
+
 
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000
 """Runs that shrinking one find may take by default; more where the kernel runs a vehicle class without any Python."""

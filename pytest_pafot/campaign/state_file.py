@@ -21,18 +21,17 @@ from typing import Any, BinaryIO, NoReturn
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.layout import safe_name
-from pytest_pafot.errors import FieldError
-from pytest_pafot.files import open_regular, way_out, write_whole
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.locks import hold
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import ResumableSearch
+from pytest_pafot.searching.campaign import Checkpoint
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import Remembered
 from pytest_pafot.searching.events import CampaignFinished
-from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.searching.search_loop import Checkpoint
+from pytest_pafot.support.errors import FieldError
+from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.world import codec
 
 VERSION = 1
@@ -81,8 +80,8 @@ class Counts:
         seconds: of all its sessions so far.
         decides_for_many: whether the ADS has shown that it decides for many runs at once.
         finds: in the order in which they were found.
-        known: see :class:`~pytest_pafot.campaign.loop.SearchLoop`, as the next five.
-        random: see :class:`~pytest_pafot.campaign.random_beginning.RandomBeginning`: evaluated, runs, failing.
+        known: see :class:`~pytest_pafot.campaign.search_loop.SearchLoop`, as the next five.
+        random: see :class:`~pytest_pafot.campaign.resuming.RandomBeginning`: evaluated, runs, failing.
         health: counts over all evaluations.
     """
 

@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.checks import Check, Recording, recorded
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.grid import Cell
-from pytest_pafot.rejection import Rejected
-from pytest_pafot.run import ReferenceOutcome, Run, preventing, reference_outcome
-from pytest_pafot.trace import Outcome
-from pytest_pafot.world.driving.failure import UNFIT, is_interruption
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
+from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
+from pytest_pafot.world.guard.failure import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
 """The user's function with everything but the run filled in; it asserts, and returns None."""

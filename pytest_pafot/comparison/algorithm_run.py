@@ -5,31 +5,73 @@ from __future__ import annotations
 import hashlib
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot.attribution.near_misses import NONE, Floors, near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible, position_rule
-from pytest_pafot.comparison.plan import Plan, PlanError, ads_factory, caution
-from pytest_pafot.comparison.resumable import ResumableJob, Task, Tick, run_job
-from pytest_pafot.comparison.rows import Row, text_of
+from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick, run_job
+from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.findings.finding import ads_failure, first_decision_cause, of_failure
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import AdsError, Outcome, Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
-from pytest_pafot.trace import AdsError, Outcome, Trace
+from pytest_pafot.support.text import csv_text
 from pytest_pafot.world.driving.ads import is_vehicle_class
 from pytest_pafot.world.protocol import WorldLike, first_decision, reference_world
+
+# Tidy results: one row a scenario, as text that is the same for the same run.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One scenario that an algorithm asked for."""
+
+    algorithm: str  # its name
+    run: int  # of the algorithm, from 0
+    seed: int  # of the run
+    generation: int  # of the main search, from 0
+    local_generation: int  # of a local search, from 1; 0 in the main search
+    index: int  # in the generation, from 0
+    scenario: str  # its id
+    duplicate: bool  # whether an earlier run of the same search showed what it does, so that it was not simulated
+    outcome: str  # how the run ended
+    duration: float  # of the run [s]
+    clock: float  # simulated time of the search until the end of the run [s]; duplicates take none
+    failing: bool  # whether it counts as a failure, by the blame of the comparison
+    collision_time: float | None  # [s]; empty without a collision, and so are the next four
+    npc: int | None  # that collided
+    cell: int | None  # in which it was
+    side: str | None  # of the ego that was hit
+    closing_speed: float | None  # at the impact [m/s]
+    responsibility: str  # by :func:`~pytest_pafot.attribution.responsibility.rss_rule`; ``none`` without a collision
+    position_responsibility: str  # by the rule of the authors' code
+    signature: str | None  # of a collision or a fault of the ADS: which runs show the same failure; else empty
+    fitness: float | None  # that the search maximised; empty where there is none
+    genes_started: int  # over all NPCs
+    genes_reached: int  # of these
+    executed: str  # the scenario as driven, in canonical text
+
+
+COLUMNS = tuple(field.name for field in fields(Row))
+
+
+def text_of(rows: Iterable[Row]) -> str:
+    """As CSV."""
+    return csv_text(COLUMNS, map(astuple, rows))
+
 
 UNBOUNDED = 10**9  # generations of a run whose budget is a time
 

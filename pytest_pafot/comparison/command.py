@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.request import BLAMES, SPACE_ARGUMENTS, drawn_space
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
+from pytest_pafot.commands.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.comparison.algorithm_run import run_all
-from pytest_pafot.comparison.plan import Plan, PlanError, checked
-from pytest_pafot.comparison.resumable import AGAIN, worker_count, written_into
-from pytest_pafot.files import write_whole
-from pytest_pafot.scenario import PAPER_SPEED_LIMIT, ScenarioError
-from pytest_pafot.searching.algorithms import ALGORITHMS
+from pytest_pafot.comparison.plan import Plan, checked
+from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, ScenarioError
+from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.searching.space import space_on
+from pytest_pafot.support.files import write_whole
 from pytest_pafot.world import AdsFactoryError, Highway, World, WorldError
 from pytest_pafot.world.protocol import road_start
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 START = "; where the road is not straight, the environment's"
-BAD_USE = 2  # exit code for wrong arguments, as argparse has it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             )
         folder = Path(arguments.out)
         results = run_all(plan, folder, workers=workers, told=sys.stderr, clock=time.monotonic)
-        from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415  (they import what may be missing)
+        from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
 
         measured = run_measures.Results.of(plan, results)
         with written_into(folder, AGAIN):

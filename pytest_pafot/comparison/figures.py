@@ -16,11 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pytest_pafot.comparison import statistics
-from pytest_pafot.comparison.markdown import BIN_SECONDS
-from pytest_pafot.comparison.paper_results import PAPER, PAPER_GENERATIONS, Reported
+from pytest_pafot.comparison.markdown import BIN_SECONDS, PAPER, PAPER_GENERATIONS, Reported
 from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of
-from pytest_pafot.files import write_whole
+from pytest_pafot.support.files import write_whole
 
 SETTINGS: Any = {
     "font.size": 9.5,

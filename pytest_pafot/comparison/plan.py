@@ -2,44 +2,25 @@
 
 from __future__ import annotations
 
-import difflib
-import functools
 import hashlib
-import importlib
 import json
 import math
-import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path, PurePath
-from types import ModuleType
 from typing import Any, NamedTuple
 
-from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.commands.policy_reference import PlanError, ads_factory, identity
+from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.versions import installed_versions
+from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world import from_dict as world_from_dict
-from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.protocol import WorldLike, road_start
-
-EXAMPLES = "example_ads"
-"""The package of example policies: at the top of a clone, inside of this package where it is installed."""
-
-RUNS = "runs"  # folder of the results of single runs
-
-
-OF_FILE = "file:"
-"""How the identity of a policy begins that tells no hash of its weights."""
 
 PAPER, POPULATION = "paper", 4
 """What stands behind the ``@`` for the paper's scenarios, and how many of them are in a generation then."""
-
-
-class PlanError(ValueError):
-    """A comparison that cannot be made; the message says what was expected and what to do."""
 
 
 class Entrant(NamedTuple):
@@ -190,86 +171,6 @@ def _check_searches(plan: Plan) -> None:
         raise PlanError(str(error)) from None
 
 
-def ads_factory(reference: str) -> Callable[..., Any]:
-    """The factory that a name stands for.
-
-    Raises:
-        PlanError: when there is none.
-    """
-    parts = reference.split(":")
-    if len(parts) > 3 or not all(parts):
-        raise PlanError(
-            f"--ads: expected the name of a module in {EXAMPLES}, module:factory or module:factory:argument, "
-            f"received {reference!r}"
-        )
-    module_name = _module_name(reference)
-    try:
-        factory = getattr(_imported(module_name), parts[1] if len(parts) > 1 else "make", None)
-    except ModuleNotFoundError as error:
-        if len(parts) == 1 and EXAMPLES in (error.name or ""):
-            names = (each.name for each in pkgutil.iter_modules(_imported(EXAMPLES).__path__))
-            others = ("conftest", "defects")  # the factory of the second needs an argument
-            policies = [name for name in names if name not in others and not name.startswith("test_")]
-            near = difflib.get_close_matches(reference, policies, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise PlanError(
-                f"--ads: expected one of {', '.join(policies)}, or module:factory for a policy of your own, received "
-                f"{reference!r}{hint}"
-            ) from None
-        raise PlanError(
-            f"--ads: expected a module that can be imported, received {reference!r} ({error}); run the command where "
-            f"the module is, or give module:factory"
-        ) from None
-    if not callable(factory):
-        raise PlanError(f"--ads: expected a factory in {module_name}, received {reference!r}, which is none")
-    return functools.partial(factory, parts[2]) if len(parts) == 3 else factory
-
-
-def identity(reference: str) -> str:
-    """What tells a policy from another one of its name: the hash of its weights, else of the file of its module.
-
-    Raises:
-        PlanError: when there is none of this name.
-        AdsFactoryError: for weights that cannot be read.
-    """
-    told = weights_digest(ads_factory(reference))
-    if told:
-        return told
-    file = getattr(_imported(_module_name(reference)), "__file__", None)
-    return OF_FILE + ("" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest())
-
-
-def caution(references: Iterable[str]) -> str:
-    """What to mind of policies of which only the file of the module is known to be the same; empty for nothing."""
-    names = [each for each in references if identity(each).startswith(OF_FILE)]
-    if not names:
-        return ""
-    return (
-        f"{' and '.join(names)} tell{'s' if len(names) == 1 else ''} no hash of weights, so that only the file of the "
-        "module is known to be the same: if it was trained or changed since then, give another --out"
-    )
-
-
-def _module_name(reference: str) -> str:
-    name, colon, _ = reference.partition(":")
-    return name if colon else f"{EXAMPLES}.{name}"
-
-
-def _imported(module_name: str) -> ModuleType:
-    """The module; one of the examples comes from the clone in which the command runs, or as it was installed."""
-    try:
-        return importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name != EXAMPLES:
-            raise
-        return importlib.import_module(f"pytest_pafot.{module_name}")
-
-
 def world_of(plan: Plan) -> WorldLike:
     """The world of a plan."""
     return world_from_dict(dict(plan.world))
-
-
-def file_name(algorithm: str, run: int) -> str:
-    """Of the results of one run."""
-    return str(PurePath(RUNS) / f"{algorithm}-{run:03}.csv")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 CONFIDENCE = 0.95
 

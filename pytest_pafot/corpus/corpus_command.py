@@ -13,7 +13,7 @@ from typing import Any
 from pytest_pafot.corpus.layout import files_in, folders_below
 from pytest_pafot.corpus.saved import Saved, read_saved_file
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.text import ascii_text, plural, quiet_json, visible
+from pytest_pafot.support.text import ascii_text, plural, quiet_json, visible
 
 MARKS = ("flaky", "xfail", "xfail_until")
 """What a line tells of a file where it has it."""

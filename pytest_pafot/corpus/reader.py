@@ -1,35 +1,147 @@
 """Reads a corpus file: the finding in it, checked strictly, or one error with the line, the field and the way out.
 
-The format is in docs/reference/corpus-files.md; which keys a file may have stands in :mod:`pytest_pafot.corpus.schema`.
+The format is in docs/reference/corpus-files.md; which keys a file may have stands in
+:mod:`pytest_pafot.corpus.file_format`.
 """
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
 from pytest_pafot.attribution.last_chance import LastChance
-from pytest_pafot.attribution.manoeuvres import Manoeuvre
+from pytest_pafot.attribution.mistakes import Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.corpus import schema
-from pytest_pafot.corpus.fields import Field
+from pytest_pafot.corpus import file_format
+from pytest_pafot.corpus.file_format import DEFAULT_GENE_SECONDS, VERSION, Keys
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.schema import VERSION
-from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, parse
-from pytest_pafot.corpus.yaml_text import DEFAULT_GENE_SECONDS
-from pytest_pafot.errors import CorpusError, FieldError
-from pytest_pafot.files import open_regular
+from pytest_pafot.corpus.yaml_document import MAX_BYTES, NOT_SHOWN, Lines, Place, parse
 from pytest_pafot.findings.finding import MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived, check_plain, is_id
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import ReferenceOutcome
-from pytest_pafot.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Outcome, Side
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import REPAIR, SHIFTS, Gene, Scenario, ScenarioError, gene_of
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Outcome, Side
+from pytest_pafot.oracle.run import ReferenceOutcome
+from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError
+from pytest_pafot.support.files import open_regular
+from pytest_pafot.support.text import day_of
+
+# Values of a corpus file with their places: every access checks, and a fault names line, field and way out.
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A value of a document with its place; every accessor checks the type or raises the error of that place."""
+
+    path: Path
+    lines: Lines
+    place: Place
+    value: Any
+
+    @property
+    def name(self) -> str:
+        """As in an error: ``scenario.npcs[0][3].cell``."""
+        return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.place).lstrip(".")
+
+    def error(self, expected: str, fix: str = RESTORE, received: str | None = None) -> CorpusError:
+        """What is wrong with the value, at the nearest line that is known."""
+        places = (self.place[:end] for end in range(len(self.place), -1, -1))
+        line = next(self.lines[place] for place in places if place in self.lines)
+        return CorpusError(self.path, expected, received or f"{self.value!r:.80}", fix, field=self.name, line=line)
+
+    def at(self, part: str | int) -> Field:
+        """The value under a key, or at an index, of this one."""
+        return Field(self.path, self.lines, (*self.place, part), self.value[part])
+
+    def mapping(self, keys: Keys) -> dict[str, Field]:
+        """The values of a mapping that has all required keys and no unknown ones."""
+        fields = self.any_mapping()
+        known = [*keys.required, *keys.optional]
+        for key in fields:
+            if key not in known:
+                raise fields[key].error(f"{_one_of(known)} (format {VERSION})", _guess(key, known), repr(key))
+        for key in keys.required:
+            if key not in fields:
+                received = f"only {', '.join(fields)}" if fields else "nothing"
+                raise self.error(f"the key '{key}'", "add it, or restore the file from version control", received)
+        return fields
+
+    def any_mapping(self) -> dict[str, Field]:
+        """The values of a mapping with any keys."""
+        if not isinstance(self.value, dict):
+            raise self.error("a mapping (key: value)")
+        return {key: self.at(key) for key in self.value}
+
+    def items(self) -> list[Field]:
+        """The values of a list."""
+        if not isinstance(self.value, list):
+            raise self.error("a list")
+        return [self.at(index) for index in range(len(self.value))]
+
+    def text(self) -> str:
+        """Any text."""
+        if not isinstance(self.value, str):
+            raise self.error("text", "put it in quotes")
+        return self.value
+
+    def some_text(self, fix: str) -> str:
+        """A text that is not blank."""
+        if not isinstance(self.value, str) or not self.value.strip():
+            raise self.error("some text", fix)
+        return self.value
+
+    def choice(self, options: Collection[str]) -> Any:
+        """One of these texts."""
+        if not isinstance(self.value, str) or self.value not in options:
+            raise self.error(_one_of(options), _guess(str(self.value), options))
+        return self.value
+
+    def whole(self, low: int = 0, high: int | None = None) -> int:
+        """A whole number."""
+        is_whole = isinstance(self.value, int) and not isinstance(self.value, bool)
+        if not is_whole or self.value < low or (high is not None and self.value > high):
+            top = "" if high is None else f" to {high}"
+            raise self.error(f"a whole number from {low}{top}", "correct it")
+        return int(self.value)
+
+    def day(self) -> date:
+        """A day of the calendar, as 2027-01-31."""
+        day = day_of(self.value) if isinstance(self.value, str) else None
+        if day is None:
+            raise self.error("a day of the calendar, as year-month-day", "write it as 2027-01-31")
+        return day
+
+    def truth(self) -> bool:
+        """True or false."""
+        if not isinstance(self.value, bool):
+            raise self.error("true or false", "correct it")
+        return self.value
+
+    def number(self, low: float = 0.0) -> float:
+        """A finite number, at least so large."""
+        is_number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
+        if not is_number or not low <= self.value <= MAX_NUMBER:
+            raise self.error(f"a finite number, at least {low:g}", "correct it")
+        return float(self.value)
+
+
+def _one_of(options: Collection[str]) -> str:
+    """What is expected where there is a choice."""
+    return f"one of {', '.join(options)}"
+
+
+def _guess(word: str, options: Collection[str]) -> str:
+    """The way out of a word that is unknown."""
+    close = difflib.get_close_matches(word, list(options), n=1)
+    return f"did you mean {close[0]!r}?" if close else "correct or remove it"
+
 
 MAX_RECEIVED = 300
 _SCENARIO_FIELDS = {"seed": ("seed",), "ego_lane": ("ego", "lane"), "ego_speed": ("ego", "speed")}
@@ -54,7 +166,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     if not path.name.endswith(SUFFIX) or not is_id(name):
         expected = f"a name of letters, digits, '.', '_' and '-' before {SUFFIX}"
         raise CorpusError(path, expected, path.name, "rename the file")
-    fields = top.mapping(schema.FILE)
+    fields = top.mapping(file_format.FILE)
     scenario = _scenario(fields["scenario"])
     reason, until = _given(fields, "xfail", _xfail, (None, None))
     return Finding(
@@ -153,16 +265,16 @@ def _world(field: Field) -> dict[str, Any]:
         except ValueError as error:
             raise field.at(key).error("plain data", "correct it", str(error)) from None
     kind = world.get("kind")
-    if isinstance(kind, str) and kind in schema.WORLDS:
-        field.mapping(schema.WORLDS[kind])
+    if isinstance(kind, str) and kind in file_format.WORLDS:
+        field.mapping(file_format.WORLDS[kind])
         if "limits" in fields:
-            fields["limits"].mapping(schema.LIMITS)
+            fields["limits"].mapping(file_format.LIMITS)
     return world
 
 
 def _scenario(field: Field) -> Scenario:
-    fields = field.mapping(schema.SCENARIO)
-    ego = fields["ego"].mapping(schema.EGO)
+    fields = field.mapping(file_format.SCENARIO)
+    ego = fields["ego"].mapping(file_format.EGO)
     chains: Any = tuple(tuple(_gene(gene) for gene in chain.items()) for chain in fields["npcs"].items())
     try:
         return Scenario(
@@ -178,7 +290,7 @@ def _scenario(field: Field) -> Scenario:
 
 def _gene(field: Field) -> Gene:
     has_lane = "lane" in field.any_mapping() and "cell" not in field.any_mapping()
-    fields = field.mapping(schema.LANE_INSTRUCTION if has_lane else schema.POSITION_INSTRUCTION)
+    fields = field.mapping(file_format.LANE_INSTRUCTION if has_lane else file_format.POSITION_INSTRUCTION)
     target: Any = fields["lane"].choice(SHIFTS) if has_lane else Cell(fields["cell"].whole(1, 8))
     speed = fields["speed"].number()
     try:
@@ -214,10 +326,10 @@ def _has(value: object, part: str | int) -> bool:
 
 
 def _expect(field: Field, npcs: int) -> Expect:
-    fields = field.mapping(schema.EXPECT)
+    fields = field.mapping(file_format.EXPECT)
     outcome = Outcome(fields["outcome"].choice(_OUTCOMES))
     if outcome is Outcome.COLLISION:
-        field.mapping(schema.EXPECT_OF_COLLISION)
+        field.mapping(file_format.EXPECT_OF_COLLISION)
     return Expect(
         failure=fields["failure"].some_text("name the class of the exception, such as AssertionError"),
         assertion=_given(fields, "assertion", Field.text, ""),
@@ -244,12 +356,12 @@ def _xfail(field: Field) -> tuple[str, date | None]:
     fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
     if not isinstance(field.value, dict):
         return field.some_text(fix), None
-    fields = field.mapping(schema.XFAIL)
+    fields = field.mapping(file_format.XFAIL)
     return fields["reason"].some_text(fix), _given(fields, "until", Field.day)
 
 
 def _check(field: Field) -> Bounded:
-    fields = field.mapping(schema.CHECK)
+    fields = field.mapping(file_format.CHECK)
     value, at_most, at_least = (
         _given(fields, name, lambda inner: inner.number(-MAX_NUMBER)) for name in ("value", "at_most", "at_least")
     )
@@ -261,7 +373,7 @@ def _outcomes(field: Field) -> dict[str, ReferenceOutcome]:
 
 
 def _last_chance(field: Field) -> LastChance:
-    fields = field.mapping(schema.LAST_CHANCE)
+    fields = field.mapping(file_format.LAST_CHANCE)
     return LastChance(
         time=fields["time"].number(),
         driver=fields["driver"].text(),
@@ -278,7 +390,7 @@ def _action(field: Field) -> tuple[float, float]:
 
 
 def _found(field: Field) -> Found:
-    fields = field.mapping(schema.FOUND)
+    fields = field.mapping(file_format.FOUND)
     return Found(
         seed=fields["seed"].whole(),
         generation=fields["generation"].whole(),
@@ -289,7 +401,7 @@ def _found(field: Field) -> Found:
 
 
 def _perceived(field: Field) -> Perceived:
-    fields = field.mapping(schema.PERCEPTION)
+    fields = field.mapping(file_format.PERCEPTION)
     try:
         sight = Sight(**{name: inner.value for name, inner in fields.items() if name != "needed"})
     except FieldError as error:
@@ -299,10 +411,10 @@ def _perceived(field: Field) -> Perceived:
 
 
 def _shrunk(field: Field, scenario: Scenario) -> Shrunk:
-    fields = field.mapping(schema.SHRUNK)
+    fields = field.mapping(file_format.SHRUNK)
     speeds = []
     for entry in fields["speeds"].items():
-        interval = entry.mapping(schema.SPEEDS)
+        interval = entry.mapping(file_format.SPEEDS)
         npc, low = interval["npc"].whole(0, len(scenario.npcs) - 1), interval["low"].number()
         gene, high = interval["gene"].whole(0, len(scenario.npcs[npc]) - 1), interval["high"].number()
         if low > high:

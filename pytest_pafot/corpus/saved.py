@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pytest_pafot.corpus.layout import SUFFIX, files_in
-from pytest_pafot.text import visible
+from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:  # pytest sessions that collect no such file import nothing of findings
     from pytest_pafot.findings.finding import Finding
@@ -52,7 +52,7 @@ class Saved(NamedTuple):
 def read_saved_file(path: Path) -> Saved:
     """A file as it is; one that cannot be read says why when its item runs."""
     from pytest_pafot.corpus.reader import load  # noqa: PLC0415
-    from pytest_pafot.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
+    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415  (yaml, which few sessions need)
 
     try:
         return Saved(path=path, finding=load(path))

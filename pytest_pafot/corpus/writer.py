@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.yaml_document import MAX_BYTES
-from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.errors import CorpusError
-from pytest_pafot.files import way_out, write_if_free, write_whole
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.support.files import way_out, write_if_free, write_whole
 
 T = TypeVar("T")
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import MAX_DEPTH
+from pytest_pafot.support.errors import CorpusError
 
 MAX_BYTES = 256 * 1024
 DEPTH = MAX_DEPTH + 4

@@ -8,7 +8,6 @@ never turned into a harmless number.
 Whoever needs several measures of one run asks an :class:`Encounters`, which computes what they share once.
 """
 
-from pytest_pafot.criticality.encroachment import post_encroachment_time
 from pytest_pafot.criticality.measures import (
     Encounters,
     centre_distance,
@@ -24,6 +23,7 @@ from pytest_pafot.criticality.measures import (
     min_safety_distance,
     min_ttc,
     planned_duration,
+    post_encroachment_time,
     required_deceleration,
     safety_distance,
     safety_shortfall,

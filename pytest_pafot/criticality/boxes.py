@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 _TINY = 1e-290
 """Stands in for a relative velocity of zero [m/s]: it vanishes in any other, and dividing by it does not overflow."""

@@ -3,7 +3,8 @@
 The one definition for straight roads and for those that bend, which the measures, the safe distances of RSS, the record
 of a collision, the explanation of a run and the report page share. *Ahead* is as far as one drives along the road,
 *right* is across it, both from the ego's centre to the NPC's [m]; neither depends on where the ego points. The cell
-follows from the two, see :func:`pytest_pafot.grid.cell_at`: rows are as long as the ego, columns as wide as its lane.
+follows from the two, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego, columns as wide as its
+lane.
 
 Source of the grid: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target Positions).
 """
@@ -18,8 +19,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.grid import Cell, cell_at
-from pytest_pafot.trace import ACROSS, ALONG, LANE, STRETCH, FloatArray, Lane, X, Y
+from pytest_pafot.model.grid import Cell, cell_at
+from pytest_pafot.model.trace import ACROSS, ALONG, LANE, STRETCH, FloatArray, Lane, X, Y
 
 Number = TypeVar("Number", float, FloatArray)
 

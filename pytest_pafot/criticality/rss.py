@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.trace import ANGLE, FloatArray, Trace
+from pytest_pafot.model.trace import ANGLE, FloatArray, Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.criticality.rss import longitudinal_gap
-from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace
 
 if TYPE_CHECKING:
     from typing import Self

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 SLACK = 1e-6
 """By which bounds must rule a tick out [m]."""

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality.signals import Signal
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 

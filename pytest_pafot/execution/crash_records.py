@@ -24,9 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from pytest_pafot.files import open_regular, write_if_free
-from pytest_pafot.locks import hold, is_held, pid_of
-from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, write_if_free
 
 SUFFIX = ".inflight"
 TRIED = ".tried"

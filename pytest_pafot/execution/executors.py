@@ -29,8 +29,8 @@ from pytest_pafot.attribution.near_misses import NONE, Floors
 from pytest_pafot.execution.captured_output import capture_output
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, recovery_note, timed
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.versions import installed_versions
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import protocol
 
 INSTALL = "pip install 'pytest-pafot[dask]'"

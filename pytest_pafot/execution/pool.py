@@ -27,7 +27,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-from pytest_pafot.world.driving.hang_guard import LastResort, last_resort
+from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
 ResultT = TypeVar("ResultT")

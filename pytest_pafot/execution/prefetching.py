@@ -20,9 +20,9 @@ from pytest_pafot.execution.scenario_pool import (
     trace_apart,
     trace_from,
 )
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.text import plural
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.text import plural
 
 DEAR = 0.010
 """From this mean duration of a run on, processes are worth their cost [s]: a run that is made in another one costs half

@@ -19,8 +19,8 @@ from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import GRACE, IGNORED, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Outcome, Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.world import protocol
 
 METHOD = "fork" if sys.platform == "linux" else "spawn"

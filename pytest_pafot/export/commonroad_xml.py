@@ -20,9 +20,9 @@ from commonroad.scenario.scenario import Location, Scenario, Tag
 from commonroad.scenario.state import CustomState, ExtendedPMState, InitialState
 from commonroad.scenario.trajectory import Trajectory
 
-from pytest_pafot.export.scene import edges, states_of
+from pytest_pafot.export.exporter import edges, states_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Lane, Trace, X, Y
 
 DECIMALS = 9
 """To which the library cuts numbers off; with its own 4 a vehicle is up to 0.1 mm beside its place."""

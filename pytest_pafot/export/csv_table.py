@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pytest_pafot.export.scene import name_of, states_of
+from pytest_pafot.export.exporter import name_of, states_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.text import csv_text
-from pytest_pafot.trace import LANE, Trace
+from pytest_pafot.model.trace import LANE, Trace
+from pytest_pafot.support.text import csv_text
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
 """In s, m, rad, m/s and m/s^2; the lane counts from 0 at the left, -1 off the road."""

@@ -8,16 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pytest_pafot.campaign.saved_scenario import SavedScenario, load
-from pytest_pafot.comparison.command import BAD_USE
-from pytest_pafot.comparison.plan import PlanError, ads_factory
-from pytest_pafot.comparison.resumable import written_into
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
+from pytest_pafot.commands.resumable import written_into
 from pytest_pafot.corpus.layout import SUFFIX, files_below
-from pytest_pafot.errors import AdsFactoryError, CorpusError, WorldError
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
-from pytest_pafot.files import write_whole
 from pytest_pafot.findings.replay import ending
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import ScenarioError
+from pytest_pafot.model.scenario import ScenarioError
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import AdsFactoryError, CorpusError, WorldError
+from pytest_pafot.support.files import write_whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

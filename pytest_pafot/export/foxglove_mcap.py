@@ -21,9 +21,9 @@ from foxglove.messages import (
     Vector3,
 )
 
-from pytest_pafot.export.scene import edges, name_of, states_of
+from pytest_pafot.export.exporter import edges, name_of, states_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.trace import FloatArray, Trace
+from pytest_pafot.model.trace import FloatArray, Trace
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5

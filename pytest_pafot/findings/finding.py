@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import linecache
 import math
+import os
 import re
 import traceback
 from collections.abc import Iterator, Mapping
@@ -13,20 +14,47 @@ from types import TracebackType
 from typing import Any
 
 from pytest_pafot.attribution.last_chance import LastChance
-from pytest_pafot.attribution.manoeuvres import Manoeuvre, manoeuvre_before
-from pytest_pafot.attribution.mistakes import mistake_of
+from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before, mistake_of
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.checks import Check, CheckFailed
-from pytest_pafot.findings.portable import portable
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import CHECK_FAILED, PROCESS_CRASH, SLOW_DECISION, Failure, Signature, normalised
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import ReferenceOutcome, Run, preventing
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.shown import Shown
-from pytest_pafot.sight import Sight
-from pytest_pafot.text import visible
-from pytest_pafot.trace import AdsError, Outcome, Side, Trace
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import AdsError, Outcome, Side, Trace
+from pytest_pafot.oracle.checks import Check, CheckFailed
+from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
+from pytest_pafot.support.shown import Shown
+from pytest_pafot.support.text import visible
+
+# Texts of errors without what differs from process to process, so that the same seed writes the same files.
+
+_ADDRESS = re.compile(r"(?<=\bat )0x[0-9a-fA-F]+|\b0x[0-9a-fA-F]{9,}\b")
+_PROCESS_ID = re.compile(r"(?i)(\b(?:pid|tid|process id|thread id|started(?: daemon)?)[ =:]+)\d+")
+_FOLDERS = r"(?:[^\s\"'<>|*?:\\/]+[\\/])*"
+_TO_PACKAGES = re.compile(
+    # A path is tried from its first character alone, or a long one would take time by its length squared.
+    rf"(?<![\w.])(?:[A-Za-z]:)?[\\/]{_FOLDERS}(?=(?:site|dist)-packages[\\/]|python3\.\d+[\\/](?!site|dist))"
+)
+_TEMPORARY = re.compile(
+    r"(?<![\w.])(?:(?:/private)?/(?:var/)?tmp|(?:/private)?/var/folders/\w+/\w+/T"
+    rf"|[A-Za-z]:\\Users\\\w+\\AppData\\Local\\Temp)[\\/]{_FOLDERS}(?P<name>[^\s\"'<>|*?:\\/]*)"
+)
+_RANDOM = re.compile(r"(?<=[\\/])(?:tmp[a-z0-9_]{8}(?!\w)|pytest-of-[^\\/]+[\\/]pytest-\d+)")
+
+
+def portable(text: str, root: str = "") -> str:
+    """A text without what differs from process to process, and from checkout to checkout.
+
+    ``ADDRESS`` stands for memory addresses, ``N`` for ids of processes and threads, ``TMP`` for temporary folders.
+    Paths begin at the project's folder, or where packages are installed.
+    """
+    if root:
+        text = text.replace(root.rstrip("\\/") + os.sep, "")
+    text = _TO_PACKAGES.sub("", text)
+    text = _TEMPORARY.sub(r"TMP/\g<name>", _RANDOM.sub("tmp", text))
+    return _PROCESS_ID.sub(r"\g<1>N", _ADDRESS.sub("ADDRESS", text))
+
 
 MAX_MESSAGE = 300
 MAX_TRACEBACK = 8000
@@ -59,7 +87,8 @@ class Expect:
         message: first line of the exception's message, without addresses, process ids and temporary folders; empty
             where the assertion says it.
         outcome: how the run ended.
-        time: of the event [s]: of the failed check where it has one, else :attr:`~pytest_pafot.run.Run.event_time`.
+        time: of the event [s]: of the failed check where it has one, else
+            :attr:`~pytest_pafot.oracle.run.Run.event_time`.
         npc, cell: at the collision, else at the least time to contact; None where there is no such moment. Of a failed
             check without a collision the NPC that it names, and no cell.
         side: of the ego that was hit; None without a collision.
@@ -105,7 +134,7 @@ class Expect:
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """Names of the reference drivers that would have prevented it; see :func:`~pytest_pafot.run.preventing`."""
+        """Names of the reference drivers that would have prevented it (:func:`~pytest_pafot.oracle.run.preventing`)."""
         return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
     @classmethod

@@ -10,8 +10,8 @@ import numpy as np
 
 from pytest_pafot.findings.finding import Expect, Finding, event_of, of_failure
 from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.run import Run
-from pytest_pafot.trace import Outcome, Y
+from pytest_pafot.model.trace import Outcome, Y
+from pytest_pafot.oracle.run import Run
 
 Label = Literal["fixed", "still failing", "drifted"]
 

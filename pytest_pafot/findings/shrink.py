@@ -16,8 +16,8 @@ from functools import lru_cache, partial
 from itertools import combinations, pairwise, permutations, product
 from typing import Any
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import (
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
     MAX_SPEED,
@@ -31,7 +31,7 @@ from pytest_pafot.scenario import (
     ScenarioError,
     gene_of,
 )
-from pytest_pafot.text import plural
+from pytest_pafot.support.text import plural
 
 Attempt = Callable[[Scenario], Scenario | None]
 """Runs a scenario: the scenario as driven where the same property fails with the same signature, else None."""

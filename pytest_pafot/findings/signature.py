@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from textwrap import dedent
 
-from pytest_pafot.attribution.manoeuvres import Manoeuvre
-from pytest_pafot.attribution.mistakes import BY_FAULT, Mistake
+from pytest_pafot.attribution.mistakes import BY_FAULT, Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.checks import Check, CheckFailed
-from pytest_pafot.grid import Cell
-from pytest_pafot.trace import Outcome, Side
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome, Side
+from pytest_pafot.oracle.checks import Check, CheckFailed
 
 MAX_ASSERTION = 200
 MAX_SLUG = 32

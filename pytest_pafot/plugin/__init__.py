@@ -19,7 +19,16 @@ from pytest_pafot.plugin.merge_item import MERGE, Merging
 from pytest_pafot.plugin.option_sources import add_options
 from pytest_pafot.plugin.rate_item import Rates
 from pytest_pafot.plugin.report_pages import Pages
-from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, Shared, SummaryLines
+from pytest_pafot.plugin.session import (
+    SHARED,
+    SUMMARY_LINES,
+    Controller,
+    Header,
+    Shared,
+    SummaryLines,
+    Worker,
+    shared_by_controller,
+)
 from pytest_pafot.plugin.terminal_reporter import Reporter
 
 
@@ -40,8 +49,6 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[SUMMARY_LINES] = SummaryLines()
     features = {"fixtures": fixtures, "collection": Collection(config), "rates": Rates(), "messages": messages}
     if hasattr(config, "workerinput"):
-        from pytest_pafot.plugin.xdist import Worker, shared_by_controller  # noqa: PLC0415
-
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
@@ -53,13 +60,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption(MERGE):
         features["merging"] = Merging(config)
     if config.getoption("dist", "no") != "no":
-        from pytest_pafot.plugin.xdist import Controller  # noqa: PLC0415
-
         features["controller"] = Controller()
     if config.get_verbosity() > 0:
-        from pytest_pafot.plugin import header  # noqa: PLC0415
-
-        features["header"] = header
+        features["header"] = Header()
     _register(config, features)
 
 
@@ -68,9 +71,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     is_marked = any(item.get_closest_marker(name) for item in session.items for name in (SEARCH_MARK, ANY_MARK))
     if not is_marked or session.config.getoption("collectonly"):
         return  # what runs items imports the simulation, for which an editor that lists tests would wait
-    from pytest_pafot.plugin.execution import Execution  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
-    from pytest_pafot.plugin.item_checks import Checks  # noqa: PLC0415
+    from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
 
     _register(session.config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
 

@@ -19,7 +19,7 @@ from pytest_pafot.plugin.node_ids import SEARCH_PART, base_id, qualified_name, s
 from pytest_pafot.plugin.option_sources import corpus_name
 from pytest_pafot.plugin.orphans import UNRUN, Collected, Unrun, find_orphans, find_strays
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
-from pytest_pafot.text import visible
+from pytest_pafot.support.text import visible
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that were there when the session collected its items, by folder and name of the file."""

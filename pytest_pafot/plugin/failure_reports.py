@@ -14,15 +14,14 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.checks import CheckFailed
 from pytest_pafot.corpus.layout import relative
+from pytest_pafot.oracle.checks import CheckFailed
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
-from pytest_pafot.plugin.item_properties import AS_SAVED
 from pytest_pafot.plugin.marks import RATE_MARK, SEARCH_MARK
+from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.report.wrapping import MARKER, fitted_lines
-from pytest_pafot.run import Run
-from pytest_pafot.text import visible, visible_lines
+from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 
 SUMMARY = pytest.StashKey[str]()  # what the summary line of a failing item says
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.run import Run
-    from pytest_pafot.scenario import Scenario
+    from pytest_pafot.model.scenario import Scenario
+    from pytest_pafot.oracle.run import Run
     from pytest_pafot.world.driving.ads import AdsFactory
     from pytest_pafot.world.protocol import WorldLike
 
@@ -96,9 +96,9 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     """
     from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
-    from pytest_pafot.grid import Cell  # noqa: PLC0415
-    from pytest_pafot.run import Run  # noqa: PLC0415
-    from pytest_pafot.scenario import PositionInstruction, Scenario  # noqa: PLC0415
+    from pytest_pafot.model.grid import Cell  # noqa: PLC0415
+    from pytest_pafot.model.scenario import PositionInstruction, Scenario  # noqa: PLC0415
+    from pytest_pafot.oracle.run import Run  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
     from pytest_pafot.world.protocol import reference_world, taking_over  # noqa: PLC0415
 

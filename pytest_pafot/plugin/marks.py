@@ -14,7 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import SearchArguments
-    from pytest_pafot.rating.rate_request import RateArguments
+    from pytest_pafot.episodes.rate_request import RateArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"

@@ -19,7 +19,7 @@ from pytest_pafot.plugin.orphans import UNRUN
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
     from pytest_pafot.execution.scenario_pool import Job
-    from pytest_pafot.scenario import Scenario
+    from pytest_pafot.model.scenario import Scenario
 
 MERGE = BY_NAME["merge"].key
 

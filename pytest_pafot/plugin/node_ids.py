@@ -10,7 +10,7 @@ import re
 import pytest
 
 from pytest_pafot.plugin.marks import SAVED_MARK
-from pytest_pafot.text import visible
+from pytest_pafot.support.text import visible
 
 SEARCH_PART, SAVED_PART = "search", "saved-"
 

@@ -87,7 +87,7 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             file.unlink(missing_ok=True)  # Another session may have been faster.
             removed.append(file)
         except OSError as error:
-            from pytest_pafot.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
+            from pytest_pafot.support.files import way_out  # noqa: PLC0415  a session that prunes nothing does not load it
 
             fix = way_out(error, "then prune again")
             failures.append(f"--pafot-prune: {file}: not removed: {error.strerror or error}; {fix}")
@@ -125,7 +125,7 @@ def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:
 def _named_test(file: Path) -> str:
     """The node id of the test that a saved scenario names, also where it is broken; empty where it names none."""
     from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
-    from pytest_pafot.errors import CorpusError  # noqa: PLC0415
+    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
 
     try:
         line = _TEST_LINE.search(content_of(file))

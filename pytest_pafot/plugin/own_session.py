@@ -9,17 +9,93 @@ import os
 import shlex
 import subprocess
 import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.execution.crash_records import left_by
-from pytest_pafot.execution.pool import ProcessLostError, ending
+from pytest_pafot.execution.pool import GRACE, ProcessLostError, ending
 from pytest_pafot.execution.scenario_pool import Job
-from pytest_pafot.plugin.session import HERE
-from pytest_pafot.plugin.stuck_ads import STATUS
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.plugin.session import HERE, is_worker
+from pytest_pafot.plugin.terminal_reporter import uncaptured
+from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
+
+# The end of a session whose ADS takes no interruption: what was found so far is reported, and the process ends.
+#
+# The scenario is on disk by then, and the next session takes it up. Under pytest-xdist only the worker ends, as one
+# that crashes, and pytest-xdist starts another.
+
+STATUS = pytest.ExitCode.INTERRUPTED
+"""Of the process; where no thread of Python's comes to run, it is 1, which faulthandler ends it with."""
+
+FLUSH = 120.0  # how long the summary may take, in which plugins may wait for what the ADS holds [s]
+SHOWN = 6  # innermost frames that are told
+
+
+@contextmanager
+def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
+    """End the session where a decision inside cannot be interrupted."""
+    main, file = threading.get_ident(), _real_stderr(item.config)
+    try:
+        with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
+            yield
+    finally:
+        if file is not None:
+            os.close(file)
+
+
+def _end(item: pytest.Item, thread: int) -> None:
+    limit = threading.Timer(FLUSH, os._exit, (STATUS,))
+    limit.daemon = True
+    limit.start()
+    try:
+        if not is_worker(item.config):
+            with uncaptured(item.config):
+                _flush(item, "".join(traceback.format_stack(sys._current_frames()[thread])[-SHOWN:]))
+    finally:
+        with suppress(Exception):
+            sys.stdout.flush()
+        os._exit(STATUS)
+
+
+def _flush(item: pytest.Item, stack: str) -> None:
+    """Report the item and end the session as an interrupt does, but from another thread."""
+    reason = (
+        f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores each interruption, so "
+        "that only the end of this session ends it. Its scenario is on disk: the next session runs it again in a "
+        "process of its own, and saves it. With --pafot-isolate such a search goes on"
+    )
+    item.ihook.pytest_runtest_logreport(
+        report=pytest.TestReport(
+            nodeid=item.nodeid,
+            location=item.location,
+            keywords={},
+            outcome="failed",
+            longrepr=f"{reason}.\n\nThe decision, innermost call last:\n{stack}",
+            when="call",
+        )
+    )
+    try:
+        pytest.exit(f"the ADS hangs in {item.nodeid}, as its failure says", returncode=STATUS)
+    except pytest.exit.Exception:
+        item.config.hook.pytest_keyboard_interrupt(excinfo=pytest.ExceptionInfo.from_current())
+    item.session.exitstatus = STATUS
+    item.config.hook.pytest_sessionfinish(session=item.session, exitstatus=STATUS)
+
+
+def _real_stderr(config: pytest.Config) -> int | None:
+    """A descriptor for faulthandler, unless pytest uses its one timer, for the option ``faulthandler_timeout``."""
+    if config.pluginmanager.has_plugin("faulthandler") and float(config.getini("faulthandler_timeout") or 0.0) > 0.0:
+        return None
+    with suppress(OSError), uncaptured(config):
+        return os.dup(2)
+    return None
 
 
 def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:

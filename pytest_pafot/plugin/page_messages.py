@@ -11,19 +11,17 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from pytest_pafot.campaign.events import FindTold, Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.events import Find, FindTold, Judged, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
-from pytest_pafot.checks import Check, CheckFailed
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view
-from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import NEW
+from pytest_pafot.report.page_data import NEW, encode
 from pytest_pafot.searching.events import Event
-from pytest_pafot.trace import Trace
 
 
 def label_of(find: Find) -> str:

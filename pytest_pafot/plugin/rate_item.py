@@ -9,7 +9,7 @@ import pytest
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.marks import RATE_ARG, RATE_MARK
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.xdist import is_worker
+from pytest_pafot.plugin.session import is_worker
 
 
 class Rates:
@@ -29,9 +29,9 @@ class Rates:
         from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
         from pytest_pafot.campaign.options import OptionError  # noqa: PLC0415
         from pytest_pafot.campaign.request import RequestError  # noqa: PLC0415
+        from pytest_pafot.episodes.rate_request import checked_rate  # noqa: PLC0415
         from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
-        from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
-        from pytest_pafot.rating.rate_request import checked_rate  # noqa: PLC0415
+        from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.world import AdsFactoryError, WorldError  # noqa: PLC0415
 
         try:

@@ -13,12 +13,14 @@ from pytest_pafot.campaign.recorder import cause
 from pytest_pafot.campaign.replays import BESIDE, FLAKY, Replays, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.verdict import Verdict, headline
-from pytest_pafot.checks import CheckFailed
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.checks import CheckFailed
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained
 from pytest_pafot.plugin.own_session import replay_in_own_session
@@ -26,10 +28,7 @@ from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.session_records import tell_finding
-from pytest_pafot.report.wrapping import fitted_lines
-from pytest_pafot.run import Run
-from pytest_pafot.text import ascii_text, visible
-from pytest_pafot.trace import Outcome
+from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 
 
 def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:

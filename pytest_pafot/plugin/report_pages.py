@@ -80,8 +80,7 @@ class Pages:
             lines.problems.append(f"--pafot-report={asked}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
-        from pytest_pafot.report.page_codec import decode  # noqa: PLC0415
-        from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
+        from pytest_pafot.report.page_data import CampaignView, FindingView, decode  # noqa: PLC0415
         from pytest_pafot.report.session_report import Draft  # noqa: PLC0415
 
         finding = decode(FindingView, data["view"]) if "view" in data else None

@@ -15,34 +15,31 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.against import reference_of
-from pytest_pafot.campaign.confirmation import NOT_REPEATED
-from pytest_pafot.campaign.events import FindTold, Kept, Listener, SearchEvent, SearchStarted
-from pytest_pafot.campaign.harness import Harness, checked_factory, source_file
+from pytest_pafot.campaign.events import FindTold, Kept, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
+from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.campaign.recorder import NOT_REPEATED
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
 from pytest_pafot.campaign.resuming import check_states
 from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
-from pytest_pafot.campaign.summary import Progress, SearchSummary
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.files import remove_unfinished
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search
 from pytest_pafot.plugin.failure_reports import SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.item_properties import of_findings, set_properties
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
+from pytest_pafot.plugin.messages import of_findings, set_properties
 from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.report_pages import page_messages_of
-from pytest_pafot.plugin.session import SHARED, records_folder
+from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
-from pytest_pafot.plugin.xdist import is_worker
 from pytest_pafot.report import terminal
-from pytest_pafot.text import plural
-from pytest_pafot.versions import installed_versions
+from pytest_pafot.support.files import remove_unfinished
+from pytest_pafot.support.text import plural
+from pytest_pafot.support.versions import installed_versions
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """Folders of saved scenarios in which this session has removed what processes that were killed left half written."""

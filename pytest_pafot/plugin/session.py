@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import date
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.options import OPTIONS, OptionError, Settings
 from pytest_pafot.corpus.layout import chosen_folder, corpus_root, link_below
 from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.text import plural
+from pytest_pafot.plugin.orphans import UNRUN
+from pytest_pafot.support.text import plural
+
+KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
 LOG_SECONDS = 10.0  # how often a search reports its progress where nobody looks at a terminal [s]
 
@@ -115,7 +122,7 @@ def unclaimed(config: pytest.Config) -> list[str]:
     folder = _cached_folder(config)
     if folder is None:
         return []
-    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers  # noqa: PLC0415  (imports numpy)
+    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers  # noqa: PLC0415
 
     try:
         found = leftovers(folder)
@@ -149,3 +156,80 @@ def _cached_folder(config: pytest.Config) -> Path | None:
     # No cache plugin, or a read-only checkout: the record itself says what is wrong.
     except (AttributeError, ValueError, OSError):
         return None
+
+
+# What the controller and the workers of pytest-xdist tell each other when a worker starts and when it ends.
+#
+# What they tell while items run are messages, like those of a session without workers.
+
+KEY = "pafot"  # of what this plugin adds to the input and the output of a worker
+
+
+def is_worker(config: pytest.Config) -> bool:
+    """Whether this process is a worker."""
+    return hasattr(config, "workerinput")
+
+
+def shared_by_controller(config: pytest.Config) -> Shared:
+    """What the controller of a worker has decided."""
+    # The wall clock is the one that both have; should it have been set back since, the session begins now.
+    values = config.workerinput[KEY]  # type: ignore[attr-defined]
+    return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
+
+
+class Controller:
+    """Hooks of the controller."""
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Give a worker what it shares with this session, as plain data."""
+        shared = node.config.stash[SHARED]
+        node.workerinput[KEY] = asdict(shared) | {"began": time.time() - (time.monotonic() - shared.began)}
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
+        """Remember which saved scenarios the first workers collected."""
+        shared = node.config.stash[SHARED]
+        if shared.frozen is None:
+            # Under --dist=loadgroup the name of the group is appended.
+            names = (node_id[: node_id.rfind("]") + 1] for node_id in ids)
+            shared.frozen = frozenset(name for name in names if SAVED_PART in name)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        """Take what a worker collected and no item runs."""
+        told = getattr(node, "workeroutput", {}).get(KEY)
+        if told is None:  # It died.
+            return
+        orphans, strays, unmerged = json.loads(told)
+        unrun = node.config.stash[UNRUN]
+        unrun.orphans.update((Path(folder), list(map(Path, files))) for folder, files in orphans.items())
+        unrun.strays.update(strays)
+        unrun.unmerged.update(unmerged)
+
+
+class Worker:
+    """Hooks of a worker."""
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Hand over what this worker collected and no item runs.
+
+        It is JSON in ASCII: pytest-xdist sends no text with bytes in it that are no characters, as names of files may
+        have, and replaces a worker that tries to by one that tries the same.
+        """
+        unrun = session.config.stash[UNRUN]
+        orphans = {str(folder): list(map(str, files)) for folder, files in unrun.orphans.items()}
+        told = json.dumps((orphans, unrun.strays, unrun.unmerged))
+        session.config.workeroutput[KEY] = told  # type: ignore[attr-defined]
+
+
+class Header:
+    """The hook of a verbose session."""
+
+    def pytest_report_header(self) -> str:
+        """How the kernel runs, found out without importing it."""
+        if not any((KERNEL / f"loop{suffix}").exists() for suffix in EXTENSION_SUFFIXES):
+            return "pafot: kernel interpreted (not compiled at installation)"
+        if os.environ.get("PAFOT_KERNEL") == "interpreted":
+            return "pafot: kernel interpreted (PAFOT_KERNEL)"
+        return "pafot: kernel compiled"

@@ -17,8 +17,8 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.item_properties import AS_SAVED
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, refused_output
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Records:
             self._append_summary(int(session.exitstatus))
 
     def _take(self, node_id: str, message: messages.Message) -> None:
-        from pytest_pafot.campaign.summary import SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
         from pytest_pafot.report.session_record import FindingRecord, SearchRecord  # noqa: PLC0415
 
         data = message.data
@@ -144,7 +144,7 @@ class Records:
 
     def _record(self, code: int | None) -> SessionRecord:
         from pytest_pafot.report.session_record import SessionRecord, worst  # noqa: PLC0415
-        from pytest_pafot.versions import installed_versions  # noqa: PLC0415
+        from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
 
         results = {node_id: worst(results) for node_id, results in self._results.items()}
         return SessionRecord(
@@ -167,8 +167,8 @@ class Records:
     def _write_json(self, code: int | None) -> None:
         if self._file is None:
             return
-        from pytest_pafot.files import way_out, write_whole  # noqa: PLC0415
         from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
+        from pytest_pafot.support.files import way_out, write_whole  # noqa: PLC0415
 
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._file))
         refused = refused_output(self._config, self._file, path.parent)
@@ -191,8 +191,8 @@ class Records:
         path = os.environ.get(SUMMARY)
         if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
             return
-        from pytest_pafot.files import way_out  # noqa: PLC0415
         from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
+        from pytest_pafot.support.files import way_out  # noqa: PLC0415
 
         text = markdown(self._record(code))
         try:

@@ -25,10 +25,10 @@ from pytest_pafot.plugin.session import (
     terminal_width,
     unclaimed,
 )
-from pytest_pafot.text import ascii_text
+from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.summary import SearchSummary
+    from pytest_pafot.campaign.events import SearchSummary
     from pytest_pafot.report import terminal
 
 TERMINAL_SECONDS = 0.25  # how often a search reports its progress on a terminal [s]
@@ -188,7 +188,7 @@ class Reporter:
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Messages of a page have a plugin of their own."""
-        from pytest_pafot.campaign.summary import Progress, SearchSummary  # noqa: PLC0415
+        from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         data = message.data

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.errors import AdsFactoryError, sentence
+from pytest_pafot.support.errors import AdsFactoryError, sentence
 
 KEPT = 8
 """Policies that a process keeps loaded, so that each run has its ADS at once."""

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.policies.loading import PolicyLoader, argmax, digest_of, library, named, refused
-from pytest_pafot.world.kernel.action import BadAction
+from pytest_pafot.support.errors import BadAction
 
 Array = npt.NDArray[Any]
 Network = Callable[[Array], Array]

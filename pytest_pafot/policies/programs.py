@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pytest_pafot.policies.loading import digest_of, refused
-from pytest_pafot.world.kernel.action import BadAction, Drive, shown
+from pytest_pafot.support.errors import BadAction
+from pytest_pafot.support.text import shown
+from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation
 
 SEEN = (

@@ -7,10 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT
 from pytest_pafot.report.page_data import CampaignView, CoverageRow, GenerationView
-from pytest_pafot.scenario import PAPER_SPEED_LIMIT
-from pytest_pafot.searching.coverage import CELLS, SPEED_BIN, STEPS, Coverage, Key, speed_bins
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
@@ -20,7 +19,7 @@ from pytest_pafot.searching.events import (
     LocalSearchFinished,
     Restarted,
 )
-from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.health import CELLS, SPEED_BIN, STEPS, Coverage, Health, Key, speed_bins
 
 
 def campaign_view(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import shlex
 import zlib
 from collections.abc import Iterable, Sequence
@@ -11,30 +12,200 @@ from itertools import pairwise
 
 import numpy as np
 
-from pytest_pafot.checks import Check
-from pytest_pafot.corpus.yaml_text import text_of
+from pytest_pafot.attribution.lane_changes import stretches
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.criticality import Encounters
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import blocks, instructions
-from pytest_pafot.report.check_view import check_tick, check_view
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page_data import (
     ChanceView,
+    CheckView,
     DriveView,
     EventView,
     FindingView,
     InstructionView,
+    LaneView,
     Numbers,
+    Pose,
     RoadView,
     ShrinkView,
     VehicleView,
 )
-from pytest_pafot.report.road_view import along_and_across, grid_poses, road_view
 from pytest_pafot.report.terminal import prevention_text, speed_sentences
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Chromosome, LaneInstruction, PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 from pytest_pafot.world.limits import CLEARANCE
+from pytest_pafot.world.roads.route import wrapped
+from pytest_pafot.world.roads.survey import SAME_DIRECTION
+
+# The road of a run for its picture: lanes, and in world coordinates where it is not straight the cells of the ego.
+
+DENSE = 0.5
+"""Distance of the points by which cells are found [m]."""
+BEYOND = 150.0
+"""How far beyond where the vehicles came the lanes of the ego's way are drawn [m]."""
+
+
+def road_view(trace: Trace, clearance: float) -> RoadView:
+    """The road of a run: how its lanes lie across it, or if it bends each lane as a line in the world.
+
+    The clearance is the gap between the ego and the cells ahead and behind [m].
+    """
+    road = RoadView(
+        lanes=(),
+        lane_width=float(trace.lanes[0].width),
+        speed_limit=round(float(trace.speed_limit), 2),
+        clearance=clearance,
+    )
+    if trace.track is None:
+        starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
+        across = along_and_across(trace, starts[:, 0], starts[:, 1])[1]
+        return replace(road, lanes=tuple(round(float(value), 2) for value in across))
+    reach = float(trace.track[:, 0, ALONG].max()) + BEYOND
+    shapes = []
+    for lane in trace.lanes:
+        points, length = _measured(lane)
+        shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
+        line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
+        shapes.append(LaneView(points=line, width=float(lane.width)))
+    return replace(road, shapes=tuple(shapes))
+
+
+def along_and_across(trace: Trace, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """World coordinates in the frame of the first lane: along it, and across it to the right [m]."""
+    lane = trace.lanes[0]
+    dx, dy = x - lane.x, y - lane.y
+    cos, sin = np.cos(lane.heading), np.sin(lane.heading)
+    return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
+    """Points of a lane's centre line, and the length of the line up to each [m]."""
+    end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
+    points = np.array(lane.points or [(lane.x, lane.y), end])
+    return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+
+
+def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tuple[Pose | None, ...], ...]:
+    """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
+    other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
+    row = (float(trace.sizes[0, 0]) + other) / 2 + clearance
+    dense = _dense_points(trace.lanes)
+    return tuple(_cells_around(trace.ego[tick], row, trace.lanes, dense) for tick in ticks)
+
+
+def _dense_points(lanes: Sequence[Lane]) -> FloatArray:
+    """All lanes as many points: x [m], y [m], direction [rad] and number of the lane, shape [4, points]."""
+    parts = []
+    for number, lane in enumerate(lanes):
+        points, length = _measured(lane)
+        steps = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
+        x, y = (np.interp(steps, length, points[:, column]) for column in (0, 1))
+        parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
+    return np.concatenate(parts, axis=1)
+
+
+def _cells_around(ego: FloatArray, row: float, lanes: Sequence[Lane], dense: FloatArray) -> tuple[Pose | None, ...]:
+    """The poses of the cells; a row ahead or behind is so many metres along the ego's lane."""
+    own = np.flatnonzero(dense[3] == ego[LANE])
+    if not len(own):
+        return (None,) * len(Cell)
+    near = own[0] + int(np.hypot(dense[0, own] - ego[X], dense[1, own] - ego[Y]).argmin())
+    bases = [near + round(cell.row * row / DENSE) for cell in Cell]
+    width = lanes[int(ego[LANE])].width
+    return tuple(
+        _beside(base, cell.column, width, dense) if own[0] <= base <= own[-1] else None
+        for cell, base in zip(Cell, bases, strict=True)
+    )
+
+
+def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | None:
+    """The point of a neighbouring lane that is nearest to a lane's width beside a point of the ego's lane."""
+    xs, ys, headings, numbers = dense
+    best = base
+    if column:
+        sideways = column * width
+        x, y = xs[base] - sideways * np.sin(headings[base]), ys[base] + sideways * np.cos(headings[base])
+        distance = np.hypot(xs - x, ys - y)
+        turned = np.abs(wrapped(headings - headings[base]))
+        distance[(turned > SAME_DIRECTION) | (numbers == numbers[base])] = np.inf
+        best = int(distance.argmin())
+        if distance[best] > width / 2:
+            return None
+    return round(float(xs[best]), 2), round(float(ys[best]), 2), round(float(headings[best]), 3)
+
+
+# What the page shows of a check that failed: its figures, and the curve of its values with the bounds.
+
+REACH = 3
+"""How far a curve is shown on the side that keeps the bound, in multiples of the bound or of what breaks it."""
+
+
+def check_tick(trace: Trace, check: Check | None) -> int | None:
+    """The tick at which a check was worst; None where it does not say, or says one outside of the run."""
+    if check is None or check.time is None or not 0 <= check.time <= trace.duration:
+        return None
+    return round(check.time * trace.physics_hz)
+
+
+def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
+    """The view of a check that failed in a run, at the ticks of the frames.
+
+    There is a curve where it is known which ticks its values belong to.
+    """
+    tick, hz = check_tick(trace, check), trace.physics_hz
+    view = CheckView(
+        name=check.name,
+        unit=check.unit,
+        value=check.value if math.isfinite(check.value) else None,
+        at_most=check.at_most,
+        at_least=check.at_least,
+        time=None if tick is None else round(tick / hz, 3),
+    )
+    if check.values is None or check.start + len(check.values) > trace.ticks + 1:
+        return view
+    end, (low, high) = check.start + len(check.values), _axis(check, check.values)
+    digits = max(4, 4 - math.floor(math.log10(high - low)))
+    values, excess = np.full(trace.ticks + 1, np.nan), np.full(trace.ticks + 1, -np.inf)
+    values[check.start : end], excess[check.start : end] = check.values, _excess(check, check.values)
+    spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
+    worst = [values[span[int(excess[span].argmax())]] for span in spans]
+    return replace(
+        view,
+        values=tuple(None if np.isnan(value) else round(float(value), digits) for value in np.clip(worst, low, high)),
+        low=low,
+        high=high,
+        is_cut=(bool((values < low).any()), bool((values > high).any())),
+        broken=tuple((round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0)),
+    )
+
+
+def _excess(check: Check, values: FloatArray) -> FloatArray:
+    """By how much each value breaks its bounds, negative where it keeps them; NaN breaks any."""
+    over = [values - check.at_most] if check.at_most is not None else []
+    under = [check.at_least - values] if check.at_least is not None else []
+    excess: FloatArray = np.max([*over, *under], axis=0)
+    return np.where(np.isnan(excess), np.inf, excess)
+
+
+def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
+    """From where to where the values are worth showing: all that breaks a bound, and some of what keeps it."""
+    bounds = [bound for bound in (check.at_most, check.at_least) if bound is not None]
+    shown = [*values[np.isfinite(values)], *bounds]
+    low, high = float(min(shown)), float(max(shown))
+    broken_by = max(abs(check.value - bound) for bound in bounds) if math.isfinite(check.value) else 0.0
+    reach = REACH * (max(broken_by, *map(abs, bounds)) or 1.0)
+    if check.at_least is None:
+        low = max(low, bounds[0] - reach)
+    if check.at_most is None:
+        high = min(high, bounds[0] + reach)
+    step = 10.0 ** math.floor(math.log10(high - low or 1.0) - 0.5)
+    return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
+
 
 FRAMES_PER_SECOND = 7
 """Frames of a view, about: enough for an eye that sees them interpolated."""

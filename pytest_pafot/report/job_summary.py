@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SearchRecord, SessionRecord
-from pytest_pafot.text import plural, visible
+from pytest_pafot.support.text import plural, visible
 
 MAX_LISTED = 20
 """Findings of one kind that are listed one by one."""

@@ -1,4 +1,4 @@
-"""How runs, findings and searches show themselves in notebooks; :mod:`pytest_pafot.shown` asks for it.
+"""How runs, findings and searches show themselves in notebooks; :mod:`pytest_pafot.support.shown` asks for it.
 
 Each output is a page of its own inside a frame, so that no two outputs of a notebook meet in a name, a style or a
 script, and needs nothing from the network.
@@ -13,17 +13,17 @@ from dataclasses import replace
 from pytest_pafot.campaign.events import FindTold, SearchStarted
 from pytest_pafot.campaign.explore import Exploration
 from pytest_pafot.campaign.saved_scenario import SavedScenario
-from pytest_pafot.checks import CheckFailed
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.oracle.checks import CheckFailed
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report import animation
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view, run_view
 from pytest_pafot.report.page import render_frame
 from pytest_pafot.report.page_data import CampaignView, FindingView, Report
-from pytest_pafot.run import Run
 from pytest_pafot.searching.events import Event
-from pytest_pafot.text import plural
-from pytest_pafot.trace import Trace
+from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
 
 BEFORE = (4.0, 3.0, 2.0, 1.0, 0.0)

@@ -10,12 +10,9 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-from pytest_pafot.report.campaign_markup import campaign_article
-from pytest_pafot.report.finding_markup import finding_article, finding_list
-from pytest_pafot.report.markup import copyable, facts, text
-from pytest_pafot.report.page_codec import encode
-from pytest_pafot.report.page_data import Report
-from pytest_pafot.text import quiet_json
+from pytest_pafot.report.markup import campaign_article, copyable, facts, finding_article, finding_list, text
+from pytest_pafot.report.page_data import Report, encode
+from pytest_pafot.support.text import quiet_json
 
 ASSETS = "pytest_pafot.report.assets"
 STYLE = "page.css"

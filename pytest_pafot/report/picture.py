@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
 from pytest_pafot.report.page_data import FindingView, InstructionView, Numbers
 
 TRAIL_SECONDS = 4.0

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Self
 
-from pytest_pafot.campaign.summary import SearchSummary
+from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.text import quiet_json
+from pytest_pafot.support.text import quiet_json
 
 VERSION = 1
 """Of the layout. A key that comes to it later leaves the version as it is; one that goes or changes raises it."""

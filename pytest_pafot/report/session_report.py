@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import is_page_file
-from pytest_pafot.files import write_whole
 from pytest_pafot.report.animation import AnimationError, animate
-from pytest_pafot.report.finding_markup import finding_keys
+from pytest_pafot.report.markup import finding_keys
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import NEW, CampaignView, Errors, FindingView, Report
-from pytest_pafot.text import plural
-from pytest_pafot.versions import installed_versions
+from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.text import plural
+from pytest_pafot.support.versions import installed_versions
 
 PAGE = "index.html"
 ORDER = ("ego", "both", "npc", "none")

@@ -11,14 +11,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.proportions import interval_text
-from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
-from pytest_pafot.run import ReferenceOutcome
-from pytest_pafot.scenario import PositionInstruction
-from pytest_pafot.text import ascii_text, plural
+from pytest_pafot.model.scenario import PositionInstruction
+from pytest_pafot.oracle.run import ReferenceOutcome
+from pytest_pafot.support.proportions import interval_text
+from pytest_pafot.support.text import ascii_text, fitted_lines, plural, wrapped_to
 
 WIDTH = 80
 MAX_FINDS = 20

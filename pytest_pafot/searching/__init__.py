@@ -5,17 +5,17 @@ Nothing here simulates. How a scenario becomes an evaluation is given to :func:`
 
 from __future__ import annotations
 
-from pytest_pafot.searching.algorithms import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
+from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.algorithms.distinct import DistinctSearch
+from pytest_pafot.searching.algorithms.pafot import PafotSearch
+from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, ResumableSearch, SearchState
-from pytest_pafot.searching.av_fuzzer import AvFuzzerSearch
-from pytest_pafot.searching.distinct import DistinctSearch
+from pytest_pafot.searching.campaign import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
-from pytest_pafot.searching.pafot import PafotSearch
 from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.searching.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.search_loop import Checkpoint, Evaluate, run_campaign
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [

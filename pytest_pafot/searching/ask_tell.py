@@ -17,7 +17,7 @@ from numpy.random import Generator as Rng
 
 from pytest_pafot.attribution.mistakes import Mistake
 from pytest_pafot.attribution.near_misses import ALL
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchFinished, NewBest
 from pytest_pafot.searching.operators import best_of, improves
@@ -43,7 +43,7 @@ class Algorithm(Protocol[StateT]):
     """A search strategy: a value with no state of its own and no randomness but what it is given.
 
     Its class is called with a :class:`~pytest_pafot.searching.space.SearchSpace` and the parameter ``population``, and
-    may have the attributes of :class:`~pytest_pafot.searching.algorithms.AlgorithmClass`.
+    may have the attributes of :class:`~pytest_pafot.searching.algorithms.catalogue.AlgorithmClass`.
     """
 
     @property

@@ -11,10 +11,10 @@ import numpy as np
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.criticality import Encounters, sweep
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 from pytest_pafot.searching.interaction import InteractionSweep
-from pytest_pafot.trace import HEADING, LANE, SPEED, Collision, FloatArray, Outcome, Trace, X, Y
 
 Rank = tuple[bool, bool, float]
 """Eligible, failing, fitness: compared from the left, the greater is the worse for the ego."""
@@ -55,7 +55,7 @@ class Evaluation:
         near_misses: what the ego nearly had to answer for, of each mistake the worst that may matter to the algorithm;
             empty where nobody says, and for runs that fail or say nothing.
         margins: of each check that the user's function made, its name and its worst margin
-            (:attr:`pytest_pafot.checks.Check.margin`), in the order of the names; empty where they do not steer.
+            (:attr:`pytest_pafot.oracle.checks.Check.margin`), in the order of the names; empty where they do not steer.
         arrived: per NPC and gene that was started, whether its cell, or lane, was reached.
         driven: per NPC and gene that was started, the cell that it drove to, where ``executed`` cannot say so.
         collision: of the run; None without one.

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 
-from pytest_pafot.scenario import SHIFTS, Gene, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, Gene, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import repaired
 

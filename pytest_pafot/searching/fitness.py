@@ -17,8 +17,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from importlib import import_module
 from numbers import Real
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -26,8 +28,31 @@ from pytest_pafot.attribution.near_misses import NEAR_SECONDS
 from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, planned_duration
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
-from pytest_pafot.searching.references import referred_to
-from pytest_pafot.trace import HEADING, SPEED, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
+
+# ``module:name``: a class or a function of the user's own where text is all that can be given.
+
+
+def referred_to(reference: str) -> Any:
+    """What a text such as ``module:name`` refers to.
+
+    Raises:
+        ValueError: where there is no such module, or no such name in it; without the place, which the caller knows.
+    """
+    module_name, _, name = reference.partition(":")
+    try:
+        module = import_module(module_name)
+    except Exception as error:
+        raise ValueError(
+            f"expected a module that can be imported, received {reference!r} ({type(error).__name__}: {error}); give "
+            "its whole name, and run where it is or put its folder on the path (pytest: `pythonpath = .`)"
+        ) from error
+    if not hasattr(module, name):
+        near = difflib.get_close_matches(name, vars(module), n=1)
+        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else f"; {module.__file__} has no such name"
+        raise ValueError(f"expected a name in the module {module_name}, received {reference!r}{hint}")
+    return getattr(module, name)
+
 
 Fitness = Callable[[Trace], float]  # trace to a number, higher = worse for the ego
 Responsible = Callable[[Trace], bool]  # whether the ego is responsible for the collision in which a run ended

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 
 class InteractionSweep:

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from numpy.random import Generator
 
-from pytest_pafot.grid import is_adjacent
-from pytest_pafot.scenario import Chromosome, PositionInstruction, Scenario
+from pytest_pafot.model.grid import is_adjacent
+from pytest_pafot.model.scenario import Chromosome, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import SearchSpace, fresh_seed, random_instruction, repaired

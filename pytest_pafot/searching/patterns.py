@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import SPEED_STEPS_PER_MPS, PositionInstruction
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import SPEED_STEPS_PER_MPS, PositionInstruction
 
 Bound = tuple[float, float]
 """Of a speed: a share of the ego's first speed, and what is added to it [m/s]; held within 0 and the speed limit."""

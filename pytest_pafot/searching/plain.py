@@ -20,9 +20,9 @@ from functools import lru_cache, partial
 from itertools import repeat
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from pytest_pafot.errors import FieldError
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.support.errors import FieldError
 
 T = TypeVar("T")
 

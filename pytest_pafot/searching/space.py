@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from pytest_pafot.grid import Cell, is_adjacent, repair_chains
-from pytest_pafot.scenario import (
+from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
+from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
     GENE_SECONDS,
@@ -26,7 +26,7 @@ from pytest_pafot.scenario import (
     positions_of,
 )
 from pytest_pafot.searching.patterns import chain_of_patterns
-from pytest_pafot.text import plural
+from pytest_pafot.support.text import plural
 
 LEAST_GENES = 3
 """Of a chain on a road that is not straight, however short its runs are: to approach, to cut in, to brake."""

@@ -1,6 +1,6 @@
 """Worlds: roads on which a scenario is run against an ADS. The only room that knows highway-env."""
 
-from pytest_pafot.errors import AdsFactoryError, WorldError
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
 from pytest_pafot.world.gym_world import World

@@ -4,26 +4,68 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from pytest_pafot.errors import WorldError
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in
-from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines.lock_step import SteppedRun, rollouts
 from pytest_pafot.world.engines.selection import rollout_planner
-from pytest_pafot.world.engines.taking_over import RecordedBody, Relief
-from pytest_pafot.world.first_decision import FirstDecision, first_decision
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.protocol import FirstDecision, decision_asked
 from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.validation import checked_number
+
+# What it takes to drive a recorded run again up to a tick, and to have a reference driver take over the ego there.
+
+WATCHED = 6.0
+"""For how long a driver has watched when it takes over [s]: long enough to have noticed whatever there is."""
+
+
+class RecordedBody(Body):
+    """The ego of a run, in the states that were recorded up to a tick, whatever its controls are; then it drives.
+
+    What it did is recorded again to the bit, which decisions that are given again allow for planners only.
+    """
+
+    def __init__(self, trace: Trace, tick: int) -> None:
+        super().__init__(*trace.sizes[0])
+        self._rows = iter(trace.ego[1 : tick + 1].tolist())
+
+    def step(self, dt: float) -> None:
+        """Where it was at the next tick; from the last recorded one on, as any body."""
+        row = next(self._rows, None)
+        if row is None:
+            super().step(dt)
+            return
+        self.place(*row[:4])
+        self.acceleration, self.steering = row[4:6]
+
+
+@dataclass(slots=True)
+class Relief:
+    """A reference driver that takes over at a time [s], having watched; before, what it returns has no effect."""
+
+    driver: ReferenceDriver
+    time: float
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Acceleration [m/s^2] and steering [rad]."""
+        if observation.time >= self.time:
+            return self.driver(observation)
+        if observation.time >= self.time - WATCHED:
+            self.driver.watch(observation)
+        return 0.0, 0.0
+
 
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
 """Smallest and largest value of fields that both worlds have."""
@@ -160,7 +202,7 @@ class BuiltInWorld(ABC):
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """What an ADS is given at its first decision in a scenario; None where the run does not come so far."""
-        return first_decision(self.rollout, scenario)
+        return decision_asked(self.rollout, scenario)
 
     def _check_fields(self) -> None:
         for name, low, high in BOUNDS:

@@ -16,9 +16,9 @@ from importlib import metadata
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.errors import WorldError
 from pytest_pafot.findings.finding import check_plain
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import protocol
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway

@@ -20,7 +20,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
-from pytest_pafot.errors import WorldError
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import AbstractEnv, Road, Vehicle, action, observation

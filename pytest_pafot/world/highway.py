@@ -7,16 +7,16 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
-from pytest_pafot.errors import AdsFactoryError, WorldError
-from pytest_pafot.scenario import PAPER_SPEED_LIMIT, Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, check_drives_in, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.closing import closing
-from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.engines import selection
 from pytest_pafot.world.engines.lock_step import SteppedRun
+from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, ego_start

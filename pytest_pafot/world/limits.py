@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from pytest_pafot.errors import WorldError
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.validation import checked_number
 
 TOP_SPEED = 40.0

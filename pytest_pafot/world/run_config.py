@@ -6,15 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_pafot.errors import WorldError
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Scenario, ScenarioError
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.network_director import NetworkDirector
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH, NPC_WIDTH
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.network import NetworkRoad
-from pytest_pafot.world.roads.speeds import BEND_SHARE
+from pytest_pafot.world.roads.network import BEND_SHARE, NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 
 

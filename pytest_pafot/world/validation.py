@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pytest_pafot.errors import WorldError
+from pytest_pafot.support.errors import WorldError
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
 """Fewest and most ticks and decisions per second."""

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.avoidance import ALIKE, HORIZON, Braking, Emergency, Pursuit
-from tests.support.polygons import corners, polygon_distance
+from tests.helpers.polygons import corners, polygon_distance
 
 HZ = 15
 SIZE = (5.0, 2.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
-from tests.support.situations import SITUATIONS
+from tests.helpers.situations import SITUATIONS
 
 ROOT = Path(__file__).parents[2]
 ALL = [situation for group in SITUATIONS.values() for situation in group]

@@ -6,12 +6,12 @@ import pytest
 
 from pytest_pafot.attribution.last_chance import LastChance, last_chance
 from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, SPEED, STEERING, Outcome, X
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Outcome, X
 from pytest_pafot.world import Highway
 from pytest_pafot.world.reference_drivers import HARD_BRAKING
-from tests.support.traces import LENGTH, collision_at, trace_of, vehicle
+from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
 
 
 def crash(ticks=30, outcome=Outcome.COLLISION):

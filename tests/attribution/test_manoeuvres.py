@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
-from pytest_pafot.attribution.manoeuvres import manoeuvre_before
+from pytest_pafot.attribution.mistakes import manoeuvre_before
 from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.run import Run
-from tests.support.traces import trace_of, vehicle
+from pytest_pafot.oracle.run import Run
+from tests.helpers.traces import trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
 STILL = vehicle(0.0, 4.0, speed=20.0, ticks=150)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import BY_FAULT, CLOSE_AHEAD, mistake
 from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
-from pytest_pafot.trace import Outcome, X
-from tests.support.situations import LEFT, OWN, SITUATIONS, driven, hit
-from tests.support.traces import LENGTH, trace_of, vehicle
+from pytest_pafot.model.trace import Outcome, X
+from tests.helpers.situations import LEFT, OWN, SITUATIONS, driven, hit
+from tests.helpers.traces import LENGTH, trace_of, vehicle
 
 TRACES = {each.name: each.trace for each in chain(*SITUATIONS.values())}
 MADE = {

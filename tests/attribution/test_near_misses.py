@@ -13,12 +13,12 @@ from pytest_pafot.attribution.mistakes import mistake
 from pytest_pafot.attribution.near_misses import ALL, near_misses
 from pytest_pafot.attribution.responsibility import Attribution, Conflict, is_ego_responsible, rss_rule
 from pytest_pafot.criticality import gap, ttc
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import SearchSpace, sample
-from pytest_pafot.trace import Outcome
-from tests.support.drives import crash, driven
-from tests.support.stages import oracle
-from tests.support.traces import random_states, trace_of
+from tests.helpers.drives import crash, driven
+from tests.helpers.stages import oracle
+from tests.helpers.traces import random_states, trace_of
 
 LEFT, OWN, RIGHT = 0.0, 4.0, 8.0
 DEFECTS = ("looks-only-ahead", "stops-in-its-lane", "brakes-for-ghosts", "sees-cut-ins-late")

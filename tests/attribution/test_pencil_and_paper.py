@@ -8,10 +8,10 @@ from collections import Counter
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
-from tests.support.pencil_and_paper import judge
-from tests.support.random_collisions import collision
-from tests.support.reasons import numbers
-from tests.support.stages import mostly_oracle
+from tests.helpers.pencil_and_paper import judge
+from tests.helpers.random_collisions import collision
+from tests.helpers.reasons import numbers
+from tests.helpers.stages import mostly_oracle
 
 SAMPLE = {
     "constant-speed": (8, 8),

@@ -3,7 +3,7 @@
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
-from tests.support.readings import load, packed, unpacked
+from tests.helpers.readings import load, packed, unpacked
 
 NOT_DEFENDED = {78, 144, 242, 283, 286, 287, 289, 363, 464, 481, 519, 577, 593, 599, 601, 614, 620, 647}
 """Collisions of which the reader would not defend the verdict; ``python -m tests.benchmarks.readings`` tells why."""

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.responsibility import DISTANCES, position_rule, rss_rule
 from pytest_pafot.criticality import rss_longitudinal
-from pytest_pafot.grid import Cell
-from pytest_pafot.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from tests.support.drives import HZ, crash, driven
-from tests.support.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
-from tests.support.work import calls_in
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
+from tests.helpers.drives import HZ, crash, driven
+from tests.helpers.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
+from tests.helpers.work import calls_in
 
 LEFT, OWN = 0.0, 4.0
 

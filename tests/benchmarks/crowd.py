@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 
 from pytest_pafot import Scenario
-from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.loop import Loop, PlannerPilot

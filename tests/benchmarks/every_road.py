@@ -26,13 +26,13 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import Run, Scenario, World
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import disagreement
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching import Evaluation, PafotSearch, run_campaign
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.trace import Outcome, Trace
 from tests.benchmarks.command import options, print_head
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
-from tests.support import world_cases
-from tests.support.road_cases import ENVIRONMENTS, space_of, violations
+from tests.helpers import world_cases
+from tests.helpers.road_cases import ENVIRONMENTS, space_of, violations
 
 STRAIGHT = ("highway-v0", "highway-fast-v0")
 

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.kernel_against_highway_env [--runs 3000] [--first 0]
 
 Each run is simulated twice by highway-env's objects: with numpy's functions as they are, and with those of
-``tests.support.c_library``, which round the same on every processor. With the latter everything must be the same to the
+``tests.helpers.c_library``, which round the same on every processor. With the latter everything must be the same to the
 last bit. With the former the outcome must be the same, and nobody further than a centimetre from where the kernel has
 them. A sample of this is in the suite.
 """
@@ -16,8 +16,8 @@ import numpy as np
 
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import options
-from tests.support.c_library import c_library
-from tests.support.engine_cases import Case, differences
+from tests.helpers.c_library import c_library
+from tests.helpers.engine_cases import Case, differences
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ import torch
 import pytest_pafot as pafot
 from pytest_pafot.searching import SearchSpace, sample
 from tests.benchmarks.command import print_head
-from tests.support.onnx_files import saved_network
-from tests.support.sb3_models import ENV, InItsWrappers, saved_model
+from tests.helpers.onnx_files import saved_network
+from tests.helpers.sb3_models import ENV, InItsWrappers, saved_model
 
 WORLD = pafot.World(ENV, duration=20.0)
 ROAD = pafot.Highway(duration=20.0)

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.mutants [--mutants 2000] [--seed 0] [--seconds 20]
 
 Damages files of searches of several policies, of gym worlds too, in the ways of
-``tests/support/mutations.py``. Every damaged file that is read is judged by another reading of its text; where its
+``tests/helpers/mutations.py``. Every damaged file that is read is judged by another reading of its text; where its
 world or scenario is another one, that is built and run once, which must end in time and raise nothing but an error with
 the file. Prints for each way how many files were refused, how many were read as what they say, and each that was not.
 """
@@ -29,10 +29,10 @@ from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Finding
+from pytest_pafot.support.errors import CorpusError
 from tests.benchmarks.command import options
-from tests.support.mutations import MUTATIONS, misread
+from tests.helpers.mutations import MUTATIONS, misread
 
 GOLDEN = Path(__file__).parents[1] / "corpus" / "saved"
 REPOSITORY = Path(__file__).parents[2]

@@ -19,11 +19,11 @@ from pytest_pafot import Highway, Scenario
 from pytest_pafot.attribution.near_misses import near_misses
 from pytest_pafot.attribution.responsibility import is_ego_responsible
 from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import sample
-from pytest_pafot.trace import Outcome
 from tests.benchmarks.command import options, print_head
 
 SPACE = SearchSpace(**drawn_space(Highway(), {}))

@@ -23,12 +23,12 @@ import numpy as np
 import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.model.trace import LANE
 from pytest_pafot.searching import ALGORITHMS
-from pytest_pafot.trace import LANE
 from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
 from tests.benchmarks.command import in_processes, options, seeds_of
 from tests.benchmarks.positive_controls import holds
-from tests.support.sound_driver import SoundLaneChanger
+from tests.helpers.sound_driver import SoundLaneChanger
 
 DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, "sound-lane-changer": SoundLaneChanger}

@@ -28,12 +28,12 @@ import numpy as np
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Scenario
 from pytest_pafot.criticality import mettc, planned_duration
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching import SearchSpace
 from pytest_pafot.searching.operators import crossover, mutate, with_chain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
-from pytest_pafot.trace import Outcome, Trace
 from tests.benchmarks.command import options, print_head
-from tests.support.interpreted import InterpretedWorld
+from tests.helpers.interpreted import InterpretedWorld
 
 TABLES = ("collisions", "readings")
 NOWHERE = -9

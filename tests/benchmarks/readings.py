@@ -1,4 +1,4 @@
-"""Which verdicts would a reader of the trace call false? The collisions of ``tests.support.readings``.
+"""Which verdicts would a reader of the trace call false? The collisions of ``tests.helpers.readings``.
 
     python -m tests.benchmarks.readings [--sets 1 2 3 4]
 
@@ -12,7 +12,7 @@ import argparse
 from collections import Counter
 
 from pytest_pafot import Run
-from tests.support.readings import load
+from tests.helpers.readings import load
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, d
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Shrunk, Start, instructions, shrink, size_of, sort_key
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, ScenarioError
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, ScenarioError
 from tests.benchmarks.command import in_processes, options, print_head, seeds_of
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, factory_of, searched
 

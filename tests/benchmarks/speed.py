@@ -37,7 +37,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, explore
 from pytest_pafot.campaign.simplification import ROLLOUTS, driven
+from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.findings.shrink import shrink
+from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.searching import (
     Evaluation,
     PafotSearch,
@@ -47,15 +49,13 @@ from pytest_pafot.searching import (
     run_campaign,
     sample,
 )
-from pytest_pafot.searching.decision_cache import DecisionCache
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.trace import FloatArray, Outcome
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import options
 from tests.benchmarks.crowd import crowd
 from tests.benchmarks.positive_controls import holds
-from tests.support.gym_loop import drive, make_env, place, si_actions
-from tests.support.interpreted import InterpretedWorld
+from tests.helpers.gym_loop import drive, make_env, place, si_actions
+from tests.helpers.interpreted import InterpretedWorld
 
 SCENARIO = Scenario(
     npcs=(

@@ -18,9 +18,9 @@ import numpy as np
 
 from example_ads import idm_mobil, ppo
 from pytest_pafot import World
-from pytest_pafot.trace import Outcome
-from pytest_pafot.world.engines.episode import Episode
-from pytest_pafot.world.engines.ordinary_traffic import drive
+from pytest_pafot.episodes.episode import Episode
+from pytest_pafot.episodes.ordinary_traffic import drive
+from pytest_pafot.model.trace import Outcome
 
 WITHIN = 1e-9
 """The largest distance that is allowed [m], as for headings [rad] and speeds [m/s]."""

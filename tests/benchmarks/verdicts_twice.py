@@ -4,8 +4,8 @@ The page is docs/explanation/verdicts.md.
 
     python -m tests.benchmarks.verdicts_twice [--collisions 2000] [--seed 0] [--policies NAME ...] [--workers 2]
 
-The collisions are shared out evenly among the policies of ``tests.support.random_collisions``. Prints by policy and by
-verdict how often the rules of the package and those of ``tests.support.pencil_and_paper`` agree on who is responsible,
+The collisions are shared out evenly among the policies of ``tests.helpers.random_collisions``. Prints by policy and by
+verdict how often the rules of the package and those of ``tests.helpers.pencil_and_paper`` agree on who is responsible,
 on the fault and on the tick, and each collision on which they do not, with both answers and how to make it again.
 Likewise each reason with a number that is not that of the trace.
 """
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from tests.benchmarks.command import options
-from tests.support import pencil_and_paper
-from tests.support.random_collisions import POLICIES, collision
-from tests.support.reasons import numbers
+from tests.helpers import pencil_and_paper
+from tests.helpers.random_collisions import POLICIES, collision
+from tests.helpers.reasons import numbers
 
 
 @dataclass(frozen=True)

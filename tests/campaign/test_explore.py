@@ -12,9 +12,8 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted
+from pytest_pafot.campaign.events import FindTold, Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.request import RequestError
-from pytest_pafot.campaign.summary import SearchSummary
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure

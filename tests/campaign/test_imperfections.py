@@ -3,10 +3,10 @@
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.imperfections import needed_imperfections
+from pytest_pafot.campaign.simplification import needed_imperfections
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.sight import Sight
-from tests.support.perceiving import Careful, Debouncing, GhostFiltering, Oblivious
+from pytest_pafot.model.sight import Sight
+from tests.helpers.perceiving import Careful, Debouncing, GhostFiltering, Oblivious
 
 ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5}, dropout=0.1, occlusion=True)
 

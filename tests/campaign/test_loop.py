@@ -8,19 +8,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot.campaign.loop import SearchLoop
 from pytest_pafot.campaign.search import search_seed
+from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Lane, Outcome, Trace
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, run_campaign, sample
-from pytest_pafot.searching.random_search import RandomSearch
-from pytest_pafot.trace import Lane, Outcome, Trace
+from pytest_pafot.searching.algorithms.random_search import RandomSearch
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
 

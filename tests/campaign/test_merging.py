@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.campaign import merging
-from pytest_pafot.corpus.joining import Candidate, join
+from pytest_pafot.campaign.merging import Candidate, join
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from tests.findings.builders import plain_finding
 
 OWN = {"a-111111": (30.0, "front"), "a-111111-2": (20.0, "rear"), "b-222222": (25.0, "left")}

@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
 from pytest_pafot.attribution import near_misses
-from pytest_pafot.campaign.read_ahead import FITNESS, read_ahead
+from pytest_pafot.campaign.search_loop import FITNESS, read_ahead
 from pytest_pafot.execution import prefetching
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated

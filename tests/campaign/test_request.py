@@ -7,8 +7,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot import Highway, World
 from pytest_pafot.campaign.explore import _request
 from pytest_pafot.campaign.request import build_space
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import sample
-from pytest_pafot.trace import Outcome
 
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 

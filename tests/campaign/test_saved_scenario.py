@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.checks import Check
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
-from pytest_pafot.trace import LANE
+from pytest_pafot.model.trace import LANE
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import codec
 
 WORLD = pafot.Highway(lanes=3, duration=10.0)

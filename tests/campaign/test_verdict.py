@@ -3,10 +3,10 @@
 import pytest
 
 from pytest_pafot.campaign.verdict import judge, reference_outcomes
-from pytest_pafot.rejection import Rejected
-from pytest_pafot.run import Run
-from pytest_pafot.trace import AdsError, Outcome
-from tests.support.reference_runs import Drivers, closing, rammed, running_into
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.checks import Rejected
+from pytest_pafot.oracle.run import Run
+from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
 
 DRIVERS = {"far": closing(ticks=3), "near": closing(), "unlucky": rammed(), "blind": running_into()}
 

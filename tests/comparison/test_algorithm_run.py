@@ -10,14 +10,14 @@ import pytest
 from pytest_pafot import Highway
 from pytest_pafot.attribution.near_misses import ALL, near_misses
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot.commands.policy_reference import PlanError
 from pytest_pafot.comparison import algorithm_run
-from pytest_pafot.comparison.algorithm_run import evaluated, run_rows
-from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.rows import COLUMNS, text_of
-from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.comparison.algorithm_run import COLUMNS, evaluated, run_rows, text_of
+from pytest_pafot.comparison.plan import Plan
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.searching.fitness import resolve
-from tests.support.reference_runs import Drivers, closing, rammed, running_into
+from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
 
 
 def again(row):

@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.comparison import command
-from pytest_pafot.comparison.paper_results import PAPER
+from pytest_pafot.comparison.markdown import PAPER
 
 pytestmark = pytest.mark.processes
 

@@ -3,9 +3,8 @@
 import pytest
 from matplotlib.figure import Figure
 
-from pytest_pafot.comparison.algorithm_run import run_rows
+from pytest_pafot.comparison.algorithm_run import run_rows, text_of
 from pytest_pafot.comparison.figures import STYLES, draw_all
-from pytest_pafot.comparison.rows import text_of
 from pytest_pafot.comparison.run_measures import Results
 from pytest_pafot.searching import ALGORITHMS
 

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.comparison import algorithm_run, resumable
+from pytest_pafot.commands import resumable
+from pytest_pafot.commands.policy_reference import PlanError
+from pytest_pafot.commands.resumable import ProgressLine
+from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.algorithm_run import run_all
-from pytest_pafot.comparison.plan import Plan, PlanError
-from pytest_pafot.comparison.resumable import ProgressLine
+from pytest_pafot.comparison.plan import Plan
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.world import Highway
 

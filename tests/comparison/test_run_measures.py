@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from pytest_pafot.comparison import run_measures, statistics
-from pytest_pafot.comparison.rows import Row, text_of
+from pytest_pafot.comparison.algorithm_run import Row, text_of
 
 SAFE = {"outcome": "safe", "duration": 60.0, "responsibility": "none", "position_responsibility": "none"}
 

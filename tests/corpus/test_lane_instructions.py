@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import parsed
-from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import shrink, size_of, sort_key
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
-from tests.support.traces import trace_of, vehicle
+from tests.helpers.traces import trace_of, vehicle
 
 PATH = "front-2-1f3a9c.pafot.yaml"
 

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from hypothesis import settings
 
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
-from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.errors import CorpusError
-from tests.support.mutations import MUTATIONS, UnclearError, misread, says
+from pytest_pafot.support.errors import CorpusError
+from tests.helpers.mutations import MUTATIONS, UnclearError, misread, says
 
 GOLDEN = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
 TEXTS = [path.read_text(encoding="utf-8") for path in GOLDEN]

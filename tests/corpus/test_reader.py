@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.corpus import yaml_document
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, located, parsed
-from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.errors import CorpusError
 from pytest_pafot.findings.finding import Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.scenario import Scenario, ScenarioError
-from pytest_pafot.sight import Sight
+from pytest_pafot.model.scenario import Scenario, ScenarioError
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
-from tests.support.work import calls_in
+from tests.helpers.work import calls_in
 
 NAME = "front-2-1f3a9c.pafot.yaml"
 TEXT = text_of(plain_finding())

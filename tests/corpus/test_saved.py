@@ -7,7 +7,7 @@ import pytest
 from pytest_pafot.corpus.saved import Saved, read_saved_file, saved_in
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.signature import PROCESS_CRASH
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import plain_finding
 
 NAME = "front-2-1f3a9c.pafot.yaml"

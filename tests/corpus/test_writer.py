@@ -7,11 +7,11 @@ from datetime import date
 
 import pytest
 
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
-from pytest_pafot.corpus.yaml_text import text_of
-from pytest_pafot.errors import CorpusError
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
 
 

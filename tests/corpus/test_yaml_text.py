@@ -7,13 +7,13 @@ import yaml
 from hypothesis import given, settings
 
 from pytest_pafot.attribution.last_chance import LastChance
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.corpus.yaml_text import text_of
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import NASTY_TEXTS, findings, plain_finding
 
 FILE = """\

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.criticality import RssRules
-from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
-from tests.support.polygons import corners, distance_after, polygon_distance
-from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
+from tests.helpers.polygons import corners, distance_after, polygon_distance
+from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 ARRAYS = [
     criticality.ettc,

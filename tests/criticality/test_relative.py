@@ -10,16 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import Run
-from pytest_pafot.trace import Lane, Outcome
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Lane, Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.engines.record import Record
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.roads.frame import NetworkFrame
-from pytest_pafot.world.roads.network import Column, NetworkRoad
+from pytest_pafot.world.roads.network import Column, NetworkFrame, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, Line
+from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
 from tests.report.builders import view_of
-from tests.support.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
 
 RADIUS = 20.0
 """Of the ego's way, which turns to the right [m]; the other lane is outside of it, to the left."""

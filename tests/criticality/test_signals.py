@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.criticality.signals import MEASURES, EgoSignals, Measure, NpcSignals, Signal
-from pytest_pafot.run import Run
-from pytest_pafot.trace import LANE, SPEED, Outcome, X
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
-from tests.support.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
+from tests.helpers.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
 
 SPEED_OF_ALL = Signal([1.0, 2.0, 4.0], hz=10, start=5, name="ego.speed", unit="m/s")
 

@@ -15,10 +15,10 @@ from pytest_pafot import Highway
 from pytest_pafot.attribution.lane_changes import stretches
 from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, sweep
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from pytest_pafot.searching import SearchSpace, interaction, sample
 from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
-from pytest_pafot.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
-from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
+from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 EXTREMES = ("min_ttc", "min_gap", "max_safety_shortfall")
 seeds = st.integers(0, 2**32)

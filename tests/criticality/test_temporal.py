@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.criticality.temporal import Margin
-from tests.support.traces import random_states, trace_of
+from tests.helpers.traces import random_states, trace_of
 
 HZ = 4
 BOUND = 0.5

@@ -11,7 +11,7 @@ from highway_env.vehicle.kinematics import Vehicle
 import pytest_pafot as pafot
 from example_ads import defects
 from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario
-from tests.support.stages import mostly_oracle, oracle
+from tests.helpers.stages import mostly_oracle, oracle
 
 LANE = 4.0
 HZ = 15

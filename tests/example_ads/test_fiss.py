@@ -5,7 +5,7 @@ import math
 import pytest
 
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
-from tests.support.stages import oracle
+from tests.helpers.stages import oracle
 
 pytest.importorskip("fiss_planner", reason='needs pip install "pytest-pafot[fiss]"')
 

@@ -8,7 +8,7 @@ import pytest
 
 from example_ads import blind_lane_change, constant_speed, idm_mobil, ppo
 from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
-from tests.support.stages import oracle
+from tests.helpers.stages import oracle
 
 HIGHWAY = Highway(duration=20.0)
 LEARNED_ON = World("highway-v0", duration=20.0)

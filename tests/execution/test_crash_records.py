@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 
-from pytest_pafot import locks
 from pytest_pafot.execution import crash_records
 from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, left_by, leftovers
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.support import files
 from tests.findings.builders import scenarios
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5)
@@ -21,7 +21,7 @@ WORLD = {"kind": "highway", "lanes": 4}
 CHILD = f"""
 import os, sys, pathlib
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 record = CrashRecord(pathlib.Path(sys.argv[1]), {OWNER!r}, world={WORLD!r})
 record.write(Scenario(npcs=[[PositionInstruction(5, 1.5)] * 40]))
 record.write(Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7, gene_seconds=2.5))
@@ -259,7 +259,7 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
     def unsupported(_descriptor):
         raise OSError(95, "Operation not supported")
 
-    monkeypatch.setattr(locks, "_lock", unsupported)
+    monkeypatch.setattr(files, "_lock", unsupported)
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     with CrashRecord(tmp_path, OWNER) as record:
@@ -270,7 +270,7 @@ def test_without_locks_the_process_id_decides(tmp_path, monkeypatch):
 
 
 def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monkeypatch):
-    lock, taken = locks._lock, []
+    lock, taken = files._lock, []
 
     def interrupted(descriptor):
         if not taken:
@@ -278,7 +278,7 @@ def test_a_record_that_another_session_took_for_dead_is_made_anew(tmp_path, monk
             taken[0].unlink()
         lock(descriptor)
 
-    monkeypatch.setattr(locks, "_lock", interrupted)
+    monkeypatch.setattr(files, "_lock", interrupted)
     with CrashRecord(tmp_path, OWNER) as record:
         record.write(SCENARIO)
         assert len(list(tmp_path.iterdir())) == 1

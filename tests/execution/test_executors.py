@@ -17,10 +17,10 @@ from pytest_pafot.execution.executors import ExecutorPool, packed, versions_here
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.prefetching import Isolated
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, recovery_note
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
-from tests.support.toy_world import Toy, idle, scenario, trace_of
+from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(48)]
 

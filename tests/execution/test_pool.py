@@ -19,7 +19,7 @@ import pytest
 
 from pytest_pafot.execution import pool as execution_pool
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
-from pytest_pafot.world.driving.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 

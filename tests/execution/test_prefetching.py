@@ -10,7 +10,7 @@ from pytest_pafot.execution.captured_output import CapturedOutput
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from tests.support.toy_world import scenario, trace_of
+from tests.helpers.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
 

@@ -12,8 +12,8 @@ import pytest
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, expectation, pool_for, trace_from
-from pytest_pafot.trace import Outcome
-from tests.support.toy_world import Toy, idle, scenario
+from pytest_pafot.model.trace import Outcome
+from tests.helpers.toy_world import Toy, idle, scenario
 
 SCENARIOS = [scenario(number) for number in range(6)]
 

@@ -10,10 +10,9 @@ import pytest
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.retrying import retry
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from pytest_pafot.execution.separate_runs import answers_apart, run_apart
-from tests.support.toy_world import Toy, scenario
+from pytest_pafot.execution.separate_runs import answers_apart, retry, run_apart
+from tests.helpers.toy_world import Toy, scenario
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 

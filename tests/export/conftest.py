@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.comparison.plan import ads_factory
+from pytest_pafot.commands.policy_reference import ads_factory
 
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
 POLICIES = {"collision-xfail": "constant_speed", "gym-merge": "idm_mobil", "gym-roundabout": "idm_mobil"}

@@ -12,9 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from pytest_pafot.export.exporter import exporter
-from pytest_pafot.export.scene import centre_line
-from pytest_pafot.trace import HEADING, LANE, SPEED, Lane, X, Y
+from pytest_pafot.export.exporter import centre_line, exporter
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
 
 # What CommonRoad's library imports is older than the rules that it is told about.
 pytestmark = pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")

@@ -6,15 +6,15 @@ from typing import get_args
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.last_chance import LastChance
-from pytest_pafot.attribution.manoeuvres import Manoeuvre
-from pytest_pafot.corpus.schema import LIMITS, WORLDS
+from pytest_pafot.attribution.mistakes import Manoeuvre
+from pytest_pafot.corpus.file_format import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import ReferenceOutcome
-from pytest_pafot.scenario import MAX_SEED, PositionInstruction, Scenario
-from pytest_pafot.sight import NOISES, Sight
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import MAX_SEED, PositionInstruction, Scenario
+from pytest_pafot.model.sight import NOISES, Sight
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.world import Highway
 
 VERSIONS = {"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"}

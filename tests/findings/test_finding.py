@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.last_chance import LastChance
-from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, raised_failure
-from pytest_pafot.findings.portable import portable
+from pytest_pafot.findings.finding import Expect, Finding, Found, ads_failure, of_failure, portable, raised_failure
 from pytest_pafot.findings.signature import Failure, normalised
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import Run
-from pytest_pafot.trace import AdsError, Outcome
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.run import Run
 from tests.findings.builders import plain_finding
-from tests.support.traces import trace_of, vehicle
+from tests.helpers.traces import trace_of, vehicle
 
 FOUND = Found(seed=1, generation=0, algorithm="pafot", versions={"numpy": "2.4.6"})
 COLLIDES = Failure(kind="AssertionError", message="long\nstory", assertion="assert not run.collision, run.explain()")

@@ -2,15 +2,15 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.checks import Check
 from pytest_pafot.findings.finding import Finding, Found, of_failure
 from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import Run
-from pytest_pafot.trace import AdsError, Outcome
-from tests.support import situations
-from tests.support.traces import collision_at, trace_of, vehicle
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Run
+from tests.helpers import situations
+from tests.helpers.traces import collision_at, trace_of, vehicle
 
 VERSIONS = {"pytest-pafot": "0.1.0", "numpy": "2.4.6"}
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")

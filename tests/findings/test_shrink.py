@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, size_of, sort_key
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
 
 

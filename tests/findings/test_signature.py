@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.checks import Check
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature, normalised
-from pytest_pafot.grid import Cell
-from pytest_pafot.run import Run
-from pytest_pafot.trace import AdsError, Outcome
-from tests.support.situations import SITUATIONS
-from tests.support.traces import collision_at, trace_of, vehicle
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Run
+from tests.helpers.situations import SITUATIONS
+from tests.helpers.traces import collision_at, trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision, run.explain()")
 

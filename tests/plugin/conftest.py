@@ -12,22 +12,24 @@ import pytest
 
 import pytest_pafot
 import pytest_pafot.strategies
-from pytest_pafot.campaign import confirmation
+from pytest_pafot.campaign import recorder
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.support.sessions import in_a_copy, in_process, known_statements, known_to_have_no_fixtures
+from tests.helpers.sessions import in_a_copy, in_process, known_statements, known_to_have_no_fixtures
 
 # pytester forgets the modules that a session imports; those of the package stay, as reading them takes a while.
-ROOMS = ("attribution", "campaign", "corpus", "execution", "findings", "plugin", "report", "searching", "world")
+ROOMS = (
+    "attribution", "campaign", "corpus", "execution", "findings", "oracle", "plugin", "report", "searching", "world",
+)  # fmt: skip
 for room in ROOMS:
     for module in pkgutil.walk_packages(
         importlib.import_module(f"pytest_pafot.{room}").__path__, f"pytest_pafot.{room}."
     ):
         importlib.import_module(module.name)
 
-DIFFERENCE_IN_GYM = confirmation._difference_in_gym
+DIFFERENCE_IN_GYM = recorder._difference_in_gym
 
 CONFTEST = """
 import pytest
@@ -116,7 +118,7 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
-        confirms = confirmation._difference_in_gym is DIFFERENCE_IN_GYM
+        confirms = recorder._difference_in_gym is DIFFERENCE_IN_GYM
         key = repr((before, settings, confirms, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
@@ -219,7 +221,7 @@ def project(request, pytester, monkeypatch, distributions, found):
     known_to_have_no_fixtures(monkeypatch)
     known_statements(monkeypatch)
     if not request.node.get_closest_marker("processes"):
-        monkeypatch.setattr(confirmation, "_difference_in_gym", lambda run, simulation: "")
+        monkeypatch.setattr(recorder, "_difference_in_gym", lambda run, simulation: "")
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     for name in (
         "CI",
@@ -242,7 +244,7 @@ def project(request, pytester, monkeypatch, distributions, found):
 @pytest.fixture
 def in_highway_env(project, monkeypatch):
     """Let sessions run each find in highway-env's own environment too, as users' sessions do."""
-    monkeypatch.setattr(confirmation, "_difference_in_gym", DIFFERENCE_IN_GYM)
+    monkeypatch.setattr(recorder, "_difference_in_gym", DIFFERENCE_IN_GYM)
 
 
 @pytest.fixture

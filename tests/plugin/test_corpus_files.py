@@ -6,8 +6,8 @@ import re
 import pytest
 
 from pytest_pafot.corpus.layout import safe_name
+from tests.helpers.sessions import section
 from tests.plugin.conftest import CONFTEST
-from tests.support.sessions import section
 
 GARBLED = {
     "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),

@@ -203,7 +203,7 @@ def test_a_hang_replays_in_a_session_that_ends_where_nothing_is_forked(crash):
         "swallow()\n\ndef swallow():\n    try:\n        __import__('time').sleep(60)\n    finally:\n        swallow()"
     )
     hangs = DIES.replace("faulthandler.disable()", "").replace("os.kill(os.getpid(), signal.SIGSEGV)", swallow)
-    impatient = "import pytest_pafot.plugin.stuck_ads\n\npytest_pafot.plugin.stuck_ads.GRACE = 0.3\n"
+    impatient = "import pytest_pafot.plugin.own_session\n\npytest_pafot.plugin.own_session.GRACE = 0.3\n"
     crash.pytester.makeconftest(hangs + SPAWNS + impatient)
     result = replayed(crash)
     result.assert_outcomes(failed=1, passed=1, skipped=1)

@@ -10,8 +10,8 @@ import pytest
 
 from pytest_pafot.execution.executors import ExecutorPool, dask_executor
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from tests.helpers.toy_world import Toy, scenario
 from tests.plugin.test_workers import summary
-from tests.support.toy_world import Toy, scenario
 
 pytestmark = pytest.mark.processes
 

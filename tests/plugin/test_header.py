@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_pafot.plugin import header
+from pytest_pafot.plugin import session
 from pytest_pafot.world import kernel
 
 
@@ -28,10 +28,10 @@ def test_an_environment_that_demands_the_interpreted_one_is_named(project, monke
 @pytest.mark.parametrize("compiled", [False, True])
 def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, compiled):
     monkeypatch.delenv("PAFOT_KERNEL", raising=False)
-    monkeypatch.setattr(header, "KERNEL", tmp_path)
+    monkeypatch.setattr(session, "KERNEL", tmp_path)
     (tmp_path / "loop.py").touch()
     if compiled:
-        (tmp_path / f"loop{header.EXTENSION_SUFFIXES[0]}").touch()
-    assert header.pytest_report_header() == (
+        (tmp_path / f"loop{session.EXTENSION_SUFFIXES[0]}").touch()
+    assert session.Header().pytest_report_header() == (
         "pafot: kernel compiled" if compiled else "pafot: kernel interpreted (not compiled at installation)"
     )

@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.yaml_text import text_of
-from tests.support.hostile import WORST, obeyed
+from tests.helpers.hostile import WORST, obeyed
 
 TEST = """
 import pathlib

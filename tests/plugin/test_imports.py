@@ -29,7 +29,8 @@ def test_a_session_without_marked_tests_imports_nothing_but_the_plugin(project):
         found.append(set(json.loads((project.path / name).read_text())))
     gained = found[0] - found[1]
     light = {"pytest_pafot", "pytest_pafot.campaign", "pytest_pafot.campaign.options"}
-    light |= {"pytest_pafot.text", "pytest_pafot.corpus", "pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
+    light |= {"pytest_pafot.support", "pytest_pafot.support.text", "pytest_pafot.corpus"}
+    light |= {"pytest_pafot.corpus.layout", "pytest_pafot.corpus.saved"}
     assert {name for name in gained if not name.startswith("pytest_pafot.plugin")} <= light
 
 
@@ -54,8 +55,7 @@ atexit.register(dump)
     names = set(json.loads((project.path / "modules.json").read_text()))
     assert "hypothesis" not in names
     own = {name for name in names if name.startswith("pytest_pafot.report")}
-    texts = {"pytest_pafot.report", *(f"pytest_pafot.report.{name}" for name in ("terminal", "wrapping"))}
-    assert own == texts
+    assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal"}
     assert "pytest_pafot.plugin.page_messages" not in names
 
 

@@ -211,7 +211,7 @@ def test_where_processes_are_not_forked_the_factory_must_be_one_that_can_be_pick
     result, contents = session(project, "--pafot-isolate", generations=1)
     assert contents == {}
     result.stdout.fnmatch_lines(["*--pafot-isolate: where processes cannot be forked, the ADS factory must be one*"])
-    named = "from tests.support.toy_world import Keeps\n" + MANY.replace(
+    named = "from tests.helpers.toy_world import Keeps\n" + MANY.replace(
         "npcs=2", "npcs=2, ads=Keeps, shrink_rollouts=0"
     )
     project = isolated(test=named)

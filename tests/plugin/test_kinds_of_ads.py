@@ -6,7 +6,7 @@ import textwrap
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from tests.support.sessions import section
+from tests.helpers.sessions import section
 
 VEHICLES = {
     "mark": """

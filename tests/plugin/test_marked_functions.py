@@ -4,8 +4,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.rejection import Rejected
-from tests.support.sessions import section
+from pytest_pafot.oracle.checks import Rejected
+from tests.helpers.sessions import section
 
 
 def test_a_test_that_returns_a_value_is_refused_since_it_asserts_nothing(project):

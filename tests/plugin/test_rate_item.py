@@ -2,9 +2,8 @@
 
 import pytest
 
-import pytest_pafot.rating.rate_request
-import pytest_pafot.world.engines.ordinary_traffic  # noqa: F401  pytester forgets modules that a run imports
-from tests.support.sessions import section
+import pytest_pafot.episodes.ordinary_traffic  # noqa: F401  pytester forgets modules that a run imports
+from tests.helpers.sessions import section
 
 WORLD = 'world=pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 12})'
 

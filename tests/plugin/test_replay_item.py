@@ -3,7 +3,7 @@
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from tests.support.sessions import section
+from tests.helpers.sessions import section
 
 KNOWN = """
 @pafot.search(genes=2, gene_seconds=5, npcs=1, ego_lane=1, ego_speed=22)

@@ -8,8 +8,8 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.grid import Cell
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")

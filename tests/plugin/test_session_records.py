@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.job_summary import markdown
-from tests.support.sessions import read_record
+from tests.helpers.sessions import read_record
 
 TWO = """
 @pafot.search(SHORT)

@@ -8,7 +8,7 @@ from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
-from tests.support.sessions import section
+from tests.helpers.sessions import section
 
 MISSPELT = """
 @pafot.search(SHORT, ARGUMENTS)

@@ -10,8 +10,8 @@ import pytest_pafot.world.engines.gym_replay  # noqa: F401  pytester forgets mod
 from pytest_pafot.campaign.simplification import ROLLOUTS, ROLLOUTS_IN_KERNEL, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.shrink import sort_key
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
 
 COLLIDES = """

@@ -12,7 +12,7 @@ import pytest
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution import prefetching
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.trace import Outcome
 
 pytestmark = [
     pytest.mark.processes,

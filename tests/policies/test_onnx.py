@@ -11,7 +11,7 @@ from pytest_pafot.searching import SearchSpace, sample
 pytest.importorskip("onnx", reason='needs pip install "pytest-pafot[test]"')
 pytest.importorskip("onnxruntime", reason='needs pip install "pytest-pafot[onnx]"')
 
-from tests.support.onnx_files import computed, saved_network
+from tests.helpers.onnx_files import computed, saved_network
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
 CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])

@@ -16,8 +16,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.policies import programs
+from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world import Observation, VehicleState
-from pytest_pafot.world.kernel.action import BadAction
 
 CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
 ROAD = pafot.Highway(duration=4.0)

@@ -12,7 +12,7 @@ from pytest_pafot.searching.space import SearchSpace
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
 sb3_contrib = pytest.importorskip("sb3_contrib", reason='needs pip install "pytest-pafot[sb3]"')
 
-from tests.support.sb3_models import CONTINUOUS, ENV, InItsWrappers, saved_model  # noqa: E402
+from tests.helpers.sb3_models import CONTINUOUS, ENV, InItsWrappers, saved_model  # noqa: E402
 
 WORLD = pafot.World(ENV, duration=10.0)
 OF_DISCRETE_ACTIONS = (
@@ -78,7 +78,7 @@ def test_behind_statistics_and_frames_it_decides_as_in_its_wrappers_to_the_last_
 def test_statistics_of_stacked_observations_are_told_by_their_shape(tmp_path):
     from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
-    from tests.support.sb3_models import Shown
+    from tests.helpers.sb3_models import Shown
 
     shown = Shown(WORLD.observation_space, WORLD.action_space)
     rng = np.random.default_rng(1)

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 import pytest_pafot as pafot
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.run import Run
+from pytest_pafot.searching.algorithms.pafot import PafotSearch
+from pytest_pafot.searching.campaign import run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
-from pytest_pafot.searching.pafot import PafotSearch
-from pytest_pafot.searching.search_loop import run_campaign
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 

@@ -9,8 +9,8 @@ import pytest
 
 from pytest_pafot.report import animation
 from pytest_pafot.report.animation import HOLD_MILLISECONDS, MAX_BYTES, AnimationError, animate, moments
+from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, cut_in_trace, rear_trace, scenario, view_of
-from tests.support.traces import trace_of, vehicle
 
 images = pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
 

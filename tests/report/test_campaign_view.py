@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import (
@@ -14,7 +15,6 @@ from pytest_pafot.searching.events import (
     LocalSearchFinished,
     Restarted,
 )
-from pytest_pafot.trace import Outcome
 from tests.report.builders import campaign_parts, scenario
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.checks import CheckFailed, Recording, recorded
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure
+from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.animation import moments
-from pytest_pafot.report.finding_markup import finding_article, finding_list
 from pytest_pafot.report.finding_view import finding_view
+from pytest_pafot.report.markup import finding_article, finding_list
 from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, render_frame
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.run import Run
+from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import finding_of
-from tests.support.traces import trace_of, vehicle
 
 TICKS = 300
 """Of a run of 20 s, a frame at every second one."""

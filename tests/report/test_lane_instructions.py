@@ -2,15 +2,15 @@
 
 import pytest
 
+from pytest_pafot.model.scenario import LaneInstruction, Scenario
 from pytest_pafot.report.drawing import speeds_text
-from pytest_pafot.report.finding_markup import instruction_table
+from pytest_pafot.report.markup import instruction_table
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.picture import instruction_at, picture_at
-from pytest_pafot.scenario import LaneInstruction, Scenario
+from tests.helpers.browser import Browser, find_chromium
+from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import view_of
-from tests.support.browser import Browser, find_chromium
-from tests.support.traces import trace_of, vehicle
 
 
 @pytest.fixture

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_codec import decode
-from pytest_pafot.report.page_data import CampaignView, FindingView, Report
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report, decode
+from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
-from tests.support.traces import trace_of, vehicle
 
 
 class Reader(HTMLParser):

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 
 from pytest_pafot.report.page import data_json
-from pytest_pafot.report.page_codec import decode, encode
-from pytest_pafot.report.page_data import CampaignView, FindingView, Report, ShrinkView
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report, ShrinkView, decode, encode
 from tests.report.builders import real_report, values_of
 
 

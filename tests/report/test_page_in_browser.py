@@ -10,15 +10,15 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
-from pytest_pafot.comparison.plan import ads_factory
+from pytest_pafot.commands.policy_reference import ads_factory
 from pytest_pafot.export.exporter import exporter
+from pytest_pafot.model.trace import LANE, SPEED
 from pytest_pafot.report.finding_view import drive_view, finding_view
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import ChanceView, CheckView, Report
 from pytest_pafot.report.picture import picture_at
-from pytest_pafot.trace import LANE, SPEED
+from tests.helpers.browser import Browser, find_chromium
 from tests.report.builders import HOSTILE, bend_report, cut_in_trace, finding_of, real_report
-from tests.support.browser import Browser, find_chromium
 
 CHROMIUM = find_chromium()
 FILES = Path(__file__).parents[1] / "corpus" / "saved"

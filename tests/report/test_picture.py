@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.picture import instruction_at, picture_at, vehicle_at
+from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import cut_in_trace, scenario, view_of
-from tests.support.traces import trace_of, vehicle
 
 
 def driving(*npcs, **more):

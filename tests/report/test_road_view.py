@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.report import animation
 from pytest_pafot.report.animation import animate
 from pytest_pafot.report.picture import picture_at
-from pytest_pafot.trace import HEADING, LANE, X, Y
 from tests.report.builders import bend_trace, view_of
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.summary import Find, SearchSummary
+from pytest_pafot.campaign.events import Find, SearchSummary
 from pytest_pafot.report.session_record import (
     RESULTS,
     FindingRecord,
@@ -20,7 +20,7 @@ from pytest_pafot.report.session_record import (
     worst,
 )
 from tests.findings.builders import findings, plain_finding
-from tests.support.sessions import read_record
+from tests.helpers.sessions import read_record
 
 TEXTS = st.text(max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)

@@ -8,12 +8,12 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from pytest_pafot.campaign.summary import Find, Progress, SearchSummary
+from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
-from pytest_pafot.report.wrapping import fitted_lines, wrapped_to
-from pytest_pafot.trace import Outcome
+from pytest_pafot.support.text import fitted_lines, wrapped_to
 
 FIND = Find(
     id="front-2-1f3a9c",

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pytest_pafot.grid import Cell, repair_gene, toss
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.grid import Cell, repair_gene, toss
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.trace import Outcome
-from tests.support.traces import ring_distance
+from tests.helpers.traces import ring_distance
 
 
 def _evaluation(scenario=None, **fields):

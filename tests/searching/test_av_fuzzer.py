@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import AvFuzzerSearch, SearchSpace, run_campaign, sample_manoeuvres
-from pytest_pafot.searching.av_fuzzer import distance, farthest, features, mutated, roulette, swapped
+from pytest_pafot.searching.algorithms.av_fuzzer import distance, farthest, features, mutated, roulette, swapped
 from pytest_pafot.searching.events import (
     Evaluated,
     GenerationFinished,
@@ -20,7 +21,6 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.trace import Outcome
 
 SPACE = SearchSpace().sliced(5)
 DRAWS = 3000

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.fitness import av_fuzzer, braking_distance, resolve
-from pytest_pafot.trace import Outcome
-from tests.support.traces import random_states, straight_lanes, trace_of, vehicle
+from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 
 def brake(speed):

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import (
     Checkpoint,
     DistinctSearch,
@@ -22,14 +23,13 @@ from pytest_pafot.searching import (
     plain,
     run_campaign,
 )
-from pytest_pafot.searching.algorithms import CATALOGUE
+from pytest_pafot.searching.algorithms.catalogue import CATALOGUE
+from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate
-from pytest_pafot.searching.search_loop import CheckpointError
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.trace import Outcome
 
 ALGORITHMS = [DistinctSearch(SearchSpace(genes=3), population=5, random_runs=10), RandomSearch(population=3)]
 

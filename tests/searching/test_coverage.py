@@ -1,9 +1,9 @@
 """What a search asked for, had driven and saw reached."""
 
-from pytest_pafot.grid import Cell, is_adjacent
-from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.grid import Cell, is_adjacent
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
-from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
+from pytest_pafot.searching.health import CELLS, STEPS, Coverage, speed_bins
 
 CHAINS = (
     (PositionInstruction(8, 0.0), PositionInstruction(1, 5.0), PositionInstruction(2, 26.8)),

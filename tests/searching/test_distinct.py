@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.near_misses import ALL, NearMiss
-from pytest_pafot.grid import Cell
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching.algorithms.distinct import NO_IMPACT, niche
 from pytest_pafot.searching.ask_tell import floors_of
-from pytest_pafot.searching.distinct import NO_IMPACT, niche
 from pytest_pafot.searching.events import Evaluated, NewBest
-from pytest_pafot.trace import Outcome
-from tests.support.traces import collision_at
+from tests.helpers.traces import collision_at
 
 
 class Judge:

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
 from pytest_pafot.searching.evaluation import Evaluation, barely_moved, interacted, outran
-from pytest_pafot.trace import Collision, Lane, Outcome, Trace
 
 NAN = math.nan
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.criticality.signals import Measure
+from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
-from pytest_pafot.trace import SPEED, Outcome
-from tests.support.traces import collision_at, random_states, scenario_of, trace_of, vehicle
+from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
 
 seeds = st.integers(0, 2**32 - 1)
 without_collision = st.sampled_from([Outcome.SAFE, Outcome.OFF_ROAD, Outcome.ADS_ERROR, Outcome.HANG])

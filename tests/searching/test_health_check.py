@@ -2,8 +2,8 @@
 
 import pytest
 
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
-from pytest_pafot.trace import Outcome
 
 WELL = {"genes_started": 12, "genes_reached": 9}
 

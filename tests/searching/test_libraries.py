@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pytest_pafot.grid import Cell, is_adjacent
+from pytest_pafot.model.grid import Cell, is_adjacent
+from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
-from pytest_pafot.trace import Collision, Outcome
 
 NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]
 
@@ -131,7 +131,7 @@ def test_a_world_in_which_every_run_is_invalid_is_searched_to_the_end(name, make
 
 
 def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
-    from pytest_pafot.searching.nsga2 import objectives, surviving
+    from pytest_pafot.searching.algorithms.nsga2 import objectives, surviving
 
     scenarios = [each.scenario for each in make_population(4)]
     mild, fierce, both, invalid = (
@@ -148,7 +148,7 @@ def test_nsga2_prefers_what_nothing_dominates(make_evaluation, make_population):
 
 
 def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluation, make_population):
-    from pytest_pafot.searching.nsga2 import objectives
+    from pytest_pafot.searching.algorithms.nsga2 import objectives
 
     a, b, _ = (each.scenario for each in make_population(3))
     values = objectives([make_evaluation(a), make_evaluation(a), make_evaluation(b)])
@@ -158,7 +158,7 @@ def test_nsga2_counts_a_scenario_as_novel_by_its_nearest_neighbour(make_evaluati
 
 
 def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, make_population):
-    from pytest_pafot.searching.map_elites import MapElitesSearch
+    from pytest_pafot.searching.algorithms.map_elites import MapElitesSearch
 
     search, rng = MapElitesSearch(population=5), np.random.default_rng(0)
     state, asked = search.ask(search.start(rng), rng)
@@ -174,7 +174,7 @@ def test_map_elites_keeps_the_fittest_of_every_kind_of_impact(make_evaluation, m
 
 
 def test_cma_es_gives_runs_without_a_fitness_the_worst_place(make_evaluation):
-    from pytest_pafot.searching.cma_es import losses
+    from pytest_pafot.searching.algorithms.cma_es import losses
 
     population: list[Evaluation] = [
         make_evaluation(fitness=0.5),

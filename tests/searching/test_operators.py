@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import operators
 from pytest_pafot.searching.operators import best_of, crossover, elites, first_crossed, improves, mutate, parents
 from pytest_pafot.searching.operators import tournament as binary_tournament
 from pytest_pafot.searching.space import SearchSpace, sample
-from pytest_pafot.trace import Outcome
 
 seeds = st.integers(0, 2**32)
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 6))

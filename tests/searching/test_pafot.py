@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.searching.algorithms.pafot import PafotSearch, PafotState
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.events import (
     GenerationFinished,
@@ -16,9 +18,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
-from pytest_pafot.searching.pafot import PafotSearch, PafotState
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.trace import Outcome
 
 
 class Driver:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.grid import Cell, is_adjacent
+from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.searching.patterns import PATTERNS, chain_of_patterns
 
 

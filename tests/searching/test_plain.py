@@ -11,20 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.manoeuvres import Manoeuvre
-from pytest_pafot.attribution.mistakes import Mistake
+from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.near_misses import NearMiss
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
-from pytest_pafot.errors import FieldError
 from pytest_pafot.findings.signature import Signature
-from pytest_pafot.grid import Cell
-from pytest_pafot.searching.coverage import CELLS, STEPS, Coverage, speed_bins
-from pytest_pafot.searching.distinct import DistinctState
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Collision, Outcome, Side
+from pytest_pafot.searching.algorithms.distinct import DistinctState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health_check import Health
+from pytest_pafot.searching.health import CELLS, STEPS, Coverage, Health, speed_bins
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
-from pytest_pafot.trace import Collision, Outcome, Side
+from pytest_pafot.support.errors import FieldError
 
 texts, counts = st.text(max_size=8), st.integers(0, 2**40)
 finite = st.floats(allow_nan=False, allow_infinity=False)

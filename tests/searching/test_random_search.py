@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.events import GenerationFinished, NewBest
-from pytest_pafot.searching.random_search import RandomSearch
 
 
 def test_every_generation_is_drawn_anew(make_evaluation):

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, run_campaign
+from pytest_pafot.searching.campaign import generation_rng
 from pytest_pafot.searching.events import (
     CampaignFinished,
     CampaignStarted,
@@ -16,9 +18,7 @@ from pytest_pafot.searching.events import (
     LocalSearchStarted,
     Restarted,
 )
-from pytest_pafot.searching.search_loop import generation_rng
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.trace import Outcome
 
 ALGORITHMS = [PafotSearch(), RandomSearch(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, random_instruction, repaired, sample
 

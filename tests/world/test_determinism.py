@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, World
-from tests.support.world_cases import EGOS, chains, constant_speed
+from tests.helpers.world_cases import EGOS, chains, constant_speed
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from highway_env.envs.common import abstract, observation
 
-from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError
-from tests.support.stages import mostly_oracle
+from tests.helpers.stages import mostly_oracle
 
 
 def raises(message, error=WorldError):

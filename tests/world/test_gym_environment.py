@@ -27,11 +27,11 @@ from gymnasium.wrappers import (
 from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING
 from pytest_pafot.world import World, WorldError
-from tests.support.gym_loop import Replayed, StateLog
-from tests.support.stages import mostly_oracle
+from tests.helpers.gym_loop import Replayed, StateLog
+from tests.helpers.stages import mostly_oracle
 
 SCENARIO = Scenario(
     npcs=[[PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)], [PositionInstruction(5, 20.0)]],

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import LaneInstruction, Scenario
-from pytest_pafot.trace import LANE, SPEED, Outcome, X, Y
+from pytest_pafot.model.scenario import LaneInstruction, Scenario
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway
-from tests.support.world_cases import EGOS, constant_speed, violations
+from tests.helpers.world_cases import EGOS, constant_speed, violations
 
 
 def chain(*genes):

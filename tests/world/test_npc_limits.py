@@ -7,11 +7,11 @@ import random
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import HEADING, SPEED, Outcome, X, Y
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import HEADING, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits, World
-from tests.support.stages import mostly_oracle, oracle
-from tests.support.world_cases import EGOS, chains, constant_speed, random_scenario, stopping, violations
+from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.world_cases import EGOS, chains, constant_speed, random_scenario, stopping, violations
 
 
 def random_highway(rng, physics_hz, limits=None):

@@ -5,18 +5,11 @@ from itertools import takewhile
 
 import pytest
 
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, SPEED, Outcome, X, Y
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
-from pytest_pafot.world.reference_drivers import (
-    HARD_BRAKING,
-    REFERENCES,
-    CarefulHuman,
-    FuzzySafety,
-    IdmAeb,
-    Leader,
-)
+from pytest_pafot.world.reference_drivers import HARD_BRAKING, REFERENCES, CarefulHuman, FuzzySafety, IdmAeb, Leader
 
 HZ = 30
 NAMES = tuple(REFERENCES)

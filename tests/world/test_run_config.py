@@ -12,11 +12,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import criticality
-from pytest_pafot.grid import Cell, cell_at
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import HEADING, LANE, SPEED, X, Y
+from pytest_pafot.model.grid import Cell, cell_at
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
-from tests.support.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
+from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
 
 
 def starts(world, scenario, ego=constant_speed):

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from pytest_pafot.world import Observation, VehicleState
-from tests.support.sound_driver import SoundLaneChanger
+from tests.helpers.sound_driver import SoundLaneChanger
 
 HZ, WIDTH = 15, 4.0
 SLOW_LEADER = (90.0, 3, 12.0, 0.0)

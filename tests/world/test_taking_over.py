@@ -5,12 +5,12 @@ import pytest
 from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import ACCELERATION, SPEED
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, SPEED
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.reference_drivers import REFERENCES
-from tests.support.stages import mostly_oracle
-from tests.support.world_cases import changing_lanes, weaving
+from tests.helpers.stages import mostly_oracle
+from tests.helpers.world_cases import changing_lanes, weaving
 
 BRAKES = Scenario(
     npcs=[[PositionInstruction(2, 22.0), PositionInstruction(2, 4.0)], [PositionInstruction(8, 25.0)] * 2],

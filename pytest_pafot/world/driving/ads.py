@@ -12,19 +12,20 @@ from dataclasses import dataclass, field
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from pytest_pafot.errors import AdsFactoryError
-from pytest_pafot.world.driving.hang_guard import one_process
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.seeing import PlannerSight, SeeingAds
+from pytest_pafot.world.guard.hang_guard import one_process
 from pytest_pafot.world.kernel.action import (
     Drive,
+    acceleration_to_speed,
     checked_si_action,
     possible_acceleration,
     possible_steering,
-    shown,
+    steering_to_lane,
     without_reversing,
 )
 from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
-from pytest_pafot.world.kernel.steering import acceleration_to_speed, steering_to_lane
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 

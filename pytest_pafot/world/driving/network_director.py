@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.scenario import Scenario
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Npc
 from pytest_pafot.world.kernel.driver import following_speed, gap_speed

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import Any
 
-from pytest_pafot.errors import AdsFactoryError
-from pytest_pafot.sight import Sight
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
 from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.kernel.action import shown
 
 DRIVES_ITSELF = "a highway-env vehicle class drives itself and looks at the road, where nothing can be hidden from it"
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pytest_pafot.errors import WorldError
+from pytest_pafot.support.errors import BadAction, WorldError
+from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.kinematics import observer
 from pytest_pafot.world.driving.seeing import PolicySight
-from pytest_pafot.world.kernel.action import BadAction, hint_at, shown
+from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.stock import Road, class_from_path
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.criticality.relative import driven_between
+from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.ads import Planner
 from pytest_pafot.world.driving.vehicles import Car
-from pytest_pafot.world.kernel.action import BadAction, Drive
+from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
 from pytest_pafot.world.roads.network import NetworkRoad, Spot
 

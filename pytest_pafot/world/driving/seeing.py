@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.errors import WorldError
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observation, Observer
 from pytest_pafot.world.run_config import Rules

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.trace import Lane
+from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.roads.straight import StraightRoad

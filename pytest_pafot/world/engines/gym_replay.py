@@ -15,25 +15,17 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from pytest_pafot.errors import WorldError
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import Trace
-from pytest_pafot.world.driving.ads import (
-    AdsFactory,
-    Planner,
-    SelfDriving,
-    is_vehicle_class,
-    make_ads,
-    wants_env,
-)
-from pytest_pafot.world.driving.closing import closing
-from pytest_pafot.world.driving.failure import UNFIT, let_through
-from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.driving.ads import AdsFactory, Planner, SelfDriving, is_vehicle_class, make_ads, wants_env
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, planner_sight, policy_sight
 from pytest_pafot.world.engines.object_engine import Traffic, decide, step_ego
 from pytest_pafot.world.engines.policy_engine import put_ego, put_new_ego
+from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment, vehicle_classes_kept, wrapper_names
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RoadNetwork, Vehicle

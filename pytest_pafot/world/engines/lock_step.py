@@ -13,16 +13,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pytest_pafot.errors import AdsFactoryError
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, wants_env
-from pytest_pafot.world.driving.closing import closing
-from pytest_pafot.world.driving.failure import UNFIT, let_through
-from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.perception import ads_and_sight
-from pytest_pafot.world.kernel.action import shown
+from pytest_pafot.world.guard.failure import UNFIT, closing, let_through
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.observation import Observation, stacked
 
 

@@ -10,21 +10,19 @@ from typing import Any, cast
 
 import numpy as np
 
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import AdsError, Outcome, Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.world.driving.ads import AskedDriver, EgoDriver, Planner, SelfDriving, is_vehicle_class
-from pytest_pafot.world.driving.failure import UNFIT, error_of
-from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.road_planner import RoadPlanner
 from pytest_pafot.world.driving.seeing import planner_sight
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.engines.record import Record
-from pytest_pafot.world.kernel.bodies import Body, Box
-from pytest_pafot.world.kernel.contact import overlap
-from pytest_pafot.world.roads.frame import NetworkFrame, State, StraightFrame
-from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.guard.failure import UNFIT, error_of
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body, Box, overlap
+from pytest_pafot.world.roads.network import NetworkFrame, NetworkRoad, State, StraightFrame
 from pytest_pafot.world.run_config import Rules, start_places, start_positions, start_speeds
 from pytest_pafot.world.stock import Road, RoadNetwork
 

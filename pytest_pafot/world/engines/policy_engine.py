@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.sight import Sight
-from pytest_pafot.trace import Trace
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.driving.ads import (
     AdsFactory,
     EgoDriver,
@@ -21,12 +21,12 @@ from pytest_pafot.world.driving.ads import (
     make_ads,
     wants_env,
 )
-from pytest_pafot.world.driving.closing import closing
-from pytest_pafot.world.driving.hang_guard import HangGuard
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import Policy, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
 from pytest_pafot.world.engines.object_engine import ObjectRun, run
+from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import GymEnvironment
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import Road

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.criticality import RelativePositions
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
-from pytest_pafot.world.kernel.bodies import Box
-from pytest_pafot.world.kernel.contact import depth, overlap, side_hit
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.world.kernel.bodies import Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import COLUMNS
-from pytest_pafot.world.roads.frame import NetworkFrame
+from pytest_pafot.world.roads.network import NetworkFrame
 from pytest_pafot.world.run_config import Rules
 
 

@@ -1,4 +1,7 @@
-"""What a planner returns, checked, and what of it a car can do."""
+"""What a planner returns, checked, what of it a car can do, and how :class:`Drive` is driven.
+
+The controllers are those of highway-env's ``ControlledVehicle``, operation by operation.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,26 @@ import operator
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_pafot.support.errors import BadAction
+from pytest_pafot.support.text import shown
+from pytest_pafot.world.kernel.driver import clamped
+
 EGO_ACCELERATION = 6.0
 """Strongest acceleration that a planner's action has an effect up to [m/s^2]."""
 EGO_BRAKING = 9.81
 """Strongest deceleration that a planner's action has an effect up to: full braking on a dry road [m/s^2]."""
 EGO_STEERING = math.pi / 4
 """Largest steering angle that a planner's action has an effect up to [rad]."""
+
+# Of highway-env's ``ControlledVehicle``, whose lateral and longitudinal controllers stand below.
+KP_HEADING = 1.0 / 0.2
+"""Turning rate per heading error [1/s]; highway-env's, like the two others."""
+KP_LATERAL = 1.0 / 0.6
+"""Lateral speed per distance to the lane's centre [1/s]."""
+KP_SPEED = 1.0 / 0.6
+"""Acceleration per speed error [1/s]."""
+STEEPEST = math.pi / 4
+"""Largest heading to the lane that is steered for [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,10 +50,6 @@ class Drive:
     lane: int
     speed: float | None = None
     acceleration: float | None = None
-
-
-class BadAction(Exception):  # noqa: N818  (named in findings as the fault it is)
-    """What an ADS returned is no action; the message says what was expected."""
 
 
 def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
@@ -66,23 +79,45 @@ def possible_steering(wanted: float) -> float:
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
 
 
+def steering_to_lane(offset: float, heading: float, speed: float, length: float) -> float:
+    """The angle that steers to the centre of a lane [rad], with arguments as of :func:`lane_steering`."""
+    return possible_steering(lane_steering(offset, heading, speed, length, KP_HEADING, KP_LATERAL))
+
+
+def acceleration_to_speed(wanted: float, speed: float) -> float:
+    """The acceleration that drives to a speed [m/s^2]."""
+    return possible_acceleration(KP_SPEED * (wanted - speed))
+
+
+def lane_steering(
+    offset: float, heading: float, speed: float, length: float, kp_heading: float, kp_lateral: float
+) -> float:
+    """The angle that steers to the centre of a lane [rad], which may be more than wheels can turn.
+
+    Args:
+        offset: from the lane's centre, positive to the right [m].
+        heading: to the lane [rad].
+        speed: [m/s].
+        length: of the vehicle [m].
+        kp_heading, kp_lateral: gains [1/s].
+    """
+    divisor = not_zero(speed)
+    sideways = math.asin(clamped(-kp_lateral * offset / divisor, 1.0))
+    turn = (clamped(sideways, STEEPEST) - heading + math.pi) % (2.0 * math.pi) - math.pi
+    slip = math.asin(clamped(length / 2.0 / divisor * (kp_heading * turn), 1.0))
+    return math.atan(2.0 * math.tan(slip))
+
+
+def not_zero(value: float) -> float:
+    """A number that is at least a hundredth away from zero, to divide by."""
+    if abs(value) > 1e-2:
+        return value
+    return 1e-2 if value >= 0.0 else -1e-2
+
+
 def without_reversing(wanted: float, speed: float, dt: float) -> float:
     """An acceleration that brakes to a standstill and not into reverse [m/s^2]."""
     return max(wanted, -speed / dt) if wanted < 0.0 else wanted
-
-
-def shown(value: Any) -> str:
-    """A value in an error message, cut to a line; its class where its ``repr`` raises."""
-    try:
-        return one_line(repr(value))
-    except Exception as error:  # noqa: BLE001  (any code of the user's)
-        return f"a {type(value).__name__} whose repr raises {type(error).__name__}"
-
-
-def one_line(text: str) -> str:
-    """A text on one line, cut to what one can hold."""
-    line = " ".join(text.split())
-    return line if len(line) <= 120 else f"{line[:117]}..."
 
 
 def _floats(action: Any) -> tuple[float, float]:

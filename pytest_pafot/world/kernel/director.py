@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pytest_pafot.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
+from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
+from pytest_pafot.model.scenario import LANE_STARTS, Chromosome, LaneInstruction, Scenario, with_cells
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, stopping_room
 from pytest_pafot.world.limits import NpcLimits

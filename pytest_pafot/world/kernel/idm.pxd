@@ -1,9 +1,9 @@
 cimport cython
 from libc cimport math
+from pytest_pafot.world.kernel.action cimport lane_steering, not_zero
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport clamped
 from pytest_pafot.world.kernel.lanes cimport Lanes
-from pytest_pafot.world.kernel.steering cimport lane_steering, not_zero
 
 cdef double ON_LANE, LANE_ENDS
 

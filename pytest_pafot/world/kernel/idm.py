@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from pytest_pafot.world.kernel.action import lane_steering, not_zero
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import clamped
 from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.steering import lane_steering, not_zero
 
 ON_LANE = 1.0
 """A vehicle counts for a lane up to this far beyond its lines [m]."""

@@ -1,14 +1,13 @@
 cimport cython
 from pytest_pafot.world.kernel.action cimport (
-    checked_si_action, possible_acceleration, possible_steering, without_reversing,
+    acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, steering_to_lane,
+    without_reversing,
 )
-from pytest_pafot.world.kernel.bodies cimport Body
-from pytest_pafot.world.kernel.contact cimport overlap
+from pytest_pafot.world.kernel.bodies cimport Body, overlap
 from pytest_pafot.world.kernel.director cimport Director
 from pytest_pafot.world.kernel.idm cimport IdmEgo
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Observer
-from pytest_pafot.world.kernel.steering cimport acceleration_to_speed, steering_to_lane
 
 cdef class Pilot:
     cdef readonly int every

@@ -7,23 +7,23 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from pytest_pafot.trace import AdsError
-from pytest_pafot.world.driving.failure import UNFIT, error_of
-from pytest_pafot.world.driving.hang_guard import HangGuard
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.world.guard.failure import UNFIT, error_of
+from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
     Drive,
+    acceleration_to_speed,
     checked_si_action,
     possible_acceleration,
     possible_steering,
+    steering_to_lane,
     without_reversing,
 )
-from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.contact import overlap
+from pytest_pafot.world.kernel.bodies import Body, overlap
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer
-from pytest_pafot.world.kernel.steering import acceleration_to_speed, steering_to_lane
 
 
 class Pilot:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.world.kernel.lanes import Lanes
 
 COLUMNS = 7

@@ -10,13 +10,77 @@ Across the road positions are given in lanes: lane ``k`` has its centre at ``k``
 from __future__ import annotations
 
 import math
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.trace import Lane
+import numpy as np
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import FloatArray, Lane, Outcome
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, wrapped
+from pytest_pafot.world.roads.straight import StraightRoad
+
+# How fast an NPC may be at each place of a lane, and how a vehicle lies in its bends. Pure functions of arrays.
+
+BEND_SHARE = 0.8
+"""Share of the lateral acceleration that following a bend may take; the rest is left for control."""
+SLOWING = 2.0
+"""Deceleration by which an NPC gets slower for a bend or an end [m/s^2], at most a third of what it can."""
+SPEED_LAG = 1 / 1.5
+"""How long the speed control lags behind a speed that falls steadily: the inverse of its gain [s]."""
+
+
+def allowed_speeds(
+    curvature: FloatArray, limit: FloatArray, stops: float | None, lengths: FloatArray, limits: NpcLimits
+) -> FloatArray:
+    """The highest speed at each point of a lane [m/s].
+
+    At most the speed limit times the NPCs' excess of it, at most what the bend allows, sqrt(share * a / curvature),
+    and at every point so slow that gentle braking suffices for all points that follow, begun early enough. Arrays have
+    an entry per point: curvature [1/m], speed limit [m/s], length along the lane [m]. ``stops`` is the length at which
+    the lane ends [m], None if it does not.
+    """
+    with np.errstate(divide="ignore"):
+        bend = np.sqrt(BEND_SHARE * limits.lateral_acceleration / np.abs(curvature))
+    speed = np.minimum(bend, limits.overspeed * limit)
+    slowing = min(SLOWING, limits.braking / 3)
+    if stops is not None:
+        speed = np.where(lengths >= stops, 0.0, speed)
+    squares = speed**2
+    for index in range(len(squares) - 2, -1, -1):
+        reach = squares[index + 1] + 2 * slowing * (lengths[index + 1] - lengths[index])
+        squares[index] = min(squares[index], reach)
+    speed = np.sqrt(squares)
+    reached = np.searchsorted(lengths, lengths + speed * SPEED_LAG, side="right")  # while the speed control lags behind
+    return np.array([speed[index : last + 1].min() for index, last in enumerate(reached)])
+
+
+def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> FloatArray:
+    """The angle to a lane of a vehicle whose centre follows it exactly [rad], by highway-env's bicycle model.
+
+    Its rear axle is half a length behind its centre and moves where it points: per metre the heading turns by
+    sin(direction - heading) / (length / 2).
+    """
+    lean = np.zeros(len(direction))
+    for index in range(1, len(direction)):
+        step = float(lengths[index] - lengths[index - 1])
+        turn = float(direction[index] - direction[index - 1])
+        settled = math.asin(max(-0.99, min(0.99, turn / step * vehicle_length / 2))) if step > 0 else 0.0
+        share = 1 - math.exp(-2 * step / vehicle_length)
+        lean[index] = lean[index - 1] + share * (-settled - lean[index - 1])
+    return lean
+
+
+def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
+    """The largest curvature from each point of a lane to so far ahead [1/m]."""
+    last = np.searchsorted(lengths, lengths + reach, side="right")
+    bend = np.abs(curvature)
+    return np.array([bend[index:end].max() for index, end in enumerate(last)])
 
 
 class Spot(NamedTuple):
@@ -216,3 +280,72 @@ class NetworkRoad:
         """World x [m], y [m] and heading [rad] of each point of the line, as floats, which are faster one by one."""
         line = self.line
         return list(zip(line.x.tolist(), line.y.tolist(), line.heading.tolist(), strict=True))
+
+
+# Where the vehicles of one run are on the road, tick by tick, and whether the run leaves it.
+
+State = tuple[float, float, float, float]
+"""x [m], y [m], heading [rad], speed [m/s]."""
+
+
+class StraightFrame:
+    """Shows vehicles on a straight road to the director."""
+
+    def __init__(self, road: StraightRoad) -> None:
+        self._road = road
+
+    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
+        """Put bodies where the vehicles are on the road; the lane of each, and how the run leaves the road: not at all.
+
+        A run on a straight road goes on where the ego is beside it.
+        """
+        road, lanes = self._road, []
+        for body, (x, y, heading, speed) in zip(bodies, states, strict=True):
+            body.place(*road.project(x, y, heading), speed)
+            lanes.append(road.grid.locate(body))
+        return lanes, None
+
+
+class NetworkFrame:
+    """Follows the vehicles along the road: a road may cross itself, and a circuit comes back to where it began."""
+
+    def __init__(self, road: NetworkRoad, network: Any, starts: Sequence[float]) -> None:
+        """``starts`` is where along the road each vehicle starts [m], the ego first."""
+        self._road = road
+        self._network = network  # highway-env's, to see on which lane an ego is that has left the road
+        self._along = list(starts)
+        self._rows = array("d")
+
+    def see(self, states: Sequence[State], bodies: Sequence[Body]) -> tuple[list[int], Outcome | None]:
+        """Put bodies where the vehicles are on the road; the lane of each, and how the run leaves the road, if it does.
+
+        Across the road bodies are in the measure of lanes, their heading is to the ego's way; see :class:`Trace`.
+        """
+        road = self._road
+        spots = [road.spot(x, y, heading, near) for (x, y, heading, _), near in zip(states, self._along, strict=True)]
+        self._along = [spot.along for spot in spots]
+        for body, spot, state in zip(bodies, spots, states, strict=True):
+            body.place(spot.along, road.in_lanes(spot), spot.angle, state[3])
+            body.lane = road.nearest_lane(body.y)
+            self._rows.extend((*spot[:3], spot.offset, road.stretch(spot.along, spot.across)))
+        lanes = [road.part(spot) for spot in spots]
+        if any(spot.along + body.length / 2 >= road.end for spot, body in zip(spots, bodies, strict=True)):
+            return lanes, Outcome.END_OF_ROAD
+        if lanes[0] >= 0:
+            return lanes, None
+        own, ended = self._beside(np.array(states[0][:2]), spots[0])
+        return [own, *lanes[1:]], ended
+
+    def track(self) -> FloatArray:
+        """Where all were at every tick, with the columns of :attr:`pytest_pafot.Trace.track`."""
+        return np.array(self._rows).reshape(-1, len(self._along), 5)
+
+    def _beside(self, position: FloatArray, spot: Spot) -> tuple[int, Outcome | None]:
+        """Of an ego that is on no lane of its way: the lane that it is on, and what that means."""
+        on = [index for index, lane in self._network.lanes_dict().items() if lane.on_lane(position)]
+        if any(index[:2] in self._road.sections for index in on):
+            return self._road.columns[spot.lane].part[self._road.point(spot.along)], None
+        if on:
+            first = len(self._road.lanes) - len(self._road.others)
+            return first + self._road.others.index(on[0]), Outcome.LEFT_ROUTE
+        return -1, Outcome.OFF_ROAD

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pytest_pafot.trace import FloatArray
+from pytest_pafot.model.trace import FloatArray
 
 LaneIndex = tuple[str, str, int]
 """Of highway-env: the nodes that a road section leads from and to, and the lane's number in it, from the left."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pytest_pafot.grid import Cell
-from pytest_pafot.trace import Lane
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.kernel.lanes import Lanes
 
 

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.errors import WorldError
-from pytest_pafot.trace import FloatArray, Lane
+from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.bodies import NPC_LENGTH
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkRoad
+from pytest_pafot.world.roads.network import Column, NetworkRoad, allowed_speeds, leans, sharpest_ahead
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, line_of, way, wrapped
-from pytest_pafot.world.roads.speeds import allowed_speeds, leans, sharpest_ahead
 
 TIGHTEST = 1 / 6.5
 """Curvature of the tightest bend that an NPC can follow [1/m]."""

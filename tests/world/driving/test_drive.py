@@ -14,10 +14,10 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import Drive, Highway, PositionInstruction, Scenario, World
 from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.trace import ACCELERATION, OFFSET, SPEED, STEERING, Outcome, Y
+from pytest_pafot.model.trace import ACCELERATION, OFFSET, SPEED, STEERING, Outcome, Y
 from pytest_pafot.world.engines.selection import rollout_planner
-from tests.support.c_library import c_library
-from tests.support.engine_cases import Case, differences
+from tests.helpers.c_library import c_library
+from tests.helpers.engine_cases import Case, differences
 
 BEHIND = Scenario(npcs=[[PositionInstruction(6, 15.0)]], gene_seconds=8.0)
 

@@ -11,11 +11,11 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.kinematics import FastKinematics, observer
 from pytest_pafot.world.driving.vehicles import Car
-from tests.support.stages import oracle
+from tests.helpers.stages import oracle
 
 FEATURES = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
 RANGES = {"x": [-100, 100], "y": [-12, 12], "vx": [-20.0, 40.0], "heading": [-1.5, 1.5], "presence": [0, 2]}

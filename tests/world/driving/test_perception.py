@@ -11,14 +11,14 @@ from highway_env.envs.highway_env import HighwayEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
-from pytest_pafot.errors import AdsFactoryError, FieldError, WorldError
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.sight import hidden
-from pytest_pafot.trace import HEADING, SPEED, X, Y
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.sight import hidden
+from pytest_pafot.model.trace import HEADING, SPEED, X, Y
+from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
-from tests.support.stages import mostly_oracle
-from tests.support.world_cases import changing_lanes
+from tests.helpers.stages import mostly_oracle
+from tests.helpers.world_cases import changing_lanes
 
 CHAINS = ((5, 17.4), (4, 26.6), (4, 13.7)), ((4, 26.4), (3, 13.3), (2, 23.6)), ((3, 17.5), (2, 21.0), (3, 25.5))
 SCENARIO = Scenario(

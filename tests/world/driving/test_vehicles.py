@@ -17,13 +17,13 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import HEADING, LANE, X, Y
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
-from tests.support.stages import oracle
-from tests.support.world_cases import LENGTH, WIDTH, chains
+from tests.helpers.stages import oracle
+from tests.helpers.world_cases import LENGTH, WIDTH, chains
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
 

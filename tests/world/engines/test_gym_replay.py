@@ -9,13 +9,13 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import PositionInstruction, Scenario
-from pytest_pafot.trace import Outcome
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
-from tests.support.stages import mostly_oracle, oracle
-from tests.support.world_cases import EGOS, constant_speed, random_scenario
+from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.world_cases import EGOS, constant_speed, random_scenario
 
 
 def assert_confirmed(world, scenario, ads):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Highway, Outcome, World
-from pytest_pafot.scenario import PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.engines.lock_step import batching_ads
-from tests.support.stopped_clock import StoppedClock
+from tests.helpers.stopped_clock import StoppedClock
 
 HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
 ENVIRONMENT = World("highway-v0", duration=12.0)

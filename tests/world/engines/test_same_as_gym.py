@@ -18,13 +18,13 @@ from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, ID
 from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot.scenario import Scenario
-from pytest_pafot.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Outcome
 from pytest_pafot.world import Highway, World
-from tests.support.c_library import c_library
-from tests.support.gym_loop import Replayed, StateLog
-from tests.support.stages import mostly_oracle, oracle
-from tests.support.world_cases import chains
+from tests.helpers.c_library import c_library
+from tests.helpers.gym_loop import Replayed, StateLog
+from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.world_cases import chains
 
 STATE = slice(0, SPEED + 1)
 

@@ -22,10 +22,10 @@ from pytest_pafot.world import from_dict, kernel
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.engines import selection as engines
 from pytest_pafot.world.kernel import bodies
-from tests.support.c_library import c_library
-from tests.support.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
-from tests.support.interpreted import InterpretedWorld
-from tests.support.stages import oracle
+from tests.helpers.c_library import c_library
+from tests.helpers.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
+from tests.helpers.interpreted import InterpretedWorld
+from tests.helpers.stages import oracle
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
 

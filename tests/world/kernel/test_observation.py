@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from pytest_pafot.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, Observation, VehicleState
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)

@@ -17,13 +17,13 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.replay import disagreement
-from pytest_pafot.run import Run
-from pytest_pafot.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
-from pytest_pafot.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, Y
 from pytest_pafot.world import NpcLimits, World, WorldError
-from tests.support.road_cases import ROADS, space_of, violations, world_of
-from tests.support.stages import mostly_oracle, oracle
+from tests.helpers.road_cases import ROADS, space_of, violations, world_of
+from tests.helpers.stages import mostly_oracle, oracle
 
 
 def hold(world, *cells, speed=8.0, genes=1, **fields):

@@ -1,0 +1,253 @@
+"""An episode on a straight road whose vehicles are highway-env's IDM and MOBIL, with the traffic compiled.
+
+The environment still makes the start, what a policy sees, what its actions mean, and says when the episode is over; its
+vehicles are brought to where the compiled ones are whenever one of these is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from pytest_pafot.episodes.episode import Episode, EpisodeRecording, Start, Step
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
+from pytest_pafot.world.driving.kinematics import observer
+from pytest_pafot.world.guard.failure import UNFIT, error_of
+from pytest_pafot.world.gym_environment import NEUTRAL
+from pytest_pafot.world.kernel.loop import Pilot
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.traffic import OrdinaryTraffic, TrafficVehicle
+from pytest_pafot.world.roads.straight import StraightRoad
+
+
+def why_not(start: Start) -> str:
+    """Why the traffic of an episode cannot be compiled; empty where it can."""
+    return next(chain(_of_the_environment(start), _of_the_vehicles(start)), "")
+
+
+def _of_the_environment(start: Start) -> Iterator[str]:
+    env, road, inner, cls = start.env, start.env.road, start.outer, type(start.env)
+    while isinstance(inner, NEUTRAL):
+        inner = inner.env
+    if inner is not env:
+        yield f"the environment is wrapped in {type(inner).__name__}"
+    if type(road) is not Road or cls.step is not AbstractEnv.step or cls._simulate is not AbstractEnv._simulate:
+        yield f"{cls.__name__} has steps of its own"
+    if start.road is None or len({lane.speed_limit for lane in start.road.lanes}) > 1:
+        yield "the road is not straight, or its lanes differ"
+    if road.objects or any(lane.forbidden for lane in road.network.lanes_list()):
+        yield "there are objects on the road, or lanes that may not be entered"
+
+
+def _of_the_vehicles(start: Start) -> Iterator[str]:
+    env, road, ego = start.env, start.env.road, start.env.vehicle
+    for each in road.vehicles:
+        if each is not ego and (idm_model(type(each)) is None or each.route):
+            yield f"the traffic has a {type(each).__name__}, not IDM and MOBIL alone"
+        if (each.MIN_SPEED, each.MAX_SPEED) != (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED):
+            yield f"a {type(each).__name__} has limits of speed of its own"
+    if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
+        yield f"{type(ego).__name__} wants a speed and no lane"
+    if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or _speed_range(env) is not None):
+        yield f"the actions drive a {type(ego).__name__} with limits of its own"
+    if road.vehicles[0] is not ego:
+        yield "the ego is not the first on its road"
+
+
+def _speed_range(env: Any) -> Any:
+    """What the actions of an environment limit the ego's speed to; None without."""
+    return getattr(env.action_type, "speed_range", None)
+
+
+def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:
+    """The episode that begins so, where nothing is against it."""
+    road, record = start.straight, start.record()
+    traffic, mirror = _compiled(start, record)
+    pilot: Pilot
+    if start.kind == "planner":
+        pilot = start.pilot(mirror.ego, record)
+    elif start.kind == "policy":
+        pilot = _PolicyPilot(start, mirror)
+    else:
+        pilot = Pilot(start.ticks) if idm_model(start.ads) is not None else _VehiclePilot(start, mirror)
+    error = _drive(start, traffic, pilot, mirror)
+    mirror.show()
+    recording = None
+    if is_recorded:
+        vehicles = start.vehicles
+        states = np.array(record).reshape(-1, len(vehicles), COLUMNS)[: traffic.tick + 1, :, :4]
+        states[:, :, :2] += road.position(0.0, 0)[:2]
+        sizes = np.array([[each.LENGTH, each.WIDTH] for each in vehicles])
+        recording = EpisodeRecording(states=states, sizes=sizes, lanes=road.lanes, physics_hz=start.physics_hz)
+    return start.ended(seed, traffic.tick, error, recording=recording)
+
+
+class CompiledSteps:
+    """An episode that is given its actions, where nothing is against it, as by ``env.step``.
+
+    It is cut at the tick at which the ego is flagged as crashed.
+    """
+
+    def __init__(self, start: Start) -> None:
+        self._start = start
+        self._traffic, self._mirror = _compiled(start, start.record())
+        self._pilot = _PolicyPilot(start, self._mirror)
+
+    def step(self, action: Any) -> Step:
+        """What the step of the environment returns, of an action that it has."""
+        start, env, traffic = self._start, self._start.env, self._traffic
+        env.time += 1 / env.config["policy_frequency"]
+        self._pilot.apply(action)
+        for _ in range(start.every):
+            if traffic.step():
+                break
+        self._mirror.show()
+        env.steps = traffic.tick
+        seen, reward = self._pilot.observe(), float(env._reward(action))
+        is_truncated = bool(env._is_truncated()) or traffic.tick + start.every > start.ticks
+        return seen, reward, bool(env._is_terminated()), is_truncated, env._info(seen, action)
+
+
+def _compiled(start: Start, record: array[float]) -> tuple[OrdinaryTraffic, _Mirror]:
+    """The compiled traffic of an episode, which fills the record, and what shows it to the environment."""
+    bodies = [_body(each, start.straight) for each in start.vehicles]
+    return OrdinaryTraffic(bodies, record, 1 / start.physics_hz), _Mirror(start, bodies, start.straight)
+
+
+def _drive(start: Start, traffic: OrdinaryTraffic, pilot: Pilot, mirror: _Mirror) -> AdsError | None:
+    """Drive until the ego is flagged as crashed, the environment says that it is over, or the ADS does not decide."""
+    env, time = start.env, 0.0
+    while traffic.tick < start.ticks:
+        tick = traffic.tick
+        if tick % start.every == 0:
+            mirror.show()
+            env.time = time
+            if tick > 0 and (env._is_terminated() or env._is_truncated()):
+                return None
+            time += 1 / env.config["policy_frequency"]
+        if tick % pilot.every == 0:
+            error = pilot.decide(tick)
+            if error is not None:
+                return error
+        pilot.actuate()
+        if traffic.step():
+            return None
+    return None
+
+
+class _Mirror:
+    """The environment's vehicles, which are brought to where the compiled ones are."""
+
+    def __init__(self, start: Start, bodies: list[TrafficVehicle], road: StraightRoad) -> None:
+        self.ego = bodies[0]
+        self._start = start
+        self._pairs = list(zip(start.vehicles, bodies, strict=True))
+        self._lanes = list(start.env.road.network.lanes_dict().items())
+        self._x, self._y, _ = road.position(0.0, 0)
+
+    def show(self) -> None:
+        """Bring them there."""
+        for vehicle, body in self._pairs:
+            x, y, vehicle.heading, vehicle.speed, lane, goal = body.seen()
+            vehicle.position = np.array([x + self._x, y + self._y])
+            vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
+            vehicle.lane_index, vehicle.lane = self._lanes[lane]
+            vehicle.crashed = body.crashed
+            if isinstance(vehicle, ControlledVehicle):
+                vehicle.target_lane_index = self._lanes[goal][0]
+
+
+class _PolicyPilot(Pilot):
+    """A policy that sees the environment's observation; the environment says what its action means."""
+
+    def __init__(self, start: Start, mirror: _Mirror) -> None:
+        super().__init__(start.every)
+        self._start = start
+        self._mirror = mirror
+        self.observe = observer(start.env) if start.eyes is None else start.env.observation_type.observe
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe, ask under guard, check and apply; or what went wrong."""
+        start = self._start
+        start.env.steps = tick
+        seen = start.seen if tick == 0 else self.observe()
+        try:
+            action = start.action(seen, tick)
+        except UNFIT as error:
+            return error_of(error, tick, start.guard)
+        self.apply(action)
+        return None
+
+    def apply(self, action: Any) -> None:
+        """Have the environment say what an action means for the ego."""
+        env, body = self._start.env, self._mirror.ego
+        env.action_type.act(action)
+        ego = env.vehicle
+        if isinstance(ego, MDPVehicle):
+            body.aim(ego.target_lane_index[2], ego.target_speed)
+        else:
+            body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
+
+    def actuate(self) -> None:
+        """What was decided is held; where the policy sees late, it is remembered where everybody is."""
+        if self._start.eyes is not None:
+            self._mirror.show()
+            self._start.eyes.note()
+
+
+class _VehiclePilot(Pilot):
+    """An ego of a class with code of its own, which acts and moves among the environment's vehicles."""
+
+    def __init__(self, start: Start, mirror: _Mirror) -> None:
+        super().__init__(1)
+        self._start = start
+        self._mirror = mirror
+        self._ego = start.env.vehicle
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Act and move under guard; or what went wrong."""
+        start, ego, body = self._start, self._ego, self._mirror.ego
+        self._mirror.show()
+        start.env.steps = tick
+        try:
+            start.guarded(ego.act)
+            if isinstance(ego, ControlledVehicle):
+                body.aim(ego.target_lane_index[2], float(ego.target_speed))
+            start.guarded(ego.step, 1 / start.physics_hz)
+        except UNFIT as error:
+            return error_of(error, tick, start.guard)
+        body.acceleration, body.steering = float(ego.action["acceleration"]), float(ego.action["steering"])
+        x, y = ego.position
+        body.lead(*start.straight.project(float(x), float(y), float(ego.heading)), float(ego.speed))
+        return None
+
+
+def _body(vehicle: Any, road: StraightRoad) -> TrafficVehicle:
+    """The compiled form of one of the environment's vehicles."""
+    constants = {name: getattr(vehicle, name, getattr(IDMVehicle, name)) for name in (*CONSTANTS, "KP_A")}
+    body = TrafficVehicle(
+        constants,
+        road.grid,
+        road.speed_limit,
+        has_goal=isinstance(vehicle, ControlledVehicle),
+        drives_itself=idm_model(type(vehicle)) is not None,
+        # highway-env's IDM takes a vehicle that wants no speed for one that wants to stand still.
+        taken_for=math.nan if hasattr(vehicle, "target_speed") else 0.0,
+    )
+    pose = road.project(float(vehicle.position[0]), float(vehicle.position[1]), float(vehicle.heading))
+    body.start(*pose, float(vehicle.speed), bool(getattr(vehicle, "enable_lane_change", True)))
+    goal = getattr(vehicle, "target_lane_index", vehicle.lane_index)[2]
+    body.begin(goal, float(getattr(vehicle, "target_speed", 0.0)), float(getattr(vehicle, "timer", 0.0)))
+    body.checks = bool(vehicle.check_collisions)
+    return body

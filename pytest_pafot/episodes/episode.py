@@ -1,0 +1,245 @@
+"""An episode of an environment as it is, with its own random traffic: how it starts, and what is told of it."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import AdsError, FloatArray, Lane, Outcome
+from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.driving.ads import give_route
+from pytest_pafot.world.driving.policy import View, check_action_space, checked_action
+from pytest_pafot.world.driving.seeing import PlannerSight, PolicySight
+from pytest_pafot.world.driving.vehicles import straight_road
+from pytest_pafot.world.engines.gym_replay import StockVehicle
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.loop import PlannerPilot
+from pytest_pafot.world.kernel.observation import COLUMNS, Observer
+from pytest_pafot.world.roads.straight import StraightRoad
+
+POINT_STEP = 2.0
+"""Distance of the points of a lane that is not straight [m]."""
+LONGEST = 3600.0
+"""Of an episode whose environment does not say how long it lasts [s]."""
+PLANNER_HZ = 5
+"""So often a planner decides, as in a Highway; at every tick where there are fewer."""
+
+Step = tuple[Any, float, bool, bool, dict[str, Any]]
+"""What ``env.step`` returns: observation, reward, terminated, truncated, info."""
+
+Kind = Literal["policy", "vehicle", "planner"]
+"""Of an ADS: in the environment's observations and actions, a class that drives itself, or in SI units."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeRecording:
+    """Where everybody was in an episode.
+
+    Attributes:
+        states: x [m], y [m], heading [rad] and speed [m/s], shape [ticks + 1, vehicles, 4], the ego first; NaN where a
+            vehicle was not there.
+        sizes: length and width [m], shape [vehicles, 2].
+        lanes: of the road; those that are not straight have points.
+        physics_hz: ticks per second.
+    """
+
+    states: FloatArray
+    sizes: FloatArray
+    lanes: tuple[Lane, ...]
+    physics_hz: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """How an episode went.
+
+    Attributes:
+        outcome: ``collision`` where highway-env flagged the ego as crashed, ``ads_error`` or ``hang`` where the ADS did
+            not decide, else ``safe``.
+        seconds: driven until the flag, the error or the end [s].
+        error: what the ADS did instead of deciding.
+        steps: why the environment took its own steps; empty where the traffic was compiled.
+        recording: where one was asked for.
+    """
+
+    seed: int
+    outcome: Outcome
+    seconds: float
+    error: AdsError | None = None
+    steps: str = ""
+    recording: EpisodeRecording | None = None
+
+
+@dataclass(eq=False, kw_only=True)
+class Start:
+    """An environment after its reset, with an ADS for its ego.
+
+    Attributes:
+        outer: the environment in its wrappers.
+        seen: what the reset returned.
+        kind: of the ADS.
+        guard: of its decisions.
+        view: what a planner that simulates inside of the environment is shown.
+        sight: of the ADS, where that is imperfect, with what is drawn by the seed of the episode.
+        eyes: of a policy with a sight.
+        ticks: after which an episode ends in any case.
+        every: ticks of a step of the environment.
+        road: None where it is not straight.
+    """
+
+    outer: Any
+    seen: Any
+    ads: Any
+    kind: Kind
+    guard: HangGuard
+    view: View | None = None
+    seed: int = 0
+    sight: Sight | None = None
+    eyes: PolicySight | None = field(init=False, default=None)
+    physics_hz: int = field(init=False)
+    every: int = field(init=False)
+    ticks: int = field(init=False)
+    road: StraightRoad | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        config = self.env.config
+        self.physics_hz = int(config["simulation_frequency"])
+        self.every = int(config["simulation_frequency"] // config["policy_frequency"])
+        longest = min(float(config.get("duration", LONGEST)), LONGEST)
+        self.ticks = math.ceil(longest * self.physics_hz) + self.every
+        steps = getattr(self.outer.spec, "max_episode_steps", None)  # which a wrapper of gymnasium's counts
+        if steps is not None:
+            self.ticks = min(self.ticks, steps * self.every)
+        self.road = straight_road(self.env.road.network)
+        if self.kind == "policy":
+            check_action_space(self.outer.action_space)
+            if self.sight is not None:
+                self.eyes = PolicySight(self.env, self.sight, self.seed)
+                self.eyes.observe_through()
+                self.seen, _ = self.outer.reset(seed=self.seed)  # once more, to see it so
+            return
+        if self.kind == "planner":
+            _ = self.straight  # refuses any other road now
+        self._put(self.ads if self.kind == "vehicle" else StockVehicle)
+
+    @property
+    def straight(self) -> StraightRoad:
+        """The road, where it is straight.
+
+        Raises:
+            WorldError: where it is not, so that it is no road for a planner.
+        """
+        if self.road is None:
+            raise WorldError(
+                f"world: expected a straight road for a planner in SI units, received that of "
+                f"{type(self.env).__name__}; give a policy in the environment's own observations and actions, or a "
+                "vehicle class"
+            )
+        return self.road
+
+    def _put(self, vehicle_class: Callable[..., Any]) -> None:
+        """Put a vehicle in the place of the environment's own ego."""
+        env, old = self.env, self.env.vehicle
+        ego = vehicle_class(env.road, old.position, old.heading, old.speed)
+        give_route(ego, getattr(old, "route", None))
+        env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
+        env.controlled_vehicles = [ego]
+        try:
+            env.define_spaces()
+        except Exception as error:
+            raise self.unfit(error) from error
+
+    def unfit(self, error: Exception) -> WorldError:
+        """What to say of an environment that raises by itself, as it may with another vehicle than its own."""
+        name, ego = type(self.env).__name__, type(self.env.vehicle).__name__
+        return WorldError(
+            f"world: expected an environment whose steps work with an ego of the class {ego}, received {name}, "
+            f"which raised {type(error).__name__}: {error}; rate a policy that answers with the environment's own "
+            "actions, or another environment"
+        )
+
+    @property
+    def env(self) -> Any:
+        """Without wrappers."""
+        return self.outer.unwrapped
+
+    @property
+    def vehicles(self) -> list[Any]:
+        """Of the environment, the ego first."""
+        ego = self.env.vehicle
+        return [ego, *(each for each in self.env.road.vehicles if each is not ego)]
+
+    @property
+    def lanes(self) -> tuple[Lane, ...]:
+        """Of the road, as a recording has them."""
+        if self.road is not None:
+            return self.road.lanes
+        return tuple(map(_bent, self.env.road.network.lanes_list()))
+
+    def guarded(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """What code of the user's returns, which may not take too long."""
+        self.guard.decision_starts()
+        try:
+            return call(*arguments)
+        finally:
+            self.guard.decision_ends()
+
+    def action(self, seen: Any, tick: int) -> Any:
+        """What a policy decides; raises whatever it raises, and :class:`BadAction` for what is no action."""
+        if self.view is not None:
+            with nullcontext() if self.eyes is None else self.eyes.shown():
+                self.view.show(tick)
+        return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
+
+    def record(self) -> array[float]:
+        """Room for rows of all vehicles at all ticks."""
+        return array("d", bytes(8 * (self.ticks + 1) * len(self.vehicles) * COLUMNS))
+
+    def pilot(self, body: Body, record: array[float]) -> PlannerPilot:
+        """Who asks a planner what a body is to do, and shows it the record."""
+        road = self.straight
+        sizes = [(each.LENGTH, each.WIDTH) for each in self.vehicles]
+        every = max(1, self.physics_hz // PLANNER_HZ)
+        observer = Observer(record, sizes, road.grid, road.speed_limit, self.physics_hz, every)
+        ads = self.ads
+        if self.sight is not None:
+            ads = PlannerSight(self.sight, self.seed, self.physics_hz, road.grid).asking(ads, observer)
+        return PlannerPilot(ads, body, road.grid, observer, self.guard, every=every, dt=1 / self.physics_hz)
+
+    def ended(
+        self,
+        seed: int,
+        tick: int,
+        error: AdsError | None,
+        *,
+        steps: str = "",
+        recording: EpisodeRecording | None = None,
+    ) -> Episode:
+        """The episode, which ended at a tick, with a crash where the ego is flagged."""
+        outcome = Outcome.COLLISION if self.env.vehicle.crashed else Outcome.SAFE
+        if error is not None:
+            outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+        seconds = tick / self.physics_hz
+        return Episode(seed=seed, outcome=outcome, seconds=seconds, error=error, steps=steps, recording=recording)
+
+
+def _bent(lane: Any) -> Lane:
+    places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length / POINT_STEP)))
+    points = [lane.position(float(place), 0) for place in places]
+    return Lane(
+        x=float(points[0][0]),
+        y=float(points[0][1]),
+        heading=float(lane.heading_at(0.0)),
+        length=float(lane.length),
+        width=float(lane.width_at(0.0)),
+        speed_limit=float(lane.speed_limit or 0.0),
+        points=tuple((float(x), float(y)) for x, y in points),
+    )

@@ -1,0 +1,190 @@
+"""What came of episodes, as values: crashes per episode and per hour, and two policies on the same seeds."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, fields
+
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar, upper_bound
+from pytest_pafot.support.text import csv_text, plural
+
+SECONDS_PER_HOUR = 3600.0
+UNDECIDED = (Outcome.ADS_ERROR, Outcome.HANG)
+"""Of episodes in which the ADS did not decide."""
+SHOWN = 10
+"""So many seeds are told in a line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeRow:
+    """One episode."""
+
+    ads: str  # the policy, as it was given
+    seed: int  # that the environment was reset with
+    outcome: str  # ``collision``, ``safe``, or where the ADS did not decide ``ads_error`` or ``hang``
+    seconds: float  # driven until then
+    error: str  # what the ADS did instead of deciding; empty without
+    steps: str  # why the environment took its own steps; empty where the traffic was compiled
+
+
+COLUMNS = tuple(field.name for field in fields(EpisodeRow))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rate:
+    """How often a policy crashed.
+
+    Attributes:
+        ads: the policy, as it was given.
+        rows: of all episodes, by seed.
+    """
+
+    ads: str
+    rows: tuple[EpisodeRow, ...]
+
+    def __repr__(self) -> str:
+        return f"<Rate of {self.ads}: {self.sentence}>"
+
+    @property
+    def episodes(self) -> int:
+        """Those that were driven: without those in which the ADS did not decide."""
+        return len(self.rows) - len(self.failed)
+
+    @property
+    def crashed(self) -> tuple[int, ...]:
+        """Seeds of the episodes in which it crashed."""
+        return tuple(row.seed for row in self.rows if row.outcome == Outcome.COLLISION)
+
+    @property
+    def failed(self) -> tuple[EpisodeRow, ...]:
+        """Episodes in which the ADS raised, hung or returned no action; no crash, and no drive either."""
+        return tuple(row for row in self.rows if row.outcome in UNDECIDED)
+
+    @property
+    def share(self) -> float:
+        """Crashes per episode; NaN where none was driven."""
+        return len(self.crashed) / self.episodes if self.episodes else float("nan")
+
+    @property
+    def hours(self) -> float:
+        """Of driving, in the episodes that were driven."""
+        return sum(row.seconds for row in self.rows if row.outcome not in UNDECIDED) / SECONDS_PER_HOUR
+
+    @property
+    def per_hour(self) -> float:
+        """Crashes per hour of driving."""
+        return len(self.crashed) / self.hours if self.hours else float("nan")
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """The Clopper-Pearson interval of the share of crashes."""
+        return interval(len(self.crashed), self.episodes, confidence)
+
+    def upper_bound(self, confidence: float = CONFIDENCE) -> float:
+        """What the true share of crashes exceeds with at most ``1 - confidence``."""
+        return upper_bound(len(self.crashed), self.episodes, confidence)
+
+    @property
+    def sentence(self) -> str:
+        """``38 of 1000 episodes crashed, 3.8 % (95 %: 2.7 to 5.2 %); 4.9 an hour in 7.8 h of driving``."""
+        if not self.episodes:
+            return f"no episode of {len(self.rows)} was driven to its end"
+        share = interval_text(len(self.crashed), self.episodes)
+        per_hour = f"{number(self.per_hour)} an hour in" if self.crashed else "none in"
+        return (
+            f"{len(self.crashed)} of {plural(self.episodes, 'episode')} crashed, {share}; {per_hour} "
+            f"{number(self.hours)} h of driving"
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """What else must be known, a line each: seeds of crashes, failures of the ADS, what was not compiled."""
+        lines = []
+        if self.crashed:
+            lines.append(f"seeds of the crashes: {shown(self.crashed)}")
+        if self.failed:
+            first = self.failed[0]
+            lines.append(
+                f"the ADS failed in {plural(len(self.failed), 'episode')}, which no rate counts; seeds "
+                f"{shown([row.seed for row in self.failed])}; the first: {first.error}"
+            )
+        reasons = sorted({row.steps for row in self.rows if row.steps})
+        if reasons:
+            lines.append(f"driven by the environment's own steps, which takes longer: {'; '.join(reasons)}")
+        return lines
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two policies on the same seeds, of which those count that both drove.
+
+    Attributes:
+        both, first_only, second_only, neither: seeds at which they crashed.
+    """
+
+    first: str
+    second: str
+    both: tuple[int, ...]
+    first_only: tuple[int, ...]
+    second_only: tuple[int, ...]
+    neither: tuple[int, ...]
+
+    @classmethod
+    def of(cls, first: Rate, second: Rate) -> Pair:
+        """Of two rates."""
+        left_out = {row.seed for rate in (first, second) for row in rate.failed}
+        seeds = [row.seed for row in first.rows if row.seed not in left_out]
+        a, b = set(first.crashed), set(second.crashed)
+        return cls(
+            first=first.ads,
+            second=second.ads,
+            both=tuple(seed for seed in seeds if seed in a and seed in b),
+            first_only=tuple(seed for seed in seeds if seed in a and seed not in b),
+            second_only=tuple(seed for seed in seeds if seed not in a and seed in b),
+            neither=tuple(seed for seed in seeds if seed not in a and seed not in b),
+        )
+
+    @property
+    def p(self) -> float:
+        """Of McNemar's exact test, two-sided."""
+        return mcnemar(len(self.first_only), len(self.second_only))
+
+    @property
+    def sentence(self) -> str:
+        """How many seeds tell the two apart, and how likely that is where both crash equally often."""
+        return (
+            f"on the same seeds {len(self.first_only)} crashed with {self.first} alone, {len(self.second_only)} with "
+            f"{self.second} alone, {len(self.both)} with both, {len(self.neither)} with neither: p {p_text(self.p)} "
+            "(McNemar, exact, two-sided)"
+        )
+
+
+def number(value: float) -> str:
+    """With two digits that count."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+
+
+def p_text(p: float) -> str:
+    """A p-value."""
+    return "< 0.0001" if p < 1e-4 else f"= {p:.2g}"
+
+
+def shown(seeds: Sequence[int]) -> str:
+    """The first of them in a line."""
+    more = f" and {len(seeds) - SHOWN} more" if len(seeds) > SHOWN else ""
+    return ", ".join(map(str, seeds[:SHOWN])) + more
+
+
+def text_of(rows: Iterable[EpisodeRow]) -> str:
+    """As CSV."""
+    return csv_text(COLUMNS, map(astuple, rows))
+
+
+def rows_of(text: str) -> list[EpisodeRow]:
+    """The inverse of :func:`text_of`."""
+    return [
+        EpisodeRow(**{**row, "seed": int(row["seed"]), "seconds": float(row["seconds"])})  # type: ignore[arg-type]
+        for row in csv.DictReader(io.StringIO(text))
+    ]

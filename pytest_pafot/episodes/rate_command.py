@@ -1,0 +1,166 @@
+"""``python -m pytest_pafot rate``: how often a policy crashes by itself, and its page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_pafot.commands.policy_reference import BAD_USE, PlanError
+from pytest_pafot.commands.resumable import AGAIN, run_job, worker_count, written_into
+from pytest_pafot.episodes.rate import Pair, Rate, rows_of
+from pytest_pafot.episodes.rate_page import page, picture
+from pytest_pafot.episodes.rate_plan import RatePlan, checked, factory_of, told
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.report.animation import AnimationError
+from pytest_pafot.support.files import write_whole
+from pytest_pafot.world import AdsFactoryError, WorldError
+
+if TYPE_CHECKING:
+    from pytest_pafot.episodes.episode import Episode
+
+
+NOTHING_DRIVEN = 1  # exit code where the ADS failed in every episode, so that nothing is known of it
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    of_whom = "a module of example_ads, module:factory, or module:factory:argument, with @planner behind it for a "
+    of_whom += "planner in SI units"
+    parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
+    parser.add_argument("--against", metavar="ADS", help="another one, on the same seeds")
+    parser.add_argument(
+        "--world", required=True, metavar="ID", help="a highway-env environment such as highway-fast-v0"
+    )
+    parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode (default: %(default)s)")
+    parser.add_argument(
+        "--episode", type=int, metavar="SEED", help="drive the one with this seed alone, with a picture"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where rows, page and pictures go (default: nowhere; of --episode: here)",
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Rate the policies, and write the page where there is a place for it; the exit code."""
+    sys.path.insert(0, str(Path.cwd()))  # The policy is where the command is run, as with pytest.
+    try:
+        plan = checked(_plan_of(arguments))
+        workers = worker_count(arguments.workers)
+        if arguments.episode is not None and arguments.episode < 0:
+            raise PlanError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
+        if arguments.episode is not None:
+            return _replay(plan, arguments.episode, arguments.out or Path())
+        with ExitStack() as stack:
+            folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            job = plan.job
+            results = run_job(job, folder, workers=min(workers, len(job.tasks)), told=sys.stderr, clock=time.monotonic)
+            rows = rows_of(results.read_text(encoding="utf-8"))
+        rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
+        sys.stdout.write(_text(plan, rates, arguments))
+        if arguments.out is not None:
+            pictures = _pictures(plan, rates, arguments.out)
+            with written_into(arguments.out, AGAIN):
+                write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
+            sys.stdout.write(f"{arguments.out / 'report.md'}\n")
+    except (PlanError, WorldError, AdsFactoryError, ChildProcessError, AnimationError) as error:
+        sys.stderr.write(f"rate: {error}\n")
+        return BAD_USE
+    except KeyboardInterrupt:
+        kept = "what is finished is kept, the same command goes on with the rest"
+        lost = "nothing is kept without --out"
+        sys.stderr.write(f"\nrate: interrupted; {lost if arguments.out is None else kept}\n")
+        return 130
+    return 0 if all(rate.episodes for rate in rates) else NOTHING_DRIVEN
+
+
+def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
+    """The name of the picture of the first crash of each policy; without the library for it none, which is told."""
+    try:
+        return {
+            rate.ads: _drawn(_episode(plan, rate.ads, rate.crashed[0]), rate.ads, folder, AGAIN)
+            for rate in rates
+            if rate.crashed
+        }
+    except AnimationError as error:
+        sys.stderr.write(f"rate: the report has no picture: {error}\n")
+        return {}
+
+
+def _plan_of(arguments: argparse.Namespace) -> RatePlan:
+    config: Any = None
+    if arguments.config is not None:
+        try:
+            config = json.loads(arguments.config)
+        except json.JSONDecodeError as error:
+            raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', {error}") from None
+        if not isinstance(config, dict):
+            raise PlanError(f"--config: expected JSON such as '{{\"vehicles_count\": 20}}', received {config!r:.100}")
+    return RatePlan(
+        ads=arguments.ads,
+        against=arguments.against,
+        env_id=arguments.world,
+        config=config,
+        episodes=arguments.episodes,
+        seed=arguments.seed,
+    )
+
+
+def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
+    lines = []
+    for rate in rates:
+        lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in rate.notes)]
+        if not rate.episodes and "@" not in rate.ads:
+            lines.append(f"  a planner in SI units, as for pafot.Highway, is --ads {rate.ads}@planner")
+    if len(rates) == 2:
+        lines.append(Pair.of(*rates).sentence)
+    crashed = next((rate for rate in rates if rate.crashed), None)
+    if crashed is not None:
+        config = "" if arguments.config is None else f" --config '{arguments.config}'"
+        again = f"--ads {crashed.ads} --world {plan.env_id}{config} --episode {crashed.crashed[0]}"
+        lines.append(f"see a crash: python -m pytest_pafot rate {again}")
+    return "\n".join(lines) + "\n"
+
+
+def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
+    """Drive one episode of each policy again, and draw its end."""
+    with written_into(folder):  # before anything is driven
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    for name in plan.policies.values():
+        episode = _episode(plan, name, seed)
+        how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
+        error = "" if episode.error is None else f": {told(episode.error)}"
+        sys.stdout.write(f"{name} in {plan.env_id}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
+        if episode.recording is not None:  # else the ADS could not be made
+            sys.stdout.write(f"{folder / _drawn(episode, name, folder)}\n")
+    return 0
+
+
+def _episode(plan: RatePlan, name: str, seed: int) -> Episode:
+    from pytest_pafot.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+
+    factory, is_planner = factory_of(name)
+    world = plan.world
+    return drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner, is_recorded=True)
+
+
+def _drawn(episode: Episode, name: str, folder: Path, elsewhere: str = "or give another folder") -> str:
+    """The name of the picture of an episode, in the folder."""
+    path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{episode.seed}.png"
+    drawn = picture(episode, f"{name}, seed {episode.seed}")
+    with written_into(folder, elsewhere):
+        write_whole(path, drawn)
+    return path.name

@@ -1,0 +1,142 @@
+"""What is rated: one policy or two, an environment, and the seeds of the episodes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+from pytest_pafot.commands.policy_reference import PlanError, ads_factory, caution, identity
+from pytest_pafot.commands.resumable import ResumableJob, Task, Tick
+from pytest_pafot.episodes.rate import EpisodeRow, text_of
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.ads import AdsFactory
+
+QUESTION = "rate.json"
+CHUNK = 25
+"""So many episodes are one task, and kept when the command is interrupted."""
+PLANNER = "@planner"
+"""What stands behind the name of a policy that speaks SI units."""
+SIDES = ("ads", "against")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RatePlan:
+    """A rate, or two. Every episode is a function of this value and its seed alone.
+
+    Attributes:
+        ads: the policy, as ``compare`` has it, with ``@planner`` behind it where it speaks SI units.
+        against: a second one on the same seeds, or None.
+        env_id, config: of the environment, as in :class:`pytest_pafot.World`.
+        episodes: with the seeds from ``seed`` on.
+    """
+
+    ads: str
+    against: str | None = None
+    env_id: str
+    config: Mapping[str, Any] | None = None
+    episodes: int = 1000
+    seed: int = 0
+
+    @cached_property
+    def world(self) -> World:
+        """The environment."""
+        return World(self.env_id, None if self.config is None else dict(self.config))
+
+    @property
+    def policies(self) -> dict[str, str]:
+        """The policy of each side."""
+        given = (self.ads, self.against)
+        return {side: name for side, name in zip(SIDES, given, strict=True) if name is not None}
+
+    @property
+    def job(self) -> ResumableJob:
+        """Its tasks: a side with a number of episodes, and the first seed."""
+        firsts = range(self.seed, self.seed + self.episodes, CHUNK)
+        sizes = {
+            (f"{side}-{count}", first): count
+            for side in self.policies
+            for first in firsts
+            for count in (min(CHUNK, self.seed + self.episodes - first),)
+        }
+        question = {"ads": self.ads, "against": self.against, "env_id": self.env_id, "config": self.config}
+        names = [name.removesuffix(PLANNER) for name in self.policies.values()]
+        told = {"plan": question, "policies": [*map(identity, names)], "versions": installed_versions()}
+        return ResumableJob(
+            command="rate",
+            noun="rate",
+            units="episodes",
+            tasks=tuple(sorted(sizes, key=lambda task: task[1])),
+            in_order=tuple(sizes),
+            question=json.dumps(told, indent=1, sort_keys=True) + "\n",
+            question_file=QUESTION,
+            differs="the policies, their weights, the environment, its configuration or the versions",
+            text=partial(_text, self),
+            sizes=sizes,
+            caution=caution(names),
+        )
+
+
+def checked(plan: RatePlan) -> RatePlan:
+    """The plan, if it can be run.
+
+    Raises:
+        PlanError: naming the first thing that is wrong.
+        WorldError: when the environment cannot be used.
+    """
+    if plan.episodes < 1:
+        raise PlanError(f"--episodes: expected a whole number, at least 1, received {plan.episodes}")
+    if plan.seed < 0:
+        raise PlanError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
+    if plan.against == plan.ads:
+        raise PlanError(f"--against: expected another policy than --ads, received {plan.ads!r} again")
+    for name in plan.policies.values():
+        factory_of(name)
+    plan.world.environment.with_traffic()
+    return plan
+
+
+def factory_of(name: str) -> tuple[AdsFactory, bool]:
+    """The factory that a name stands for, and whether it gives a planner in SI units.
+
+    Raises:
+        PlanError: when there is none.
+    """
+    return ads_factory(name.removesuffix(PLANNER)), name.endswith(PLANNER)
+
+
+def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
+    """The row of one episode."""
+    from pytest_pafot.episodes.ordinary_traffic import drive  # noqa: PLC0415  (imports highway-env)
+
+    episode = drive(world.environment, factory, seed, hang_limit=world.hang_limit, is_planner=is_planner)
+    return EpisodeRow(
+        ads=name,
+        seed=seed,
+        outcome=str(episode.outcome),
+        seconds=episode.seconds,
+        error="" if episode.error is None else told(episode.error),
+        steps=episode.steps,
+    )
+
+
+def told(error: AdsError) -> str:
+    """What an ADS did instead of deciding, in a line."""
+    prefix = "" if error.message.startswith(error.kind) else f"{error.kind}: "
+    return f"{prefix}{error.message}"
+
+
+def _text(plan: RatePlan, task: Task, tick: Tick) -> str:
+    side, _, count = task[0].partition("-")
+    return text_of(_rows(plan, plan.policies[side], range(task[1], task[1] + int(count)), tick))
+
+
+def _rows(plan: RatePlan, name: str, seeds: range, tick: Tick) -> Iterator[EpisodeRow]:
+    factory, is_planner = factory_of(name)
+    for number, seed in enumerate(seeds):
+        yield driven(plan.world, name, factory, seed, is_planner=is_planner)
+        tick((number + 1) / len(seeds))

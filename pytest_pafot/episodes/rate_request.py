@@ -1,0 +1,181 @@
+"""What ``@pafot.rate`` asks for, checked; the episodes that it takes, and whether their crashes are few enough."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Required, TypedDict
+
+from pytest_pafot.campaign.request import RequestError
+from pytest_pafot.episodes.rate import EpisodeRow, Rate
+from pytest_pafot.episodes.rate_plan import driven
+from pytest_pafot.execution.pool import GRACE, WorkerPool
+from pytest_pafot.execution.scenario_pool import METHOD, ExecutionError, check_can_be_given
+from pytest_pafot.support.proportions import percent
+from pytest_pafot.world import World
+from pytest_pafot.world.driving.ads import preload
+
+EPISODES = 300
+"""Unless the mark says how many."""
+
+
+class RateArguments(TypedDict, total=False):
+    """What :func:`pytest_pafot.rate` accepts, for type checkers and for the check of names."""
+
+    at_most: Required[float]
+    world: Required[World | str]
+    ads: Any
+    episodes: int
+    seed: int
+    confidence: float | None
+    planner: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateRequest:
+    """A checked request.
+
+    Attributes:
+        at_most: crashes per episode.
+        world: whose own traffic it is.
+        ads: the factory, or the name of the fixture that gives it.
+        episodes: with the seeds from ``seed`` on.
+        confidence: with which the rate must be shown to be at most that; None where those counted are to be no more.
+        planner: whether the ADS speaks SI units.
+    """
+
+    at_most: float
+    world: World
+    ads: str | Callable[..., Any]
+    episodes: int = EPISODES
+    seed: int = 0
+    confidence: float | None = None
+    planner: bool = False
+
+    def measured(self, factory: Callable[..., Any], workers: int = 1, *, isolate: bool = False) -> Rate:
+        """Drive the episodes, in so many processes where they can be forked; with ``isolate`` none in this one.
+
+        Raises:
+            ProcessLostError: where one of them does not come back.
+            RequestError: with ``isolate``, where they cannot be forked, and the factory cannot be pickled.
+        """
+        name = self.ads if isinstance(self.ads, str) else getattr(factory, "__name__", repr(factory))
+        seeds, work = range(self.seed, self.seed + self.episodes), partial(_row, self, name, factory)
+        if not isolate and (workers == 1 or METHOD != "fork"):
+            return Rate(ads=name, rows=tuple(map(work, seeds)))
+        try:
+            check_can_be_given(work)
+        except ExecutionError as error:
+            raise RequestError(f"--pafot-isolate: {error}") from None
+        preload(factory)
+        patience = self.world.hang_limit + GRACE
+        with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:
+            pool.expect(seeds)
+            return Rate(ads=name, rows=tuple(_answered(pool.fetch(seed)) for seed in seeds))
+
+    def objection(self, rate: Rate) -> str:
+        """Why the rate is too high, in lines; empty where it is not."""
+        told = "\n".join([rate.sentence, *rate.notes])
+        if rate.failed:
+            speaks = "" if rate.episodes or self.planner else "; planner=True says that it is a planner in SI units"
+            return f"expected an ADS that drives all episodes, received one that failed{speaks}:\n{told}"
+        if self.confidence is not None:
+            bound = rate.upper_bound(self.confidence)
+            shown = f"shown with a confidence of {100 * self.confidence:g} %"
+            received = f"the episodes show at most {percent(bound)}"
+            return "" if bound <= self.at_most else self._lines(shown, received, told)
+        return "" if rate.share <= self.at_most else self._lines("", percent(rate.share), told)
+
+    def _lines(self, how: str, received: str, told: str) -> str:
+        expected = f"crashes in at most {percent(self.at_most)} of the episodes"
+        return f"expected {expected}{f', {how}' if how else ''}, received: {received}\n{told}"
+
+
+def _row(request: RateRequest, name: str, factory: Callable[..., Any], seed: int, *_: object) -> EpisodeRow:
+    """One episode; the pool tells more than is asked for."""
+    return driven(request.world, name, factory, seed, is_planner=request.planner)
+
+
+def _answered(answer: EpisodeRow | Exception) -> EpisodeRow:
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:
+    """The request that arguments of a mark make; those given by position are refused.
+
+    Raises:
+        RequestError: on the first wrong argument.
+        WorldError: for an environment that cannot be used.
+    """
+    _check_names(arguments, positional)
+    for name, example in (("at_most", "at_most=0.02"), ("world", 'world="highway-fast-v0"')):
+        if name not in arguments:
+            raise _error(f"{name}=...", f"expected it to be given, as in {example}, received none")
+    given = dict(arguments)
+    if isinstance(given["world"], str):
+        given["world"] = World(given["world"])
+    for name, problem in _problems(given).items():
+        if problem:
+            raise _error(f"{name}=...", f"{problem}, received {given[name]!r:.200}")
+    request = RateRequest(**given)
+    if request.confidence is not None:
+        needed = math.ceil(math.log(1 - request.confidence) / math.log1p(-request.at_most)) if request.at_most else None
+        if needed is None or request.episodes < needed:
+            least = "no number of episodes shows" if needed is None else f"{needed} or more, as without any crash show"
+            raise _error(
+                "episodes=...",
+                f"expected {least} that crashes are at most {percent(request.at_most)} with a confidence of "
+                f"{100 * request.confidence:g} %, received {request.episodes}",
+            )
+    request.world.environment.with_traffic()
+    return request
+
+
+def _check_names(arguments: Mapping[str, Any], positional: Sequence[object]) -> None:
+    if positional:
+        raise RequestError(
+            f"@pafot.rate: expected keyword arguments only, received {tuple(positional)!r:.200}; write their names, as "
+            'in @pafot.rate(at_most=0.02, world="highway-fast-v0")'
+        )
+    known = RateArguments.__annotations__
+    for name in arguments:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            meant = f"did you mean {near[0]!r}? Expected" if near else "expected"
+            raise _error(f"{name}=...", f"{meant} one of {', '.join(sorted(known))}, received {name!r}")
+
+
+def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
+    """What is wrong with each argument; empty where nothing is."""
+    ads, confidence = given.get("ads"), given.get("confidence")
+    is_share = _is_number(given["at_most"]) and 0 <= given["at_most"] < 1
+    return {
+        "at_most": "" if is_share else "expected a share of the episodes, from 0 to less than 1",
+        "world": ""
+        if isinstance(given["world"], World)
+        else "expected an environment with traffic of its own, pafot.World(...) or its id",
+        "ads": "" if isinstance(ads, str) or callable(ads) else "expected a factory, or the name of a fixture",
+        "episodes": "" if _is_whole(given.get("episodes", 1), 1) else "expected a whole number, at least 1",
+        "seed": "" if _is_whole(given.get("seed", 0), 0) else "expected a whole number, at least 0",
+        "planner": "" if isinstance(given.get("planner", False), bool) else "expected True or False",
+        "confidence": ""
+        if confidence is None or (_is_number(confidence) and 0 < confidence < 1)
+        else "expected a number between 0 and 1, such as 0.95",
+    }
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _is_whole(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _error(arguments: str, problem: str) -> RequestError:
+    return RequestError(f"@pafot.rate({arguments}): {problem}")

@@ -1,0 +1,374 @@
+"""Position-Instructions, chromosomes and scenarios: what the search evolves and a corpus file stores.
+
+Lane-Instructions are the genes of baselines that know no grid. A scenario has genes of one kind.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise, zip_longest
+from typing import Any, Literal, cast, get_args
+
+from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
+from pytest_pafot.support.errors import FieldError
+
+SPEED_STEPS_PER_MPS = 10
+"""Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
+
+PAPER_SPEED_LIMIT = 26.8
+"""60 mph, on the paper's motorway [m/s]."""
+EGO_LANE, EGO_SPEED, GENE_SECONDS = 1, 22.0, 10.0
+"""Of a scenario that does not say: its ego's first lane, from 0 at the left; everybody's first speed [m/s]; how long an
+instruction lasts [s], as in the paper."""
+
+MAX_SPEED = 1000.0
+"""No vehicle is faster [m/s]; worlds have limits of their own, far below."""
+
+MAX_SEED = 2**63 - 1
+
+REPAIR = "Scenario.repaired(...) makes such chains valid"
+"""The way out of chains that break the ring."""
+
+
+class ScenarioError(FieldError):
+    """A scenario that breaks a rule; the message says where, what was expected and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionInstruction:
+    """One gene: drive into a cell of the grid, then at a speed.
+
+    Attributes:
+        cell: target cell, 1 to 8.
+        speed: target speed [m/s], >= 0, in steps of 0.1.
+    """
+
+    cell: Cell
+    speed: float
+
+    def __post_init__(self) -> None:
+        if type(self.cell) is not Cell:
+            number = _whole(self.cell)
+            if number is None or not 1 <= number <= 8:
+                expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
+                raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
+            object.__setattr__(self, "cell", Cell(number))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Runs travel between processes, with dozens of genes: one that is known there need not be made again."""
+        return _known_position, (int(self.cell), self.speed)
+
+    @property
+    def target(self) -> int:
+        """The cell, as files and canonical texts have it."""
+        return int(self.cell)
+
+    @property
+    def goal(self) -> str:
+        """Where to, in words: ``2 front``."""
+        return f"{int(self.cell)} {self.cell.label}"
+
+
+@lru_cache(maxsize=1 << 14)
+def _known_position(cell: int, speed: float) -> PositionInstruction:
+    return PositionInstruction(Cell(cell), speed)
+
+
+Shift = Literal["keep", "left", "right"]
+"""Which lane to drive in, relative to the NPC's own lane when the gene begins."""
+
+SHIFTS: tuple[Shift, ...] = get_args(Shift)
+
+LANE_STARTS = (1, 2, 3, 8, 4, 6, 7, 5)
+"""The cells in which NPCs with Lane-Instructions start, by their index; the nearest ones whose lane exists. The first
+two are where AV-Fuzzer's NPCs start in its release: ahead to the left of the ego, and ahead in its lane."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaneInstruction:
+    """A gene without a cell: keep the own lane or change it by one, at a speed, wherever the ego is.
+
+    It is the manoeuvre of AV-Fuzzer (Li et al., ISSRE 2020). Towards a lane that does not exist, the NPC keeps its own.
+
+    Attributes:
+        lane: ``"keep"``, ``"left"`` or ``"right"``, as seen from the NPC's lane when the gene begins.
+        speed: target speed from the gene's first tick on [m/s], >= 0, in steps of 0.1.
+    """
+
+    lane: Shift
+    speed: float
+
+    def __post_init__(self) -> None:
+        if self.lane not in SHIFTS:
+            raise ScenarioError(field="lane", expected=f"one of {', '.join(SHIFTS)}", received=repr(self.lane))
+        object.__setattr__(self, "lane", str(self.lane))
+        object.__setattr__(self, "speed", _checked_speed(self.speed))
+
+    @property
+    def target(self) -> Shift:
+        """The lane, as files and canonical texts have it."""
+        return self.lane
+
+    @property
+    def column(self) -> int:
+        """Lanes to the right of the NPC's own: -1, 0 or +1."""
+        return (0, -1, 1)[SHIFTS.index(self.lane)]
+
+    @property
+    def goal(self) -> str:
+        """Where to, in words: ``lane left``."""
+        return "keep lane" if self.lane == "keep" else f"lane {self.lane}"
+
+
+Gene = PositionInstruction | LaneInstruction
+
+
+def gene_of(target: Any, speed: Any) -> Gene:
+    """The gene of a target as files and canonical texts have it: a word names a lane, anything else a cell.
+
+    Raises:
+        ScenarioError: where there is no such gene.
+    """
+    kind = LaneInstruction if isinstance(target, str) else PositionInstruction
+    return kind(target, speed)
+
+
+@lru_cache(maxsize=1 << 14, typed=True)
+def _known_gene(target: Any, speed: Any) -> Gene:
+    return gene_of(target, speed)
+
+
+Chromosome = tuple[Gene, ...]
+"""One NPC's chain of instructions, executed one after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """An individual: one chromosome per NPC, the start, and the seed of the repair inside the run.
+
+    Attributes:
+        npcs: one non-empty chain per NPC, one to eight; lengths may differ. After its last gene an NPC keeps
+            its lane and speed (paper, section 2). All genes are Position-Instructions, or all are Lane-Instructions.
+        seed: of the draws by which chains are repaired inside the run, 0 to 2**63 - 1.
+        ego_lane: the ego's first lane, counted from 0 at the left.
+        ego_speed: everybody's first speed [m/s].
+        gene_seconds: duration of one gene [s].
+
+    Raises:
+        ScenarioError: on any broken rule, among them a cell that is no ring neighbour of the one before and
+            two NPCs that hold the same cell in the same gene. :meth:`repaired` makes such chains valid.
+    """
+
+    npcs: tuple[Chromosome, ...]
+    seed: int = 0
+    ego_lane: int = EGO_LANE
+    ego_speed: float = EGO_SPEED
+    gene_seconds: float = GENE_SECONDS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "npcs", _checked_chains(self.npcs))
+        object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
+        object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
+        object.__setattr__(self, "ego_speed", _number("ego_speed", self.ego_speed))
+        object.__setattr__(self, "gene_seconds", _number("gene_seconds", self.gene_seconds))
+        if self.ego_speed < 0:
+            raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(self.ego_speed))
+        if self.gene_seconds <= 0:
+            raise ScenarioError(field="gene_seconds", expected="seconds, more than 0", received=repr(self.gene_seconds))
+        _check_adjacency(self.positions)
+        _check_distinct(self.positions)
+
+    @classmethod
+    def repaired(
+        cls,
+        npcs: Sequence[Sequence[Gene]],
+        *,
+        seed: int = 0,
+        ego_lane: int = EGO_LANE,
+        ego_speed: float = EGO_SPEED,
+        gene_seconds: float = GENE_SECONDS,
+    ) -> Scenario:
+        """A scenario from chains that may break the ring; the speeds stay, the cells are repaired.
+
+        Lane-Instructions need no repair.
+        """
+        chains = _checked_chains(npcs)
+        seed = _checked_whole("seed", seed, MAX_SEED)
+        wanted = [[gene.cell for gene in chain] for chain in positions_of(chains)]
+        cells = repair_chains(wanted, seed)
+        npcs = chains if [list(row) for row in cells] == wanted else with_cells(chains, cells)
+        return cls(npcs=npcs, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+    @classmethod
+    def trusted(
+        cls, *, npcs: tuple[Chromosome, ...], seed: int, ego_lane: int, ego_speed: float, gene_seconds: float
+    ) -> Scenario:
+        """A scenario without the constructor's checks, for a search, whose children have genes that were checked."""
+        scenario = object.__new__(cls)
+        object.__setattr__(scenario, "npcs", npcs)
+        object.__setattr__(scenario, "seed", seed)
+        object.__setattr__(scenario, "ego_lane", ego_lane)
+        object.__setattr__(scenario, "ego_speed", ego_speed)
+        object.__setattr__(scenario, "gene_seconds", gene_seconds)
+        return scenario
+
+    def __hash__(self) -> int:
+        # A search asks for it a dozen times a run, and to hash all genes takes as long as to breed a child.
+        return hash((self.seed, *[gene.speed for chain in self.npcs for gene in chain]))
+
+    @property
+    def positions(self) -> tuple[tuple[PositionInstruction, ...], ...]:
+        """The chains where they are of Position-Instructions, else nothing."""
+        return positions_of(self.npcs)
+
+    @property
+    def genes(self) -> int:
+        """Length of the longest chain."""
+        return max(map(len, self.npcs))
+
+    @property
+    def id(self) -> str:
+        """Six hexadecimal digits of a digest of all fields; equal scenarios have equal ids."""
+        return hashlib.sha256(self.canonical().encode()).hexdigest()[:6]
+
+    def canonical(self) -> str:
+        """A text that is equal for equal scenarios, on any machine."""
+        return json.dumps(self.plain(), separators=(",", ":"))
+
+    def plain(self) -> list[Any]:
+        """All fields as lists and numbers, of which :meth:`canonical` is the text."""
+        npcs = [[[gene.target, gene.speed] for gene in chain] for chain in self.npcs]
+        return [npcs, self.seed, self.ego_lane, self.ego_speed, self.gene_seconds]
+
+    @classmethod
+    def from_canonical(cls, fields: Any) -> Scenario:
+        """The inverse of :meth:`plain`, or of what ``json.loads`` makes of :meth:`canonical`.
+
+        Raises:
+            ScenarioError, TypeError, ValueError: for anything else.
+        """
+        npcs, seed, ego_lane, ego_speed, gene_seconds = fields
+        chains = tuple(tuple(_known_gene(target, speed) for target, speed in chain) for chain in npcs)
+        return cls(npcs=chains, seed=seed, ego_lane=ego_lane, ego_speed=ego_speed, gene_seconds=gene_seconds)
+
+    def truncated(self, genes: int) -> Scenario:
+        """The same scenario with at most so many genes per NPC."""
+        return replace(self, npcs=tuple(chain[:genes] for chain in self.npcs))
+
+    def __repr__(self) -> str:
+        chains = "; ".join(" ".join(f"{g.target}@{g.speed:g}" for g in chain) for chain in self.npcs)
+        return f"<Scenario {self.id}: {chains}>"
+
+
+def _checked_speed(value: object) -> float:
+    speed = _number("speed", value)
+    if speed > MAX_SPEED:
+        raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
+    steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # what is far below 0 would be no number times 10
+    if speed < 0 or abs(speed * SPEED_STEPS_PER_MPS - steps) > 1e-6:
+        expected = "m/s, at least 0 and in steps of 0.1"
+        fix = f"the nearest valid speed is {steps / SPEED_STEPS_PER_MPS:g}"
+        raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
+    return steps / SPEED_STEPS_PER_MPS
+
+
+def _number(name: str, value: object) -> float:
+    whole = _whole(value)
+    try:
+        number = float(value if isinstance(value, float) else math.nan if whole is None else whole)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ScenarioError(field=name, expected="a finite number", received=repr(value))
+    return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+
+
+def _whole(value: object) -> int | None:
+    """Python's int of a whole number, also of numpy's; None for everything else and for truth values."""
+    if isinstance(value, bool) or not hasattr(type(value), "__index__"):
+        return None
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:  # numpy's arrays and truth values
+        return None
+
+
+def _checked_whole(name: str, value: object, top: int) -> int:
+    number = _whole(value)
+    if number is None or not 0 <= number <= top:
+        raise ScenarioError(field=name, expected=f"a whole number from 0 to {top}", received=repr(value))
+    return number
+
+
+def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
+    try:
+        chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
+    except TypeError:
+        expected = "one chain of Position-Instructions per NPC"
+        fix = "write [[PositionInstruction(cell, speed), ...], ...]"
+        raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
+    _check_genes(chains)
+    return chains
+
+
+def positions_of(npcs: Sequence[Sequence[Gene]]) -> tuple[tuple[PositionInstruction, ...], ...]:
+    """Chains of one kind where that is Position-Instructions, else nothing."""
+    is_positions = bool(npcs) and isinstance(npcs[0][0], PositionInstruction)
+    return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(map(tuple, npcs))) if is_positions else ()
+
+
+def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> tuple[Chromosome, ...]:
+    """Chains with other cells in the first genes of each; without cells, the chains as they are."""
+    return tuple(
+        (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
+        for chain, row in zip_longest(npcs, cells, fillvalue=())
+    )
+
+
+def _check_genes(npcs: Sequence[Sequence[Gene]]) -> None:
+    """Refuse NPCs without genes, and what are no genes of one kind."""
+    if not 1 <= len(npcs) <= 8:
+        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(npcs)))
+    for npc, chain in enumerate(npcs):
+        if not chain:
+            expected = "at least one Position-Instruction"
+            raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
+        for gene, each in enumerate(chain):
+            if not isinstance(each, (PositionInstruction, LaneInstruction)):
+                expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
+            elif type(each) is not (kind := type(npcs[0][0])):
+                expected = f"a {kind.__name__} like npcs[0][0]"
+                fix = "give all NPCs of a scenario instructions of one kind"
+            else:
+                continue
+            raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
+
+
+def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
+    for npc, chain in enumerate(npcs):
+        for gene, (before, cell) in enumerate(pairwise(each.cell for each in chain), 1):
+            if not is_adjacent(before, cell):
+                low, high = sorted(before.neighbours)
+                place, received = f"npcs[{npc}][{gene}]", f"cell {int(cell)}"
+                expected = f"cell {int(before)} again or its ring neighbour {int(low)} or {int(high)}"
+                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)
+
+
+def _check_distinct(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:
+    for gene, row in enumerate(zip_longest(*npcs)):
+        holders: dict[Cell, int] = {}
+        for npc, held in enumerate(row):
+            other = npc if held is None else holders.setdefault(held.cell, npc)
+            if other != npc:
+                place, expected = f"npcs[{npc}][{gene}]", f"a cell that no other NPC holds in gene {gene}"
+                received = f"cell {int(held.cell)} of npcs[{other}]"
+                raise ScenarioError(field=place, expected=expected, received=received, fix=REPAIR)

@@ -1,0 +1,178 @@
+"""What an ADS is let see of the others: how far, how late, how well, how often, and past whom."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.support.errors import FieldError
+
+BoolArray = npt.NDArray[np.bool_]
+
+NOISES = {"position": "m", "speed": "m/s"}
+"""What noise there is, with its unit."""
+
+POINTS = np.array([(0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)])
+"""Of a box that are looked at: centre and corners, in lengths and widths."""
+
+
+class Glimpse(NamedTuple):
+    """One of the others as it is seen.
+
+    Attributes:
+        other: which of all others it is, from 0.
+        x, y: what is added to its position [m].
+        speed: what is added to its speed [m/s].
+    """
+
+    other: int
+    x: float = 0.0
+    y: float = 0.0
+    speed: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """How an ADS sees the others; perfectly by default.
+
+    Attributes:
+        range: beyond which others are not seen, from centre to centre [m]; None without.
+        latency: by which what is seen of them is old [s].
+        noise: standard deviations of what is added to their ``position``, along x and along y [m], and to their
+            ``speed`` [m/s], of normal distributions, drawn anew for each vehicle and decision.
+        dropout: probability with which a vehicle is not seen in a decision.
+        occlusion: whether vehicles hide others behind them, see :func:`hidden`.
+
+    Raises:
+        FieldError: for a value that none of them can have.
+    """
+
+    range: float | None = None
+    latency: float = 0.0
+    noise: Mapping[str, float] = field(default_factory=dict)
+    dropout: float = 0.0
+    occlusion: bool = False
+
+    def __post_init__(self) -> None:
+        if self.range is not None:
+            object.__setattr__(self, "range", _number("range", self.range, "m"))
+        object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
+        if not isinstance(self.noise, Mapping) or not self.noise.keys() <= NOISES.keys():
+            expected = 'a mapping of "position" [m] and "speed" [m/s], one of them or both'
+            raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
+        noise = {name: float(_number(f"noise.{name}", value, NOISES[name])) for name, value in self.noise.items()}
+        object.__setattr__(self, "noise", {name: deviation for name, deviation in noise.items() if deviation})
+        object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
+        if not isinstance(self.occlusion, bool):
+            raise FieldError(field="occlusion", expected="True or False", received=f"{self.occlusion!r:.100}")
+
+    @property
+    def imperfections(self) -> tuple[str, ...]:
+        """Names of what is not perfect, in the order of the attributes."""
+        return tuple(each.name for each in fields(self) if getattr(self, each.name) != getattr(_PERFECT, each.name))
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether chance has a part in what is seen, so that the seed of a scenario makes a difference."""
+        return bool(self.noise or self.dropout)
+
+    @property
+    def is_memoryless(self) -> bool:
+        """Whether what is seen depends on where everybody is alone: not on what was, nor on chance."""
+        return not (self.latency or self.is_drawn)
+
+    def only(self, names: Collection[str]) -> Self:
+        """With these imperfections, and no other one."""
+        return replace(self, **{name: getattr(_PERFECT, name) for name in self.imperfections if name not in names})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: what is not perfect."""
+        return {name: getattr(self, name) for name in self.imperfections}
+
+    def described(self, names: Collection[str] | None = None) -> str:
+        """Its imperfections, or some of them by their names, such as ``0.3 s of latency and occlusion``."""
+        texts = {
+            "range": f"a range of {self.range or 0.0:g} m",
+            "latency": f"{self.latency:g} s of latency",
+            "noise": f"noise of {' and '.join(f'{self.noise[name]:g} {NOISES[name]}' for name in self.noise)}",
+            "dropout": f"{100 * self.dropout:g} % dropout",
+            "occlusion": "occlusion",
+        }
+        told = [texts[name] for name in self.imperfections if names is None or name in names] or ["perfect sight"]
+        return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
+
+    def delay(self, hz: int) -> int:
+        """The latency in ticks, of which there are so many a second: the first whole number that is not less."""
+        return math.ceil(self.latency * hz - 1e-9)
+
+    def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
+        """What is seen of the others in the decision of a tick.
+
+        Args:
+            states: where everybody was when it was measured, [vehicles, 7], the ego first; columns as in
+                :class:`pytest_pafot.VehicleState`.
+            seed: of all that is drawn in the run. Each decision has numbers of its own, whatever was drawn before.
+            tick: of the decision.
+        """
+        others = len(states) - 1
+        seen = np.ones(others, dtype=bool)
+        if self.range is not None:
+            seen &= np.hypot(*(states[1:, :2] - states[0, :2]).T) <= self.range
+        if self.occlusion:
+            seen &= ~hidden(states)
+        errors = np.zeros((others, 3))
+        if self.dropout or self.noise:
+            random = np.random.default_rng([seed, tick])
+            seen &= random.random(others) >= self.dropout
+            deviations = [self.noise.get(name, 0.0) for name in ("position", "position", "speed")]
+            errors = random.standard_normal((others, 3)) * deviations
+        for index in np.flatnonzero(seen).tolist():
+            yield Glimpse(index, *errors[index].tolist())
+
+
+def hidden(states: FloatArray) -> BoolArray:
+    """Which of the others the ego cannot see, shape [vehicles - 1].
+
+    A vehicle is hidden where each of the five straight lines from the ego's centre to its centre and to its four
+    corners runs through the box of another one, be it always the same or not. All are of one height.
+
+    Args:
+        states: as for :meth:`Sight.glimpses`.
+    """
+    eye, others = states[0, :2], states[1:]
+    centres, half = others[:, :2], others[:, 5:7] / 2
+    cos, sin = np.cos(others[:, 2]), np.sin(others[:, 2])
+    turns = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)  # from the road's frame to a box's own
+    corners = np.einsum("tij,tpi->tpj", turns, 2 * POINTS * half[:, None])
+    lines = centres[:, None] + corners - eye
+    start = np.einsum("bij,bj->bi", turns, eye - centres)[:, None, None]
+    way = np.einsum("bij,tpj->btpi", turns, lines)
+    half = half[:, None, None]
+    # Along a side of a box, or as good as along it: beside it, or between its ends.
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        ends = np.stack([(-half - start) / way, (half - start) / way])
+    enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    blocked = (enter < leave) & (enter < 1.0) & (leave > 0.0)
+    blocked[np.arange(len(others)), np.arange(len(others))] = False  # nobody hides itself
+    hides: BoolArray = blocked.any(axis=0).all(axis=1)
+    return hides
+
+
+def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
+    """A checked number as Python's own, which a file can hold, whatever kind it is of, such as numpy's."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not 0 <= value < math.inf or value > most:  # type: ignore[operator]
+        of = f" [{unit}]" if unit else ""
+        expected = f"a finite number from 0{of}" if most == math.inf else f"a number from 0 to {most:g}"
+        raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
+    return int(value) if isinstance(value, numbers.Integral) else float(value)  # type: ignore[arg-type]
+
+
+_PERFECT = Sight()

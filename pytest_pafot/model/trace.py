@@ -1,0 +1,247 @@
+"""The record of one run: every vehicle at every physics tick, and how the run ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Chromosome, Scenario, with_cells
+from pytest_pafot.support.shown import Drawn
+
+ReadT = TypeVar("ReadT")
+
+FloatArray = npt.NDArray[np.float64]
+
+Side = Literal["front", "rear", "left", "right"]
+
+X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE = range(7)
+"""Columns of :attr:`Trace.states`."""
+
+ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)
+"""Columns of :attr:`Trace.track`."""
+
+
+class Outcome(StrEnum):
+    """How a run ended."""
+
+    SAFE = "safe"
+    """The duration passed without any of what follows."""
+    OFF_ROAD = "off_road"
+    """The ego's centre was off the road at some tick; only on a straight road did the run go on."""
+    LEFT_ROUTE = "left_route"
+    """The ego drove on to a lane that does not belong to its route, which the grid follows; the run ended there."""
+    END_OF_ROAD = "end_of_road"
+    """A vehicle came to the end of the road; the run ended there."""
+    COLLISION = "collision"
+    """The ego's box touched an NPC's; the run ended there."""
+    INVALID = "invalid"
+    """Two NPCs touched; the run says nothing about the ego and ended there."""
+    ADS_ERROR = "ads_error"
+    """The ADS raised, or returned something that is no action; the run ended there."""
+    HANG = "hang"
+    """One decision of the ADS took longer than the hang limit; depends on wall-clock time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lane:
+    """A lane: its start, direction and size, and its shape where it is not straight.
+
+    Attributes:
+        x, y: where its centre line starts [m].
+        heading: of its centre line there [rad].
+        length, width: [m].
+        speed_limit: [m/s].
+        points: x and y of its centre line from the start to the end [m]; empty for a straight lane.
+    """
+
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float
+    speed_limit: float
+    points: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collision:
+    """The first contact of the ego's box with another.
+
+    Attributes:
+        tick: physics tick of the first overlap.
+        time: of that tick [s].
+        npc: index of the NPC in the scenario.
+        side: of the ego that was hit.
+        cell: in which the NPC's centre was at the impact, or, when that is the ego's own, the last one before.
+        ego_speed, npc_speed: at the impact [m/s].
+        closing_speed: magnitude of the difference of the two velocities [m/s].
+    """
+
+    tick: int
+    time: float
+    npc: int
+    side: Side
+    cell: Cell
+    ego_speed: float
+    npc_speed: float
+    closing_speed: float
+
+    def __repr__(self) -> str:
+        return f"<Collision after {self.time:.1f} s: NPC {self.npc} in cell {int(self.cell)}, {self.side} of the ego>"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdsError:
+    """What the ADS did instead of returning an action.
+
+    Attributes:
+        kind: name of the exception class, or of the fault in the action (``BadAction``).
+        message: one line.
+        traceback: of the user's code; empty for a bad action.
+        tick: physics tick of the decision.
+        interrupted: whether it hung and was interrupted, rather than raised.
+    """
+
+    kind: str
+    message: str
+    traceback: str
+    tick: int
+    interrupted: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trace(Drawn):
+    """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
+
+    Attributes:
+        scenario: as requested.
+        executed: the same with the chains as driven, after the repair inside the run; genes that the run did
+            not reach are as requested. Running it again gives this trace again.
+        outcome: how the run ended.
+        collision: present exactly when the outcome is ``collision``.
+        error: present exactly when the outcome is ``ads_error`` or ``hang``.
+        states: float64, read-only, shape [ticks + 1, vehicles, 7] with columns x [m], y [m], heading [rad],
+            speed [m/s], acceleration [m/s^2], steering [rad], lane (index into ``lanes``, -1 off the road).
+            y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
+            ``t`` and the acceleration and steering that led to it; those of row 0 are 0.
+        sizes: float64, read-only, shape [vehicles, 2]: length and width [m].
+        lanes: of the road, from the left; where it is not straight, those along the ego's way, then all others.
+        physics_hz: ticks per second.
+        ads_hz: decisions of the ADS per second; divides ``physics_hz``.
+        actions: what the ADS returned, one per decision.
+        arrivals: per NPC and gene that was started, the tick at which the cell was reached, or None.
+        off_road_tick: first tick with the ego's centre off the road, or None.
+        max_decision_seconds: longest decision of the ADS in wall-clock time [s], of those that it was asked for; not
+            reproducible.
+        track: on roads that are not straight, where the vehicles are on the road; float64, read-only, shape
+            [ticks + 1, vehicles, 5] with columns: along the ego's way [m], across it to the right [m], angle to it
+            [rad], offset to the centre of the own lane [m], metres driven there per metre of the way (more outside of a
+            bend). None on straight roads, where ``lanes`` says it all.
+        driven: per NPC and started gene, the cell that it drove to; as in ``executed`` but where cells that the road
+            does not have were skipped, which no chain can say. Empty where it is as in ``executed``.
+    """
+
+    scenario: Scenario
+    executed: Scenario
+    outcome: Outcome
+    states: FloatArray
+    sizes: FloatArray
+    lanes: tuple[Lane, ...]
+    physics_hz: int
+    ads_hz: int
+    collision: Collision | None = None
+    error: AdsError | None = None
+    actions: tuple[Any, ...] = ()
+    arrivals: tuple[tuple[int | None, ...], ...] = ()
+    off_road_tick: int | None = None
+    max_decision_seconds: float = field(default=0.0, compare=False)
+    track: FloatArray | None = None
+    driven: tuple[tuple[Cell, ...], ...] = ()
+    _readings: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("states", "sizes") if self.track is None else ("states", "sizes", "track"):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array is getattr(self, name) and array.flags.writeable:
+                array = array.copy()
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if self.states.ndim != 3 or self.states.shape[2] != 7:
+            raise ValueError(f"states: expected shape [ticks + 1, vehicles, 7], received {self.states.shape}")
+        if self.sizes.shape != (self.states.shape[1], 2):
+            raise ValueError(f"sizes: expected shape {(self.states.shape[1], 2)}, received {self.sizes.shape}")
+        if self.track is not None and self.track.shape != (*self.states.shape[:2], 5):
+            raise ValueError(f"track: expected shape {(*self.states.shape[:2], 5)}, received {self.track.shape}")
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Pickling makes arrays writeable; a trace that comes back from another process is read-only again."""
+        self.__dict__.update(state)
+        self.states.flags.writeable = self.sizes.flags.writeable = False
+        if self.track is not None:
+            self.track.flags.writeable = False
+
+    def reading(self, name: Hashable, read: Callable[[Trace], ReadT]) -> ReadT:
+        """What a pure function reads from the trace, once: the value travels with it to other processes."""
+        if name not in self._readings:
+            self._readings[name] = read(self)
+        value: ReadT = self._readings[name]
+        return value
+
+    @property
+    def ticks(self) -> int:
+        """Physics steps that were run."""
+        return len(self.states) - 1
+
+    @property
+    def dt(self) -> float:
+        """Duration of a physics tick [s]."""
+        return 1 / self.physics_hz
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.ticks / self.physics_hz
+
+    @property
+    def times(self) -> FloatArray:
+        """Time of every row [s], shape [ticks + 1]."""
+        return np.arange(self.ticks + 1) / self.physics_hz
+
+    @property
+    def ego(self) -> FloatArray:
+        """The ego's states, shape [ticks + 1, 7]."""
+        return self.states[:, 0]
+
+    @property
+    def npcs(self) -> FloatArray:
+        """The NPCs' states, shape [ticks + 1, NPCs, 7]."""
+        return self.states[:, 1:]
+
+    def track_of(self, vehicle: int) -> FloatArray:
+        """The track of a vehicle, shape [ticks + 1, 5].
+
+        Raises:
+            ValueError: on a straight road, where none is recorded.
+        """
+        if self.track is None:
+            raise ValueError("track: expected a run on a road that is not straight, received one on a straight road")
+        return self.track[:, vehicle]
+
+    @property
+    def chains(self) -> tuple[Chromosome, ...]:
+        """What each NPC drove: as in ``executed``, and where cells were skipped with those that it drove to."""
+        return with_cells(self.executed.npcs, self.driven)
+
+    @property
+    def speed_limit(self) -> float:
+        """Of the fastest lane [m/s]."""
+        return max(lane.speed_limit for lane in self.lanes)
+
+    def __repr__(self) -> str:
+        return f"<Trace {self.outcome} after {self.duration:.1f} s of {self.scenario.id}>"

@@ -1,0 +1,289 @@
+"""What a test function asserts with a margin: how far a value is from its bound, whether it holds or not.
+
+A search that knows the margins can climb them; a plain ``assert`` tells it nothing but that it failed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from numbers import Real
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pytest_pafot.model.trace import FloatArray
+
+# How a test function discards a scenario.
+
+
+class Rejected(BaseException):
+    """Raised by :func:`reject`. No ``Exception``, so that the test's own handlers do not swallow it."""
+
+
+def reject() -> NoReturn:
+    """Discard the scenario that is running: it counts neither as passed nor as failed."""
+    raise Rejected("pafot.reject() discards a scenario of a @pafot.search test; nothing else catches it")
+
+
+LONGEST_NAME = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """A value that was held against its bounds in one run, or that a search was to push up.
+
+    Attributes:
+        name: of the check; two failures of checks of one name are the same.
+        value: the worst one [unit]; NaN fails.
+        margin: by how much it keeps its bound, in units of the scale; negative where it does not, minus infinity for
+            NaN. For a target, minus the value.
+        at_most, at_least: bounds [unit]; None without. Both are None for a target.
+        unit: of the value.
+        time: when it was worst [s]; None where nobody says.
+        npc: that it is about; None where nobody says.
+        values: one a tick where it was given so and the ticks are known; None otherwise.
+        start: the tick of the first of them.
+    """
+
+    name: str
+    value: float
+    margin: float
+    at_most: float | None = None
+    at_least: float | None = None
+    unit: str = ""
+    time: float | None = None
+    npc: int | None = None
+    values: FloatArray | None = field(default=None, compare=False, repr=False)
+    start: int = field(default=0, compare=False, repr=False)
+
+    @property
+    def bounds(self) -> dict[str, float | None]:
+        """By the names of the arguments of :func:`check`."""
+        return {"at_most": self.at_most, "at_least": self.at_least}
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps its bounds."""
+        return self.margin >= 0 or (self.at_most is None and self.at_least is None)
+
+    def __str__(self) -> str:
+        """As in ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
+        bound, sign = self.at_most, "<=" if self.holds else ">"
+        if self.at_least is not None and (bound is None or self.value < self.at_least):
+            bound, sign = self.at_least, ">=" if self.holds else "<"
+        is_told = bound is not None
+        sign = "is not within" if is_told and math.isnan(self.value) else sign
+        held = f" {sign} {bound:g}" if is_told else ""
+        when = "" if self.time is None else f" at {self.time:.1f} s"
+        who = "" if self.npc is None else f" (NPC {self.npc})"
+        return f"{self.name} {_short(self.value, bound)}{held}{f' {self.unit}' if self.unit else ''}{when}{who}"
+
+
+class CheckFailed(AssertionError):  # noqa: N818  (it reads as what happened)
+    """A check whose bound is broken; ``check`` says by how much, when, and with whom."""
+
+    __module__ = "pytest_pafot"  # where users find it, and as a traceback names it
+
+    def __init__(self, check: Check) -> None:
+        if not isinstance(check, Check):
+            raise TypeError(f"CheckFailed: expected a Check, received {check!r:.80}; pafot.check(...) raises it")
+        super().__init__(str(check))
+        self.check = check
+
+    def __reduce__(self) -> tuple[type[CheckFailed], tuple[Check]]:
+        return type(self), (self.check,)
+
+
+@dataclass(slots=True)
+class Recording:
+    """The checks of one run, in the order in which they were made.
+
+    Attributes:
+        hz: ticks of the run a second.
+        ticks: how many values one a tick are.
+        npcs: of the run; None where nobody says.
+    """
+
+    hz: int
+    ticks: int
+    npcs: int | None = None
+    checks: list[Check] = field(default_factory=list)
+
+
+_RECORDING: ContextVar[Recording | None] = ContextVar("pafot_checks", default=None)
+"""Of the run that is judged in this context. A test function is called with a run, and its checks have no other way to
+say so without one more argument each."""
+
+
+@contextmanager
+def recorded(recording: Recording) -> Iterator[None]:
+    """Have the checks that are made meanwhile recorded."""
+    token = _RECORDING.set(recording)
+    try:
+        yield
+    finally:
+        _RECORDING.reset(token)
+
+
+def check(
+    value: Any,
+    *,
+    name: str,
+    at_most: float | None = None,
+    at_least: float | None = None,
+    unit: str = "",
+    at: float | None = None,
+    npc: int | None = None,
+    scale: float | None = None,
+) -> None:
+    """Assert that a value keeps its bounds, and tell the search by how much.
+
+    Args:
+        value: a number, or an array with one value a tick, such as ``run.ego.jerk``, of which the worst counts. NaN
+            fails. A formula of :func:`~pytest_pafot.criticality.temporal.always` and the like needs no bound.
+        name: what a finding is called, and what makes two failures the same.
+        at_most, at_least: bounds [unit]; at least one, but for a formula.
+        unit: such as ``"m/s^3"``; that of a signal by default.
+        at: when it happened [s]; by default the time of an array's worst tick, or of the one that decides a formula.
+        npc: that it is about; -1, as of ``run.leader``, is none.
+        scale: what a margin is divided by [unit], so that checks of any unit compare; by default the bound, or 1
+            where that is 0.
+
+    Raises:
+        CheckFailed: where a bound is broken.
+        ValueError: for a check that cannot be made, in words for the user.
+    """
+    __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+    is_margin = hasattr(value, "is_formula")
+    if is_margin and at_most is None and at_least is None:
+        at_least = 0.0
+    if at_most is None and at_least is None:
+        raise ValueError(f"check {name!r}: expected at_most=, at_least= or both, received neither; see pafot.target")
+    values = _values(value, name)
+    bounds = [(_bound(name, bound), sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
+    with np.errstate(invalid="ignore"):
+        margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
+    margins = np.where(np.isnan(margins), -np.inf, margins)
+    is_formula = getattr(value, "is_formula", False)
+    tick = 0 if is_formula else int(margins.argmin())
+    clock = _clock(value, values)
+    moment = float(value.deciders[0]) if is_formula else tick
+    time = None if clock is None or math.isinf(moment) else (clock[0] + moment) / clock[1]
+    made = Check(
+        name=_named(name),
+        value=float(values[tick]),
+        margin=float(margins[tick]),
+        at_most=None if at_most is None else float(at_most),
+        at_least=None if at_least is None else float(at_least),
+        unit=_unit(name, unit or str(getattr(value, "unit", ""))),
+        time=time if at is None else _moment(name, at),
+        npc=_npc(name, npc),
+        values=None if clock is None else values,
+        start=0 if clock is None else clock[0],
+    )
+    _record(made)
+    if not made.holds:
+        raise CheckFailed(made)
+
+
+def target(value: Any, *, name: str) -> None:
+    """Have the search push a value up that has no bound; it never fails.
+
+    Args:
+        value: a number, or an array with one value a tick, of which the largest counts; NaN counts as nothing.
+        name: of the objective.
+    """
+    values = _values(value, name)
+    tick = int(np.where(np.isnan(values), -np.inf, values).argmax())
+    best = float(values[tick])
+    _record(Check(name=_named(name), value=best, margin=math.inf if math.isnan(best) else -best))
+
+
+def _record(made: Check) -> None:
+    recording = _RECORDING.get()
+    if recording is not None:
+        recording.checks.append(made)
+
+
+def _values(value: Any, name: str) -> FloatArray:
+    try:
+        values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"check {name!r}: expected a number or an array of them, received {value!r:.80}") from error
+    if values.ndim != 1 or not values.size:
+        raise ValueError(
+            f"check {name!r}: expected a number, or an array with one value a tick, received one of shape "
+            f"{values.shape}; check each NPC by itself"
+        )
+    return values
+
+
+def _named(name: str) -> str:
+    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
+        raise ValueError(f"name: expected a printable text of 1 to {LONGEST_NAME} characters, received {name!r:.100}")
+    return name.strip()
+
+
+def _bound(name: str, bound: float) -> float:
+    if isinstance(bound, bool) or not isinstance(bound, Real) or not math.isfinite(bound):
+        raise ValueError(f"check {name!r}: expected a finite bound, received {bound!r:.80}")
+    return float(bound)
+
+
+def _scale(name: str, bound: float, scale: float | None) -> float:
+    divisor = abs(bound) or 1.0 if scale is None else scale
+    if not isinstance(divisor, Real) or not math.isfinite(divisor) or divisor <= 0:
+        raise ValueError(f"check {name!r}: expected a scale above 0, received {scale!r}")
+    return float(divisor)
+
+
+def _unit(name: str, unit: object) -> str:
+    if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
+        raise ValueError(f"check {name!r}: expected a short printable unit such as 'm/s^3', received {unit!r:.100}")
+    return unit
+
+
+def _moment(name: str, at: object) -> float:
+    if isinstance(at, bool) or not isinstance(at, Real) or not 0 <= float(at) < math.inf:
+        raise ValueError(f"check {name!r}: expected at= as seconds since the run began, received {at!r:.100}")
+    return float(at)
+
+
+def _npc(name: str, npc: Any) -> int | None:
+    recording = _RECORDING.get()
+    most = None if recording is None else recording.npcs
+    is_index = isinstance(npc, (int, np.integer)) and not isinstance(npc, bool) and npc >= -1
+    if npc is not None and not (is_index and (most is None or npc < most)):
+        there = "" if most is None else f", at most {most - 1}"
+        raise ValueError(f"check {name!r}: expected npc= as the index of an NPC{there}, received {npc!r:.100}")
+    return None if npc is None or npc < 0 else int(npc)
+
+
+def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
+    """The tick of an array's first value, and the ticks a second; None for a number, and where nobody knows.
+
+    By its own clock, or by that of the run that is judged where it is as long.
+    """
+    if values.size == 1:
+        return None
+    if getattr(value, "hz", None) is not None:
+        return value.start, value.hz
+    recording = _RECORDING.get()
+    return None if recording is None or values.size != recording.ticks + 1 else (0, recording.hz)
+
+
+def _short(value: float, bound: float | None) -> str:
+    """In few digits, and in more where it would read as its bound, or as one beyond it."""
+    texts = [f"{value:.1f}"] if 1 <= abs(value) < 1e4 else []
+    texts += [f"{value:.{digits}g}" for digits in range(3, 17)]
+    if bound is None or math.isnan(value):
+        return texts[0]
+    if value == bound:
+        return f"{value:g}"
+    return next(
+        (text for text in texts if float(text) != bound and (float(text) > bound) == (value > bound)), texts[-1]
+    )

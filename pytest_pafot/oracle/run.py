@@ -1,0 +1,472 @@
+"""One simulated run as the user's test function sees it: ``run``, with all that a test can ask of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot import criticality
+from pytest_pafot.attribution.last_chance import LastChance, TakeOver, last_chance
+from pytest_pafot.attribution.responsibility import Attribution, position_rule, rss_rule
+from pytest_pafot.criticality.signals import (
+    BY_NAME,
+    EgoLaneChange,
+    EgoSignals,
+    Measure,
+    NpcSignals,
+    Signal,
+    Signals,
+    ego_lane_changes,
+    leader,
+)
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.support.shown import Drawn
+from pytest_pafot.support.text import ascii_text
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+LINE_LENGTH = 99
+"""Of an explanation."""
+MAX_GENE_ROWS = 5
+"""Of the table in it."""
+_DEPARTURES = {
+    Outcome.END_OF_ROAD: ", when a vehicle came to the end of the road",
+    Outcome.LEFT_ROUTE: ", when the ego left its route",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """An NPC at one tick.
+
+    Attributes:
+        npc: index in the scenario.
+        tick: physics tick.
+        time: of that tick [s].
+        cell: that the NPC's centre is in, or the last one before where it is in the ego's own; None if it never
+            was in another.
+    """
+
+    npc: int
+    tick: int
+    time: float
+    cell: Cell | None
+
+
+class NoReferenceDriversError(RuntimeError):
+    """The run does not know its world, so that no reference driver can be tried in it."""
+
+
+class ReferenceWorld(Protocol):
+    """A world that can put reference drivers in the ego's place."""
+
+    @property
+    def reference_drivers(self) -> Sequence[str]:
+        """Their names."""
+
+    def rollout_reference(self, scenario: Scenario, name: str, /) -> Trace:
+        """Simulate a scenario with one of them."""
+
+
+ReferenceOutcome = Literal["avoids", "hit", "at-fault", "fails"]
+"""What becomes of a reference driver in the ego's place: it avoids the failure; it is hit, and an NPC is responsible;
+it answers for a collision itself, alone or with the NPC; or it fails the test function without a collision."""
+
+
+def preventing(outcomes: Iterable[tuple[str, ReferenceOutcome]], responsibility: str | None) -> Iterator[str]:
+    """Names of the reference drivers that would have prevented a failure.
+
+    They avoid it; or, where the ego answers for a collision, they are hit at most: what the ego did is no fault of
+    theirs then. To be hit as well prevents nothing where the ego itself was not at fault, or did not collide.
+    """
+    free: tuple[ReferenceOutcome, ...] = ("avoids", "hit") if responsibility in ("ego", "both") else ("avoids",)
+    return (name for name, outcome in outcomes if outcome in free)
+
+
+def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
+    """What became of a reference driver, by its run and by whether that fails."""
+    if not fails:
+        return "avoids"
+    if run.collision is None:
+        return "fails"
+    return "hit" if run.responsibility == "npc" else "at-fault"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Drawn):
+    """What happened in one run, and all that a test can ask of it; measures are computed when first asked for.
+
+    Attributes:
+        trace: the record, tick by tick.
+        decision_limit: longest decision that the ADS is allowed [s], or None for any; see :attr:`too_slow`.
+        world: that this run took place in, where it has reference drivers; see :attr:`reference_drivers`.
+        take_over: has one of them take over in the midst of this run; see :attr:`last_chance`.
+    """
+
+    trace: Trace
+    decision_limit: float | None = field(default=None, kw_only=True)
+    world: ReferenceWorld | None = field(default=None, kw_only=True)
+    take_over: TakeOver | None = field(default=None, kw_only=True)
+
+    if not TYPE_CHECKING:  # type checkers know every name
+
+        def __getattr__(self, name: str) -> Any:
+            """Only called for what there is not: name what is near."""
+            __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
+            if hasattr(type(self), name):
+                return object.__getattribute__(self, name)  # an AttributeError inside of a property, as it is
+            known = [each for each in dir(self) if not each.startswith("_")]
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean `run.{near[0]}`?" if near else f"it has {', '.join(known)}"
+            raise AttributeError(f"a run has no attribute {name!r}; {hint}")
+
+    # How it ended.
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario as driven; running it again gives this run again."""
+        return self.trace.executed
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
+        return self.trace.outcome
+
+    @property
+    def collision(self) -> Collision | None:
+        """The ego's collision: when, with whom, where and how fast; None without one."""
+        return self.trace.collision
+
+    @property
+    def ads_error(self) -> AdsError | None:
+        """What the ADS did instead of returning an action, or None."""
+        return self.trace.error
+
+    @property
+    def off_road(self) -> bool:
+        """Whether the ego's centre was off the road at some tick."""
+        return self.trace.off_road_tick is not None
+
+    @property
+    def duration(self) -> float:
+        """Simulated time until the run ended [s]."""
+        return self.trace.duration
+
+    @property
+    def max_decision_time(self) -> float:
+        """Longest decision of the ADS in wall-clock time [s]; not reproducible."""
+        return self.trace.max_decision_seconds
+
+    @property
+    def too_slow(self) -> bool:
+        """Whether a decision took longer than the limit; False without a limit. Depends on wall-clock time."""
+        return self.decision_limit is not None and self.max_decision_time > self.decision_limit
+
+    # How dangerous it was for the ego: over all ticks and NPCs.
+
+    @cached_property
+    def mettc(self) -> float:
+        """The paper's minimum estimated time to collision [s]; lower is worse, inf if there is none.
+
+        Until the ego is where its line of travel crosses an NPC's (PAFOT, section 3.3, equations 1 to 3).
+        """
+        return self._encounters.mettc
+
+    @cached_property
+    def min_ttc(self) -> float:
+        """Least time to contact of the boxes at constant velocity [s]; lower is worse, inf if there is none.
+
+        The time to collision of Hayward (1972), for oriented boxes.
+        """
+        return self._encounters.min_ttc
+
+    @cached_property
+    def min_distance(self) -> float:
+        """Least distance between the ego's box and an NPC's [m]; lower is worse, 0 at contact."""
+        return self._encounters.min_gap
+
+    @cached_property
+    def min_centre_distance(self) -> float:
+        """The paper's minimum distance, between centres [m]; lower is worse (PAFOT, section 3.3, equation 4)."""
+        return self._encounters.min_centre_distance
+
+    @cached_property
+    def hardest_brake(self) -> float:
+        """The ego's largest deceleration [m/s^2], positive; higher is worse, 0 if it never slowed down."""
+        return criticality.hardest_brake(self.trace)
+
+    # What happened at each tick.
+
+    @property
+    def ego(self) -> EgoSignals:
+        """Signals of the ego, such as ``run.ego.speed``."""
+        return self._signals.ego
+
+    @property
+    def npcs(self) -> tuple[NpcSignals, ...]:
+        """Signals of each NPC, such as ``run.npcs[0].gap``."""
+        return self._signals.npcs
+
+    @property
+    def headway(self) -> Signal:
+        """Gap along the lane to the leader over the ego's speed [s]; lower is worse, inf without a leader."""
+        return self.signal(BY_NAME["headway"])
+
+    @cached_property
+    def leader(self) -> npt.NDArray[np.intp]:
+        """Index of the NPC ahead of the ego in its lane at each tick, -1 without one."""
+        return leader(self.trace)
+
+    @cached_property
+    def lane_changes(self) -> tuple[EgoLaneChange, ...]:
+        """The ego's lane changes: when, from and to which lane, and the gaps ahead and behind there."""
+        return ego_lane_changes(self.trace)
+
+    def signal(self, measure: Measure, npc: int | None = None) -> Signal:
+        """A measure of your own as a signal; of one NPC where it gives a value of each.
+
+        Raises:
+            ValueError: for a measure that gives an array of another shape, or whose ``npc`` is missing.
+        """
+        return self._signals.of(measure, npc)
+
+    def to_pandas(self) -> DataFrame:
+        """All signals as a data frame, a row a tick, by names such as ``npcs[0].gap``; needs pandas.
+
+        The index is the time [s].
+
+        Raises:
+            ModuleNotFoundError: where pandas is not installed.
+        """
+        try:
+            import pandas as pd  # noqa: PLC0415
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "run.to_pandas(): expected pandas to be installed; pip install 'pytest-pafot[compare]' brings it"
+            ) from error
+        columns = {signal.name: np.asarray(signal) for signal in self._signals.all()}
+        return pd.DataFrame({**columns, "leader": self.leader}, index=pd.Index(self.trace.times, name="time"))
+
+    # Who caused the collision, and who would have prevented it.
+
+    @cached_property
+    def attribution(self) -> Attribution:
+        """Who caused the collision, since when it was dangerous, and why; by Responsibility-Sensitive Safety."""
+        return rss_rule(self.trace)
+
+    @property
+    def responsibility(self) -> str | None:
+        """Who caused the collision, ``"ego"``, ``"npc"`` or ``"both"``; None without one."""
+        verdict = self.attribution.responsibility
+        return None if verdict == "none" else verdict
+
+    @property
+    def second_opinion(self) -> str | None:
+        """Who caused it by the authors' position rule, ``"ego"`` or ``"npc"``; None without a collision."""
+        verdict = position_rule(self.trace)
+        return None if verdict == "none" else verdict
+
+    @property
+    def preventable_by(self) -> tuple[str, ...]:
+        """Names of the reference drivers that avoid a collision in the ego's place or, where it is at fault, any fault.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        return tuple(preventing(self.reference_drivers.items(), self.responsibility))
+
+    @cached_property
+    def reference_drivers(self) -> Mapping[str, ReferenceOutcome]:
+        """By name, what becomes of each driver in the ego's place: ``"avoids"``, ``"hit"`` or ``"at-fault"``.
+
+        Simulated when asked for, and judged by the collision alone. A driver is missing in whose run two NPCs touched.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        runs = [(name, run) for name, run in self.by_reference_drivers() if run.outcome is not Outcome.INVALID]
+        return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
+
+    def by_reference_drivers(self) -> Iterator[tuple[str, Run]]:
+        """The same scenario with each reference driver in the ego's place, simulated one after the other.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.world is None:
+            raise _no_world("reference_drivers", "world=world")
+        for name in self.world.reference_drivers:
+            yield name, Run(self.world.rollout_reference(self.scenario, name), world=self.world)
+
+    @cached_property
+    def last_chance(self) -> LastChance | None:
+        """When a careful driver in the ego's place would last have stayed free of fault; simulated when asked for.
+
+        None without a collision that the ego answers for, where it entered somebody's lane, and where the last 10 s
+        had no such chance.
+
+        Raises:
+            NoReferenceDriversError: for a run that was made without its world.
+        """
+        if self.take_over is None:
+            raise _no_world("last_chance", "take_over=world.take_over")
+        return last_chance(self.trace, self.attribution.fault, self.take_over)
+
+    # The moment that it is about.
+
+    @cached_property
+    def worst_ttc(self) -> Moment | None:
+        """When, and with which NPC where, the time to contact was least; None where it never was finite."""
+        return self._at_minimum(self._encounters.ttc)
+
+    @cached_property
+    def closest_approach(self) -> Moment | None:
+        """When, and with which NPC where, the boxes were closest."""
+        return self._at_minimum(self._encounters.gap)
+
+    @property
+    def closest_time(self) -> float:
+        """When the boxes were closest [s]."""
+        return self.duration if self.closest_approach is None else self.closest_approach.time
+
+    @cached_property
+    def event_time(self) -> float:
+        """When the thing happened that the run is about [s].
+
+        Of the collision, the ADS's error or the departure from the road; else of the least time to contact; else
+        of the closest approach.
+        """
+        if self.collision is not None:
+            return self.collision.time
+        tick = self.trace.off_road_tick if self.ads_error is None else self.ads_error.tick
+        if tick is not None:
+            return tick / self.trace.physics_hz
+        return self.closest_time if self.worst_ttc is None else self.worst_ttc.time
+
+    @property
+    def event_npc(self) -> int | None:
+        """The NPC that collided, or the one with the least time to contact; None if there is none."""
+        event = self.collision or self.worst_ttc
+        return None if event is None else event.npc
+
+    @property
+    def event_cell(self) -> Cell | None:
+        """The cell that :attr:`event_npc` was in at that moment."""
+        event = self.collision or self.worst_ttc
+        return None if event is None else event.cell
+
+    def explain(self) -> str:
+        """The run in under 15 lines of plain ASCII: what happened, whose fault, and what the NPCs were told."""
+        lines = [self._headline(), *self._measures()]
+        if self.responsibility is not None:
+            sentence = f"responsible: {self.responsibility}, because {self.attribution.reason}"
+            if self.second_opinion != self.responsibility:
+                sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
+            lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=4)
+        lines += [*_gene_table(self.trace), f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}"]
+        return "\n".join(_ascii(line) for line in lines)
+
+    def __repr__(self) -> str:
+        return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
+
+    @cached_property
+    def _signals(self) -> Signals:
+        return Signals(self.trace)
+
+    @cached_property
+    def _encounters(self) -> criticality.Encounters:
+        return criticality.Encounters(self.trace)
+
+    def _at_minimum(self, measure: FloatArray) -> Moment | None:
+        """Where a measure of shape [NPCs, ticks + 1] is least; the first such tick, then the first such NPC."""
+        values = np.where(np.isnan(measure), np.inf, measure).T
+        if values.size == 0 or not np.isfinite(values.min()):
+            return None
+        tick, npc = divmod(int(values.argmin()), values.shape[1])
+        cell = self._encounters.last_cell(npc, tick)
+        return Moment(npc=npc, tick=tick, time=tick / self.trace.physics_hz, cell=cell)
+
+    def _headline(self) -> str:
+        hit = self.collision
+        if hit is not None:
+            return (
+                f"collision after {hit.time:.1f} s: NPC {hit.npc} in cell {int(hit.cell)} ({hit.cell.label}) "
+                f"against the ego's {hit.side}"
+            )
+        if self.ads_error is not None:
+            kind = "ADS hangs" if self.outcome is Outcome.HANG else "ADS error"
+            return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
+        if self.outcome is Outcome.INVALID:
+            return f"invalid after {self.duration:.1f} s: two NPCs touched"
+        if self.off_road:
+            return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s"
+        return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
+
+    def _measures(self) -> list[str]:
+        brake = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
+        hit = self.collision
+        if hit is not None:
+            speeds = f"ego {hit.ego_speed:.1f} m/s, NPC {hit.npc_speed:.1f} m/s, closing {hit.closing_speed:.1f} m/s"
+            return [f"  at the impact: {speeds}", f"  {brake}"]
+        lines, worst = [], self.worst_ttc
+        if worst is not None:
+            place = "" if worst.cell is None else f" in cell {int(worst.cell)} ({worst.cell.label})"
+            lines.append(f"  least time to contact: {self.min_ttc:.2f} s, NPC {worst.npc}{place} at {worst.time:.1f} s")
+        lines.append(f"  closest at {self.closest_time:.1f} s: {self.min_distance:.2f} m between the boxes; {brake}")
+        return lines
+
+
+def _no_world(name: str, argument: str) -> NoReferenceDriversError:
+    return NoReferenceDriversError(
+        f"run.{name}: expected a run that knows its world, such as a search or pafot_simulate gives, "
+        f"received one that was made of a trace alone; use Run(trace, {argument})"
+    )
+
+
+def _gene_table(trace: Trace) -> list[str]:
+    """The Position-Instructions that the run started: a row per gene, a column per NPC, times in seconds."""
+    scenario = trace.executed
+    started = min(scenario.genes, int(trace.duration / scenario.gene_seconds - 1e-9) + 1)
+    reached = {1: "reached at ", 2: "reached "}.get(len(scenario.npcs), "")  # as many words as there is room for
+    npcs = range(len(scenario.npcs))
+    header = ["  from [s]", *(f"NPC {npc}" for npc in npcs)]
+    rows = [
+        [f"{gene * scenario.gene_seconds:10.1f}", *(_gene(trace, npc, gene, reached) for npc in npcs)]
+        for gene in range(started)
+    ]
+    shown = rows[-MAX_GENE_ROWS:]
+    widths = [max(len(row[column]) for row in [header, *shown]) for column in range(len(header))]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in [header, *shown]]
+    if len(rows) > len(shown):
+        lines[0] += f"  ({len(rows) - len(shown)} earlier)"
+    return [line.rstrip() for line in lines]
+
+
+def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
+    """One instruction; how an arrival is told is empty where there is no room for it."""
+    chain = trace.chains[npc]
+    if gene >= len(chain):
+        return "-"
+    instruction = chain[gene]
+    if not reached:
+        return f"{instruction.target} {instruction.speed:.1f}"
+    arrivals = trace.arrivals[npc] if npc < len(trace.arrivals) else ()
+    arrival = arrivals[gene] if gene < len(arrivals) else None
+    end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
+    return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
+
+
+def _ascii(line: str) -> str:
+    text = ascii_text(" ".join(line.splitlines()))
+    return text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..."

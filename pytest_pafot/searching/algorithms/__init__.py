@@ -1,0 +1,1 @@
+"""The algorithms of the search, each in one file, and the catalogue of their names."""

@@ -1,0 +1,275 @@
+"""AV-Fuzzer, the baseline of the paper's evaluation: a genetic algorithm over manoeuvres, without a grid.
+
+Source: Li et al., "AV-FUZZER: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020, as its authors
+released it. docs/explanation/baselines.md says what is otherwise here, and why.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, Scenario
+from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
+from pytest_pafot.searching.operators import with_chain
+from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
+
+LANE_CHANGE = 34.0  # what a change of lane counts in the distance of two scenarios, where speeds count in m/s
+RESTART_CANDIDATES = 1000
+LEAST_WEIGHT = 0.001  # in place of a fitness of 0, which no turn of the roulette would select
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AvFuzzerState:
+    """Where a search is, between two calls."""
+
+    generation: int = 0  # of the main search, from 0, which is the random population
+    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
+    # selected at the end of the last generation; empty before a random population
+    population: tuple[Evaluation, ...] = ()
+    local_population: tuple[Evaluation, ...] = ()  # the same within a local search
+    global_best: Evaluation | None = None  # of all generations, by fitness, kept aside
+    local_best: Evaluation | None = None  # of the local search that is going on
+    slot: int = 0  # of the best in the population, which the result of a local search may take
+    # the highest fitness of each selected population since the last random one, that one first
+    bests: tuple[float, ...] = ()
+    restarted_at: int = 0  # the generation whose population was random
+    # all selected populations so far, those of local searches included, as distances see them
+    checkpoints: tuple[FloatArray, ...] = ()
+    fresh: tuple[Scenario, ...] = ()  # a random population to ask for next
+    # positions and scenarios that are out; None when it is time to ask
+    asked: tuple[tuple[int, Scenario], ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AvFuzzerSearch:
+    """AV-Fuzzer. Its released numbers are the defaults, but for the length of a slice.
+
+    Attributes:
+        space: of the scenarios; its NPCs, speed limit and start are used. All its genes together last as long as all
+            slices: five slices of 12 s stand for the released 15 s in five, for a comparison over equal times.
+        population: scenarios in a generation.
+        slices: manoeuvres of each NPC.
+        crossover_rate: probability of a trial, of which there are half as many as scenarios, to swap two NPCs.
+        mutation_rate: probability of a scenario to have one manoeuvre changed.
+        local_generations: generations of a local search after its mutants; 0 turns local searches off.
+        local_mutation_factor: by which the mutation rate is multiplied in them, up to a rate of 1.
+        local_after: generations after a random population in which no local search starts.
+        restart_after: generations without progress after which the population is given up.
+    """
+
+    name: ClassVar[str] = "av-fuzzer"
+    is_papers: ClassVar[bool] = True
+    fitness: ClassVar[str] = "av-fuzzer"
+    knows_grid: ClassVar[bool] = False
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+    slices: int = field(default=5, kw_only=True)
+    crossover_rate: float = field(default=0.4, kw_only=True)
+    mutation_rate: float = field(default=0.4, kw_only=True)
+    local_generations: int = field(default=5, kw_only=True)
+    local_mutation_factor: float = field(default=1.5, kw_only=True)
+    local_after: int = field(default=2, kw_only=True)
+    restart_after: int = field(default=5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
+        rates, factors = ("crossover_rate", "mutation_rate"), ("local_mutation_factor",)
+        counts = {"slices": 1, "local_generations": 0, "local_after": 0, "restart_after": 1}
+        check_parameters(self, rates=rates, factors=factors, **counts)
+
+    @property
+    def sliced(self) -> SearchSpace:
+        """The space with slices for genes."""
+        return self.space.sliced(self.slices)
+
+    def start(self, rng: Generator) -> AvFuzzerState:
+        """The state before the first generation, whose population is random."""
+        return AvFuzzerState(fresh=tuple(sample_manoeuvres(self.sliced, rng) for _ in range(self.population)))
+
+    def ask(self, state: AvFuzzerState, rng: Generator) -> tuple[AvFuzzerState, tuple[Scenario, ...]]:
+        """The scenarios of the next generation that crossover or mutation touched; there may be none."""
+        check_ask(state.asked)
+        asked = tuple(enumerate(state.fresh)) if state.fresh else self._varied(state, rng)
+        return replace(state, asked=asked, fresh=()), tuple(scenario for _, scenario in asked)
+
+    def tell(
+        self, state: AvFuzzerState, evaluations: Sequence[Evaluation], rng: Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order."""
+        check_evaluations(None if state.asked is None else [scenario for _, scenario in state.asked], evaluations)
+        population = list(state.local_population if state.local_generation else state.population)
+        is_random = not population
+        for (index, _), evaluation in zip(state.asked or (), evaluations, strict=True):
+            population[index : index + 1] = [evaluation]
+        finished = GenerationFinished(
+            generation=state.generation,
+            local_generation=state.local_generation,
+            population=tuple(population),
+            elites=len(population) - len(evaluations),
+        )
+        state = replace(state, asked=None)
+        # Neither a random population nor the mutants of an incumbent are selected from before they are varied.
+        selected = tuple(population)
+        if not is_random and state.local_generation != 1:
+            selected = roulette(selected, rng)
+        seen = np.stack([features(member.scenario) for member in selected])
+        state = replace(state, checkpoints=(*state.checkpoints, seen))
+        step = self._after_local_generation if state.local_generation else self._after_generation
+        state, events = step(state, selected, rng)
+        return state, (finished, *events)
+
+    def _varied(self, state: AvFuzzerState, rng: Generator) -> tuple[tuple[int, Scenario], ...]:
+        """Positions and scenarios of a population that crossover or mutation touched, unchanged ones among them."""
+        is_local = state.local_generation > 0
+        members = state.local_population if is_local else state.population
+        scenarios = [member.scenario for member in members]
+        if state.local_generation == 1:
+            return tuple(enumerate([mutated(scenario, self.space.top_step, rng) for scenario in scenarios]))
+        rate = min(1.0, self.mutation_rate * self.local_mutation_factor) if is_local else self.mutation_rate
+        touched: set[int] = set()
+        for _ in range(len(scenarios) // 2):
+            if rng.random() < self.crossover_rate:
+                first, second = (int(index) for index in rng.choice(len(scenarios), size=2, replace=False))
+                scenarios[first], scenarios[second] = swapped(scenarios[first], scenarios[second], rng)
+                touched |= {first, second}
+        for index, scenario in enumerate(scenarios):
+            if rng.random() < rate:
+                scenarios[index] = mutated(scenario, self.space.top_step, rng)
+                touched.add(index)
+        return tuple((index, scenarios[index]) for index in sorted(touched))
+
+    def _after_generation(
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        slot = max(range(len(selected)), key=lambda index: _weight(selected[index]))
+        best, generation = selected[slot], state.generation
+        fitness = _weight(best)
+        earlier, age = state.bests, generation - state.restarted_at
+        events: list[AlgorithmEvent] = []
+        if best.eligible and (state.global_best is None or fitness > _weight(state.global_best)):
+            events.append(NewBest(generation=generation, local_generation=0, evaluation=best))
+            state = replace(state, global_best=best)
+        state = replace(state, population=selected, bests=(*earlier, fitness), slot=slot)
+        stagnant = earlier[-self.restart_after :]
+        if age >= self.restart_after and sum(stagnant) / len(stagnant) >= fitness:
+            events.append(Restarted(generation=generation + 1, stagnant=self.restart_after))
+            return self._restarted(state, rng), tuple(events)
+        improves = fitness > max(earlier, default=-math.inf)
+        incumbent = state.global_best
+        if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
+            return replace(state, generation=generation + 1), tuple(events)
+        events.append(LocalSearchStarted(generation=generation, incumbent=incumbent))
+        copies = (incumbent,) * self.population
+        return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
+
+    def _restarted(self, state: AvFuzzerState, rng: Generator) -> AvFuzzerState:
+        candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
+        fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
+        generation = state.generation + 1
+        return replace(state, generation=generation, population=(), restarted_at=generation, bests=(), fresh=fresh)
+
+    def _after_local_generation(
+        self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator
+    ) -> tuple[AvFuzzerState, tuple[AlgorithmEvent, ...]]:
+        best = max((*selected, *filter(None, [state.local_best])), key=_weight)
+        state = replace(state, local_population=selected, local_best=best)
+        if state.local_generation <= self.local_generations:
+            return replace(state, local_generation=state.local_generation + 1), ()
+        incumbent = state.global_best
+        assert incumbent is not None, "a local search starts from a best"  # noqa: S101
+        replaced = best.eligible and _weight(best) > _weight(incumbent)
+        population = list(state.population)
+        if replaced:
+            population[state.slot] = best
+        after = replace(
+            state,
+            generation=state.generation + 1,
+            local_generation=0,
+            population=tuple(population),
+            local_population=(),
+            local_best=None,
+            global_best=best if replaced else incumbent,
+        )
+        return after, end_of_local_search(state, incumbent, best if replaced else None)
+
+
+def swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scenario]:
+    """Two scenarios that have exchanged the NPC of one random index, the same in both."""
+    npc = int(rng.integers(len(a.npcs)))
+    first, second = with_chain(a.npcs, npc, b.npcs[npc]), with_chain(b.npcs, npc, a.npcs[npc])
+    return replace(a, npcs=first), replace(b, npcs=second)
+
+
+def mutated(scenario: Scenario, top_step: int, rng: Generator) -> Scenario:
+    """A random manoeuvre of a random NPC with another speed, another action or, each in one of three cases, as it was.
+
+    Speeds are drawn up to the top step, which counts in 0.1 m/s.
+    """
+    npc = int(rng.integers(len(scenario.npcs)))
+    chain = scenario.npcs[npc]
+    index = int(rng.integers(len(chain)))
+    gene = chain[index]
+    assert isinstance(gene, LaneInstruction), "AV-Fuzzer's scenarios have Lane-Instructions"  # noqa: S101
+    kind = int(rng.integers(3))
+    if kind == 0:
+        gene = replace(gene, speed=int(rng.integers(top_step + 1)) / SPEED_STEPS_PER_MPS)
+    elif kind == 1:
+        gene = replace(gene, lane=SHIFTS[int(rng.integers(len(SHIFTS)))])
+    return replace(scenario, npcs=with_chain(scenario.npcs, npc, (*chain[:index], gene, *chain[index + 1 :])))
+
+
+def roulette(population: Sequence[Evaluation], rng: Generator) -> tuple[Evaluation, ...]:
+    """As many members, drawn with replacement in proportion to their fitness, shifted where one is negative.
+
+    Runs that are not eligible, such as crashes between NPCs, weigh nothing, unless there are no others.
+    """
+    fitness = np.array([_weight(member) or LEAST_WEIGHT for member in population])
+    finite = np.isfinite(fitness)
+    low = min(0.0, float(fitness[finite].min(initial=0.0)))
+    weights = np.where(finite, fitness - low, 0.0)
+    total = float(weights.sum())
+    shares = weights / total if 0 < total < math.inf else np.full(len(population), 1 / len(population))
+    return tuple(population[int(index)] for index in rng.choice(len(population), size=len(population), p=shares))
+
+
+def farthest(candidates: Sequence[Scenario], checkpoints: FloatArray, count: int) -> tuple[Scenario, ...]:
+    """The candidates with the greatest mean distance to earlier scenarios, the first of equals.
+
+    The earlier ones, ``checkpoints``, are as :func:`features` has them, of shape [scenarios, NPCs, slices, 2].
+    """
+    by_distance = sorted(candidates, key=lambda each: -float(np.mean(distance(features(each), checkpoints))))
+    return tuple(by_distance[:count])
+
+
+def features(scenario: Scenario) -> FloatArray:
+    """What AV-Fuzzer compares scenarios by, shape [NPCs, slices, 2].
+
+    Per slice the sum of the speeds so far, and of -34 for each change to the left and 34 for each to the right.
+    """
+    rows = [
+        [(gene.speed, LANE_CHANGE * gene.column) for gene in chain if isinstance(gene, LaneInstruction)]
+        for chain in scenario.npcs
+    ]
+    return np.cumsum(np.array(rows, dtype=np.float64), axis=1)
+
+
+def distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Between scenarios: Euclidean per slice, summed over the slices, averaged over the NPCs; shapes broadcast."""
+    per_slice = np.sqrt(np.sum((a - b) ** 2, axis=-1))
+    mean: FloatArray = per_slice.sum(axis=-1).mean(axis=-1)
+    return mean
+
+
+def _weight(evaluation: Evaluation) -> float:
+    return evaluation.fitness if evaluation.eligible else -math.inf

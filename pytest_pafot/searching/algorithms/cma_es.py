@@ -1,0 +1,95 @@
+"""CMA-ES for mixed variables: the paper's genes, searched by a distribution instead of a population.
+
+CatCMA with margin is cmaes's. Cells are categories, so that the plain CMA-ES does not fit them.
+
+Source: Hamano et al., "CatCMA with Margin for Single- and Multi-Objective Mixed-Variable Black-Box Optimization",
+arXiv:2504.07884, 2025.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.space import chains_of, fresh_seed, repaired
+
+if TYPE_CHECKING:
+    from cmaes import CatCMAwM
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CmaEsState(GenerationState):
+    """Where a search is, between two calls."""
+
+    optimiser: CatCMAwM  # of cmaes, with its distribution and its own random state; never changed, but copied
+    solutions: tuple[Any, ...] = ()  # of the optimiser, one for each scenario that is out
+
+
+@dataclass(frozen=True, slots=True)
+class CmaEsSearch(GenerationalSearch[CmaEsState]):
+    """CatCMA with margin over chains of Position-Instructions.
+
+    A chain is its first cell, a category of eight; the steps to the next cells, categories of three; and its speeds,
+    whole numbers of 0.1 m/s. What two NPCs would both hold is repaired.
+    """
+
+    name: ClassVar[str] = "cma-es"
+    is_papers: ClassVar[bool] = True
+    library: ClassVar[str] = "cmaes"
+
+    def __post_init__(self) -> None:
+        if self.population < 4:
+            raise ValueError(
+                f"population: expected at least 4 for cma-es, which learns from the better half of them, received "
+                f"{self.population!r}"
+            )
+
+    def start(self, rng: Generator) -> CmaEsState:
+        """The state before the first generation; the optimiser's own draws follow from one of the generator."""
+        from cmaes import CatCMAwM  # noqa: PLC0415  (slow to import)
+
+        space = self.space
+        optimiser = CatCMAwM(
+            z_space=[list(range(space.top_step + 1))] * (space.npcs * space.genes),
+            c_space=[8, *[3] * (space.genes - 1)] * space.npcs,
+            population_size=self.population,
+            seed=fresh_seed(rng),
+        )
+        return CmaEsState(optimiser=optimiser)
+
+    def propose(self, state: CmaEsState, rng: Generator) -> tuple[CmaEsState, Sequence[Scenario]]:
+        """Scenarios drawn from the optimiser's distribution."""
+        optimiser = copy.deepcopy(state.optimiser)
+        solutions = tuple(optimiser.ask() for _ in range(self.population))
+        state = replace(state, optimiser=optimiser, solutions=solutions)
+        return state, [self._decoded(solution, fresh_seed(rng)) for solution in solutions]
+
+    def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:
+        """The distribution moved towards what is worse for the ego."""
+        optimiser = copy.deepcopy(state.optimiser)
+        optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
+        return replace(state, optimiser=optimiser, solutions=())
+
+    def _decoded(self, solution: Any, seed: int) -> Scenario:
+        space = self.space
+        shape = (space.npcs, space.genes)
+        choices = np.argmax(solution.c, axis=1)[: space.npcs * space.genes].reshape(shape)
+        speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
+        cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
+        return repaired(chains_of(cells.tolist(), speeds.tolist()), seed, space)
+
+
+def losses(evaluations: Sequence[Evaluation]) -> list[float]:
+    """What the optimiser minimises, finite: minus fitness; for runs that are not eligible, more than all others."""
+    known = [-each.fitness for each in evaluations if each.eligible and math.isfinite(each.fitness)]
+    worst = max(known, default=0.0) + 1.0
+    return [-each.fitness if each.eligible and math.isfinite(each.fitness) else worst for each in evaluations]

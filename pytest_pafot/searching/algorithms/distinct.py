@@ -1,0 +1,225 @@
+"""The default search: distinct failures, one kind after the other.
+
+The paper's search counts collisions. What a user wants is each distinct failure once, and there it stands in its own
+way: whatever fails outranks all that does not, so the first defect that is found absorbs its population of four, and
+every further generation breeds it again. This search keeps the paper's genes and operators, and replaces what decides
+who breeds. docs/explanation/default-search.md has the comparison.
+
+Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+from numpy.random import Generator
+
+from pytest_pafot.attribution.mistakes import Mistake
+from pytest_pafot.attribution.near_misses import ALL, NearMiss
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, GenerationStateT, check_parameters
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
+from pytest_pafot.searching.plain import from_plain, plain
+from pytest_pafot.searching.space import sample
+
+# What searches have in common that keep the worst runs of several kinds, the niches, and vary them.
+
+
+@dataclass(frozen=True, slots=True)
+class NicheSearch(GenerationalSearch[GenerationStateT]):
+    """A search whose first scenarios are random, and whose later ones are children of those that it kept.
+
+    Attributes:
+        random_runs: scenarios before the first children.
+        crossover_rate: probability that two parents swap two NPCs.
+    """
+
+    random_runs: int = field(default=20, kw_only=True)
+    crossover_rate: float = field(default=0.5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_parameters(self, rates=("crossover_rate",), population=1, random_runs=1)
+
+    @property
+    def random_at_first(self) -> float:
+        """Scenarios at the beginning of a search that are random."""
+        return max(self.population, self.random_runs)
+
+    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
+        """Random scenarios at first and while there is no parent; then children."""
+        parents = self.parents(state)
+        to_come = self.random_runs - state.proposed if parents else self.population
+        return state, (
+            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
+        )
+
+    @abstractmethod
+    def parents(self, state: GenerationStateT) -> Sequence[Any]:
+        """What children are made of."""
+
+    @abstractmethod
+    def child(self, parents: Sequence[Any], rng: Generator) -> Scenario:
+        """A scenario that is a variation of one or two parents."""
+
+
+SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
+FASTEST_NICHE = 5  # index of the last one, which has no upper end
+NO_IMPACT = (0, 0)  # the niche of all runs without a collision, in which the nearest miss stays
+NEAREST = 3  # near-misses of each mistake, whose runs may be parents
+
+Niche = tuple[int, int]  # the cell of an impact, 1 to 8, and the index of its closing speed
+Elites = tuple[tuple[Niche, Evaluation], ...]  # the best of each niche, in their order
+Near = tuple[NearMiss, Evaluation]  # a run, and what the ego nearly had to answer for in it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistinctState(GenerationState):
+    """Where a search is, between two calls."""
+
+    kinds: frozenset[Hashable] = frozenset()  # of failures that were shown so far
+    mistakes: frozenset[str] = frozenset()  # of the ego that these failures had, and checks that failed
+    # the worst run for the ego of each niche, in the order of the niches, without those of known kinds
+    elites: Elites = ()
+    # the worst near-misses of each mistake that is not known, with their runs, the worst first
+    near: tuple[tuple[Near, ...], ...] = ()
+    # by the name of each check that has not failed, the runs with the worst margin in each niche
+    strained: Mapping[str, Elites] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class DistinctSearch(NicheSearch[DistinctState]):
+    """Varies the worst runs of all niches, and drops what shows a known failure.
+
+    1. The first scenarios are random, as the paper's first generation is.
+    2. After them the worst run of every niche, impact cell by closing speed, may have children, so that no kind of
+       impact displaces the others. So may the runs of the three worst near-misses of each mistake of the ego
+       (:attr:`~pytest_pafot.searching.Evaluation.near_misses`). The elites of the niches are one group, those of each
+       mistake another; all groups are drawn equally often, and parents of a group by binary tournament on the fitness.
+       A child has one to three mutations.
+       For each check (:attr:`~pytest_pafot.searching.Evaluation.margins`) that has not failed yet the niches are held
+       once more, by its worst margin in place of the fitness: every check is an objective, without a weight.
+    3. A run that shows a failure of a known kind (:attr:`~pytest_pafot.searching.Evaluation.kind`) is no parent from
+       then on: simplifying it is the shrinker's work. Nor are near-misses of a mistake that is known.
+
+    Attributes:
+        population: scenarios in a generation.
+        most_mutations: of a child, whose number is uniform from 1.
+    """
+
+    name: ClassVar[str] = "distinct"
+    reads_near_misses: ClassVar[bool] = True
+    batch_population: ClassVar[int] = 64
+
+    population: int = field(default=16, kw_only=True)
+    most_mutations: int = field(default=3, kw_only=True)
+
+    def __post_init__(self) -> None:
+        NicheSearch.__post_init__(self)
+        check_parameters(self, most_mutations=1)
+
+    def start(self, rng: Generator) -> DistinctState:
+        """The state before the first generation; it needs no draw."""
+        return DistinctState()
+
+    def stored(self, state: DistinctState) -> Any:
+        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        return plain(state)
+
+    def restored(self, data: Any) -> DistinctState:
+        """The inverse of :meth:`stored`."""
+        return from_plain(DistinctState, data)
+
+    def floors(self, state: DistinctState) -> Mapping[Mistake, float]:
+        """Of each mistake that is not known, the severity up to which a near-miss cannot become one of the worst."""
+        full = {group[0][0].mistake: group[-1][0].severity for group in state.near if len(group) == NEAREST}
+        return {each: full.get(each, floor) for each, floor in ALL.items() if each not in state.mistakes}
+
+    def parents(self, state: DistinctState) -> list[list[Evaluation]]:
+        """Groups that have the same chance each: the elites, whoever came near to a mistake, and those of each check.
+
+        Those of checks are there as often as all others are, since what a test asserts is what it wants to see fail.
+        """
+        dangers = [[each for _, each in group] for group in (state.elites, *state.near) if group]
+        strained = [[each for _, each in elites] for elites in state.strained.values() if elites]
+        return dangers + strained * (-(-len(dangers) // len(strained)) if strained else 0)
+
+    def child(self, parents: Sequence[Sequence[Evaluation]], rng: Generator) -> Scenario:
+        """One to three mutations of a parent, or of two that have swapped NPCs."""
+        child = _parent(parents, rng).executed
+        if rng.random() < self.crossover_rate:
+            child = first_crossed(child, _parent(parents, rng).executed, rng)
+        for _ in range(int(rng.integers(1, self.most_mutations + 1))):
+            child = mutate(child, self.space, rng)
+        return child
+
+    def learn(self, state: DistinctState, evaluations: Sequence[Evaluation], rng: Generator) -> DistinctState:
+        """The failures that are known now, and the runs that may be parents."""
+        failed = [each for each in evaluations if each.failing]
+        kinds = state.kinds | {each.kind for each in failed if each.kind is not None}
+        mistakes = state.mistakes | {each.mistake for each in failed if each.mistake is not None}
+        return replace(
+            state,
+            kinds=kinds,
+            mistakes=mistakes,
+            elites=_elites([*(each for _, each in state.elites), *evaluations], kinds),
+            near=_near(state.near, evaluations, mistakes),
+            strained=_strained(state.strained, evaluations, kinds, mistakes),
+        )
+
+
+def niche(evaluation: Evaluation) -> Niche:
+    """Where an evaluation competes."""
+    hit = evaluation.collision
+    if hit is None:
+        return NO_IMPACT
+    return int(hit.cell), min(int(hit.closing_speed / SPEED_NICHE), FASTEST_NICHE)
+
+
+def _parent(groups: Sequence[Sequence[Evaluation]], rng: Generator) -> Evaluation:
+    return tournament(groups[int(rng.integers(len(groups)))], rng)
+
+
+def _near(
+    before: Sequence[Sequence[Near]], evaluations: Sequence[Evaluation], mistakes: frozenset[str]
+) -> tuple[tuple[Near, ...], ...]:
+    """The nearest of each mistake that is not known, in the order of the mistakes; the first of equals.
+
+    A child that differs from its parent only in what comes later, or in which NPC is which, has the same near-miss.
+    """
+    known = (near for group in before for near in group)
+    judged = (each for each in evaluations if each.eligible and not each.failing)
+    told = ((near_miss, each) for each in judged for near_miss in each.near_misses)
+    found: dict[Mistake, dict[tuple[float, int], Near]] = {}
+    for near_miss, each in (*known, *told):
+        same = (near_miss.severity, near_miss.tick)
+        found.setdefault(near_miss.mistake, {}).setdefault(same, (near_miss, each))
+    return tuple(
+        tuple(sorted(found[mistake].values(), key=lambda near: -near[0].severity)[:NEAREST])
+        for mistake in sorted(found)
+        if mistake not in mistakes
+    )
+
+
+def _strained(
+    before: Mapping[str, Elites], evaluations: Sequence[Evaluation], kinds: frozenset[Hashable], failed: frozenset[str]
+) -> dict[str, Elites]:
+    """For each check that has not failed, in the order of the names, the elites by its margin alone."""
+    judged: dict[str, list[Evaluation]] = {name: [each for _, each in elites] for name, elites in before.items()}
+    for each in evaluations:
+        for name, margin in each.margins:
+            judged.setdefault(name, []).append(replace(each, fitness=-margin))
+    return {name: _elites(judged[name], kinds) for name in sorted(judged) if name not in failed}
+
+
+def _elites(evaluations: Sequence[Evaluation], kinds: frozenset[Hashable]) -> Elites:
+    """The best ranked of each niche, the first of equals."""
+    best: dict[Niche, Evaluation] = {}
+    for each in evaluations:
+        is_known = each.failing and each.kind in kinds
+        if not is_known and improves(each, best.get(niche(each))):
+            best[niche(each)] = each
+    return tuple(sorted(best.items()))

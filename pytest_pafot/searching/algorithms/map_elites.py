@@ -1,0 +1,85 @@
+"""MAP-Elites with the paper's genes and operators: the fittest scenario of every kind of impact.
+
+The archive is pyribs's.
+
+Source: Mouret, Clune, "Illuminating search spaces by mapping elites", arXiv:1504.04909, 2015.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.algorithms.distinct import NicheSearch
+from pytest_pafot.searching.ask_tell import GenerationState
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.operators import first_crossed, mutate
+
+if TYPE_CHECKING:
+    from ribs.archives import GridArchive
+
+
+NO_IMPACT = 0  # the cell of a run without a collision; all of these share one niche, in which the nearest miss stays
+TOP_CLOSING_SPEED = 30.0  # closing speeds beyond it share the last niche [m/s]
+CLOSING_SPEED_NICHES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapElitesState(GenerationState):
+    """Where a search is, between two calls."""
+
+    archive: GridArchive  # of pyribs, with numbers of evaluations for solutions; never changed, but copied
+    evaluations: tuple[Evaluation, ...] = ()  # all eligible ones so far
+
+
+@dataclass(frozen=True, slots=True)
+class MapElitesSearch(NicheSearch[MapElitesState]):
+    """MAP-Elites over chains of Position-Instructions; niches are the impact cell and the closing speed."""
+
+    name: ClassVar[str] = "map-elites"
+    library: ClassVar[str] = "ribs"
+
+    def start(self, rng: Generator) -> MapElitesState:
+        """The state before the first generation: an empty archive."""
+        from ribs.archives import GridArchive  # noqa: PLC0415  (slow to import)
+
+        ranges = ((-0.5, 8.5), (0.0, TOP_CLOSING_SPEED))
+        return MapElitesState(archive=GridArchive(solution_dim=1, dims=(9, CLOSING_SPEED_NICHES), ranges=ranges))
+
+    def parents(self, state: MapElitesState) -> list[Evaluation]:
+        """The elites in the order of the niches, so that the same draws give the same ones."""
+        if not len(state.archive):
+            return []
+        elites = state.archive.data(["solution", "index"], return_type="dict")
+        return [state.evaluations[int(number)] for number in elites["solution"][np.argsort(elites["index"]), 0]]
+
+    def child(self, parents: Sequence[Evaluation], rng: Generator) -> Scenario:
+        """A mutation of an elite, or of two that have swapped NPCs."""
+        a, b = (parents[int(index)].executed for index in rng.integers(len(parents), size=2))
+        child = first_crossed(a, b, rng) if rng.random() < self.crossover_rate else a
+        return mutate(child, self.space, rng)
+
+    def learn(self, state: MapElitesState, evaluations: Sequence[Evaluation], rng: Generator) -> MapElitesState:
+        """The archive with what a generation adds to it."""
+        eligible = [each for each in evaluations if each.eligible and np.isfinite(each.fitness)]
+        if not eligible:
+            return state
+        archive, first = copy.deepcopy(state.archive), len(state.evaluations)
+        archive.add(
+            solution=np.arange(first, first + len(eligible), dtype=np.float64)[:, None],
+            objective=np.array([each.fitness for each in eligible]),
+            measures=np.array([niche(each) for each in eligible]),
+        )
+        return replace(state, archive=archive, evaluations=(*state.evaluations, *eligible))
+
+
+def niche(evaluation: Evaluation) -> tuple[float, float]:
+    """The cell of the impact, 0 without one, and the closing speed [m/s]."""
+    hit = evaluation.collision
+    return (NO_IMPACT, 0.0) if hit is None else (float(hit.cell), hit.closing_speed)

@@ -1,0 +1,112 @@
+"""NSGA-II with the paper's genes and operators: risk, severity and novelty at once, instead of one fitness.
+
+The paper names it as its next step (section 5). Sorting by dominance and crowding is pymoo's.
+
+Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE TEC 6(2), 2002.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario, positions_of
+from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.operators import varied
+from pytest_pafot.searching.space import sample
+
+WORST = 1e9  # the objectives of a run that is not eligible; finite, since crowding is a difference
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nsga2State(GenerationState):
+    """Where a search is, between two calls."""
+
+    population: tuple[Evaluation, ...] = ()  # survivors, the best rank first, and within a rank the least crowded
+
+
+@dataclass(frozen=True, slots=True)
+class Nsga2Search(GenerationalSearch[Nsga2State]):
+    """NSGA-II over chains of Position-Instructions. Its first generation is random.
+
+    Attributes:
+        population: survivors, and children in a generation.
+        crossover_rate: probability that a pair of parents swaps two NPCs, as in the paper.
+        mutation_rate: probability that a child has one Position-Instruction replaced, as in the paper.
+    """
+
+    name: ClassVar[str] = "nsga2"
+    library: ClassVar[str] = "pymoo"
+
+    crossover_rate: float = field(default=0.5, kw_only=True)
+    mutation_rate: float = field(default=0.5, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least 2, for a crossover, received {self.population!r}")
+        check_parameters(self, rates=("crossover_rate", "mutation_rate"))
+
+    def start(self, rng: Generator) -> Nsga2State:
+        """The state before the first generation; it needs no draw."""
+        return Nsga2State()
+
+    def propose(self, state: Nsga2State, rng: Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
+        """Children of the survivors, random scenarios before there are any."""
+        proposed: list[Scenario] = []
+        while len(proposed) < self.population:
+            proposed += self._children(state.population, rng) if state.population else [sample(self.space, rng)]
+        return state, proposed[: self.population]
+
+    def kept(self, state: Nsga2State) -> Sequence[Evaluation]:
+        """The survivors of the generation before."""
+        return state.population
+
+    def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: Generator) -> Nsga2State:
+        """Those who survive the generation."""
+        return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
+
+    def _children(self, population: Sequence[Evaluation], rng: Generator) -> tuple[Scenario, Scenario]:
+        """Two children; the population is in the order in which tournaments prefer it."""
+        first, second = (int(rng.integers(len(population), size=2).min()) for _ in range(2))
+        pair = population[first].executed, population[second].executed
+        return varied(pair, self.space, self.crossover_rate, self.mutation_rate, rng)
+
+
+def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> tuple[Evaluation, ...]:
+    """As many as may survive, by rank of dominance, then the least crowded first."""
+    from pymoo.core.population import Population  # noqa: PLC0415  (slow to import)
+    from pymoo.core.problem import Problem  # noqa: PLC0415
+    from pymoo.operators.survival.rank_and_crowding import RankAndCrowding  # noqa: PLC0415
+
+    values = objectives(evaluations)
+    members = Population.new(F=values, index=np.arange(len(evaluations)))
+    problem = Problem(n_var=1, n_obj=values.shape[1])
+    chosen = RankAndCrowding().do(problem, members, n_survive=min(count, len(evaluations)), random_state=rng)
+    order = sorted(chosen, key=lambda member: (member.get("rank"), -member.get("crowding")))
+    return tuple(evaluations[int(member.get("index"))] for member in order)
+
+
+def objectives(evaluations: Sequence[Evaluation]) -> FloatArray:
+    """To be minimised, shape [evaluations, 3 + checks]: minus fitness, closing speed at the impact [m/s] and novelty.
+
+    Then the margin of each check that any of the runs came to, in the order of their names. Novelty is the least share
+    of genes in which a scenario, as driven, has another cell than another one.
+    """
+    chains = np.array([[gene.cell for chain in positions_of(each.chains) for gene in chain] for each in evaluations])
+    differ = (chains[:, None, :] != chains[None, :, :]).mean(axis=-1)
+    np.fill_diagonal(differ, 1.0)
+    severity = [0.0 if each.collision is None else each.collision.closing_speed for each in evaluations]
+    checks = sorted({name for each in evaluations for name, _ in each.margins})
+    rows = [
+        (-each.fitness, -speed, -float(others.min()), *(dict(each.margins).get(name, WORST) for name in checks))
+        if each.eligible
+        else (WORST,) * (3 + len(checks))
+        for each, speed, others in zip(evaluations, severity, differ, strict=True)
+    ]
+    return np.clip(np.array(rows, dtype=np.float64), -WORST, WORST)

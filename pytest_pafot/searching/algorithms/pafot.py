@@ -1,0 +1,187 @@
+"""PAFOT: the genetic algorithm with its local fuzzer and restarts, as values that are asked and told.
+
+Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3. Where the paper is silent, the reading
+is named here and beside the parameter. Individuals take part in the evolution as they were driven: what the
+repair inside a run changed is part of them from then on (section 2.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache
+from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
+from pytest_pafot.searching.operators import best_of, elites, improves, mutate, parents, varied
+from pytest_pafot.searching.space import SearchSpace, sample
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PafotState:
+    """Where a search is, between two calls."""
+
+    generation: int = 0  # of the main search, from 0; it advances when the generation and its local search are over
+    local_generation: int = 0  # 0 in the main search; in a local search 1 for the mutants and then upwards
+    population: tuple[Evaluation, ...] = ()  # of the main search
+    local_population: tuple[Evaluation, ...] = ()  # of the local search that is going on
+    best: Evaluation | None = None  # since the last restart; None before the first eligible run
+    restarted_at: int = 0  # the generation whose population was random
+    improved_at: int = 0  # the last generation that set a new best, or ``restarted_at``
+    kept: tuple[Evaluation, ...] = ()  # evaluated members that the population in the making starts with
+    fresh: tuple[Scenario, ...] = ()  # scenarios that the next ask gives instead of breeding
+    asked: tuple[Scenario, ...] | None = None  # scenarios that are out for evaluation; None when it is time to ask
+
+
+@dataclass(frozen=True, slots=True)
+class PafotSearch:
+    """The paper's search. Its numbers are the defaults.
+
+    Attributes:
+        space: of the scenarios.
+        population: individuals in a generation. The paper gives no number; its totals imply 4.
+        crossover_rate: probability that a pair of parents swaps two NPCs, p_c.
+        mutation_rate: probability that a child has one Position-Instruction replaced, p_m.
+        elite_share: share of the best that passes on untouched, rounded up, and is not evaluated again.
+        local_generations: generations that a local search breeds from its mutants; 0 turns local searches off.
+            With 1 and a population of 4, one local search asks for 3 mutants and 3 children; the paper's totals
+            imply about 5 additional scenarios each.
+        local_mutation_factor: by which the mutation rate is multiplied in a local search, up to a rate of 1.
+        local_after: generations after a random population in which no local search starts.
+        restart_after: generations without a new best after which the population is given up.
+        breeding_attempts: how often a child is bred again when its run is known from a member of the population:
+            an unvaried copy, or a change in genes that the run never came to. Running it again can show something
+            new in the paper's simulator, but not in a deterministic one. 0 keeps such children, as the paper does.
+    """
+
+    name: ClassVar[str] = "pafot"
+    is_papers: ClassVar[bool] = True
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+    population: int = field(default=4, kw_only=True)
+    crossover_rate: float = field(default=0.5, kw_only=True)
+    mutation_rate: float = field(default=0.5, kw_only=True)
+    elite_share: float = field(default=0.25, kw_only=True)
+    local_generations: int = field(default=1, kw_only=True)
+    local_mutation_factor: float = field(default=1.5, kw_only=True)
+    local_after: int = field(default=2, kw_only=True)
+    restart_after: int = field(default=5, kw_only=True)
+    breeding_attempts: int = field(default=20, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise ValueError(f"population: expected at least 2, an elite and a child, received {self.population!r}")
+        rates, factors = ("crossover_rate", "mutation_rate", "elite_share"), ("local_mutation_factor",)
+        counts = {"local_generations": 0, "local_after": 0, "restart_after": 1, "breeding_attempts": 0}
+        check_parameters(self, rates=rates, factors=factors, **counts)
+        if self.elite_share * self.population > self.population - 1:
+            raise ValueError(
+                f"elite_share: expected room for a child in a population of {self.population}, received "
+                f"{self.elite_share!r}; use at most {1 - 1 / self.population:.2g}"
+            )
+
+    def start(self, rng: Generator) -> PafotState:
+        """The state before the first generation, whose population is random and valid (section 3.2)."""
+        return PafotState(fresh=self._random_population(rng))
+
+    def ask(self, state: PafotState, rng: Generator) -> tuple[PafotState, tuple[Scenario, ...]]:
+        """The scenarios to evaluate next: those of a generation that are not known already."""
+        check_ask(state.asked)
+        if not state.fresh:
+            state = self._bred(state, rng)
+        return replace(state, asked=state.fresh, fresh=()), state.fresh
+
+    def tell(
+        self, state: PafotState, evaluations: Sequence[Evaluation], rng: Generator
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        """Finish a generation with the evaluations of what was asked for, in the same order."""
+        check_evaluations(state.asked, evaluations)
+        finished = GenerationFinished(
+            generation=state.generation,
+            local_generation=state.local_generation,
+            population=(*state.kept, *evaluations),
+            elites=len(state.kept),
+        )
+        state = replace(state, kept=(), asked=None)
+        if state.local_generation:
+            state, events = self._after_local_generation(state, finished.population)
+        else:
+            state, events = self._after_generation(state, finished.population, rng)
+        return state, (finished, *events)
+
+    def _random_population(self, rng: Generator) -> tuple[Scenario, ...]:
+        return tuple(sample(self.space, rng) for _ in range(self.population))
+
+    def _bred(self, state: PafotState, rng: Generator) -> PafotState:
+        """The elites of a population and the children that fill up the next one.
+
+        A local search only mutates (section 3.6: "a mutation-based fuzzing process").
+        """
+        population, crossover_rate, mutation_rate = state.population, self.crossover_rate, self.mutation_rate
+        if state.local_generation:
+            population, crossover_rate = state.local_population, 0.0
+            mutation_rate = min(1.0, mutation_rate * self.local_mutation_factor)
+        kept = elites(population, self.elite_share)
+        known = EvaluationCache(population)
+        children: list[Scenario] = []
+        attempts = self.breeding_attempts * self.population
+        while len(children) < self.population - len(kept):
+            driven = (parent.executed for parent in parents(population, rng))
+            pair = varied(driven, self.space, crossover_rate, mutation_rate, rng)
+            children += [child for child in pair if attempts <= 0 or known.recall(child) is None]
+            attempts -= 1
+        return replace(state, kept=kept, fresh=tuple(children[: self.population - len(kept)]))
+
+    def _mutant(self, incumbent: Evaluation, known: EvaluationCache, rng: Generator) -> Scenario:
+        """An incumbent with one mutation that its run comes to, as far as a few attempts give one."""
+        for _ in range(self.breeding_attempts):
+            mutant = mutate(incumbent.executed, self.space, rng)
+            if known.recall(mutant) is None:
+                return mutant
+        return mutate(incumbent.executed, self.space, rng)
+
+    def _after_generation(
+        self, state: PafotState, population: tuple[Evaluation, ...], rng: Generator
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        generation, candidate = state.generation, best_of(population)
+        state = replace(state, population=population)
+        if candidate is not None and improves(candidate, state.best):
+            best = NewBest(generation=generation, local_generation=0, evaluation=candidate)
+            state = replace(state, best=candidate, improved_at=generation)
+            if self.local_generations == 0 or generation <= state.restarted_at + self.local_after:
+                return replace(state, generation=generation + 1), (best,)
+            # A fresh population: the incumbent, and mutants of it that each differ from it by one mutation.
+            known = EvaluationCache([candidate])
+            mutants = tuple(self._mutant(candidate, known, rng) for _ in range(self.population - 1))
+            state = replace(state, local_generation=1, kept=(candidate,), fresh=mutants)
+            return state, (best, LocalSearchStarted(generation=generation, incumbent=candidate))
+        if generation - state.improved_at >= self.restart_after:
+            restarted = Restarted(generation=generation + 1, stagnant=generation - state.improved_at)
+            fresh, after = self._random_population(rng), generation + 1
+            return PafotState(generation=after, restarted_at=after, improved_at=after, fresh=fresh), (restarted,)
+        return replace(state, generation=generation + 1), ()
+
+    def _after_local_generation(
+        self, state: PafotState, population: tuple[Evaluation, ...]
+    ) -> tuple[PafotState, tuple[AlgorithmEvent, ...]]:
+        if state.local_generation <= self.local_generations:
+            return replace(state, local_generation=state.local_generation + 1, local_population=population), ()
+        # The best of the local search takes the incumbent's place in the main population (section 3.6).
+        incumbent, candidate = state.best, best_of(population)
+        assert incumbent is not None, "a local search starts from a best"  # noqa: S101
+        better = candidate if improves(candidate, incumbent) else None
+        best = better or incumbent
+        after = replace(
+            state,
+            generation=state.generation + 1,
+            local_generation=0,
+            local_population=(),
+            population=tuple(best if member is incumbent else member for member in state.population),
+            best=best,
+        )
+        return after, end_of_local_search(state, incumbent, better)

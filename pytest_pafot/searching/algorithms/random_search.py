@@ -1,0 +1,68 @@
+"""Random search, the baseline: every scenario is drawn anew and nothing is learnt.
+
+The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can be read
+as random Position-Instructions or as random manoeuvres. Both are here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
+from pytest_pafot.searching.plain import from_plain, plain
+from pytest_pafot.searching.space import sample, sample_manoeuvres
+
+
+@dataclass(frozen=True, slots=True)
+class RandomSearch(GenerationalSearch[GenerationState]):
+    """Random valid scenarios, as many a generation as the genetic algorithm has individuals (section 4.2)."""
+
+    name: ClassVar[str] = "random"
+    random_at_first: ClassVar[float] = math.inf  # scenarios at the beginning of a search that are random
+
+    def start(self, rng: Generator) -> GenerationState:
+        """The state before the first generation; it needs no draw."""
+        return GenerationState()
+
+    def stored(self, state: GenerationState) -> Any:
+        """The state as plain data; what is drawn follows from the seed and the number of the generation."""
+        return plain(state)
+
+    def restored(self, data: Any) -> GenerationState:
+        """The inverse of :meth:`stored`."""
+        return from_plain(GenerationState, data)
+
+    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
+        """A generation of random scenarios."""
+        return state, (self.drawn(rng) for _ in range(self.population))
+
+    def drawn(self, rng: Generator) -> Scenario:
+        """One scenario."""
+        return sample(self.space, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class RandomManoeuvreSearch(RandomSearch):
+    """Random manoeuvres in the slices of AV-Fuzzer.
+
+    See :class:`~pytest_pafot.searching.algorithms.av_fuzzer.AvFuzzerSearch`.
+
+    Attributes:
+        slices: manoeuvres of each NPC, which together last as long as the genes of the space.
+    """
+
+    name: ClassVar[str] = "random-manoeuvre"
+    is_papers: ClassVar[bool] = True
+    knows_grid: ClassVar[bool] = False
+
+    slices: int = field(default=5, kw_only=True)
+
+    def drawn(self, rng: Generator) -> Scenario:
+        """One scenario of Lane-Instructions."""
+        return sample_manoeuvres(self.space.sliced(self.slices), rng)

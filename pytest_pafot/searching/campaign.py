@@ -1,0 +1,332 @@
+"""A campaign: an algorithm asks, scenarios are evaluated, the algorithm is told, generation after generation."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from typing import Any, Generic
+
+import numpy as np
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.searching.ask_tell import Algorithm, Drawing, StateT, check_order
+from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.searching.evaluation_cache import EvaluationCache, Remembered
+from pytest_pafot.searching.events import (
+    AlgorithmEvent,
+    CampaignFinished,
+    CampaignStarted,
+    EndReason,
+    Evaluated,
+    Event,
+    GenerationFinished,
+    Restarted,
+)
+from pytest_pafot.searching.operators import improves
+
+Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
+"""Simulates scenarios and judges them; the results are in the order of the scenarios."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint(Generic[StateT]):
+    """Where a campaign is: all that decides how it goes on, beside its arguments.
+
+    Attributes:
+        state: of the algorithm at the last border of two generations.
+        sums: over all evaluations so far.
+        remembered: runs that were known at that border, in whose place nothing is simulated.
+        begun: evaluations since then, of the generation that has begun, each with whether an earlier run was used.
+    """
+
+    state: StateT
+    sums: CampaignFinished
+    remembered: tuple[Remembered, ...] = ()
+    begun: tuple[tuple[Evaluation, bool], ...] = ()
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that is not of the campaign that was to go on from it."""
+
+
+def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
+    algorithm: Algorithm[StateT],
+    evaluate: Evaluate,
+    *,
+    generations: int | None,
+    seed: int,
+    runs: int | None = None,
+    max_seconds: float | None = None,
+    clock: Callable[[], float] | None = None,
+    stop: Callable[[], bool] | None = None,
+    batch: int = 1,
+    seeds_matter: bool = False,
+    foresee: Callable[[Iterable[Scenario]], None] | None = None,
+    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
+    resumed: Checkpoint[StateT] | None = None,
+    border: Callable[[Callable[[], Checkpoint[StateT]]], None] = lambda checkpoint: None,
+) -> Generator[Event, None, None]:
+    """Search, and yield what happens as it happens.
+
+    A scenario is simulated only when no earlier run of the campaign showed what it does; else the earlier
+    evaluation is used and marked. The events depend on the algorithm, the seed and the evaluations alone: every
+    generation draws from its own generator, derived from (seed, generation, local generation), and neither the
+    batch nor the order in which a batch is simulated changes one. What does depend on time is when a limit cuts
+    the campaign, and ``CampaignFinished.seconds``.
+
+    Closing the generator ends the campaign at the last event, without another evaluation.
+
+    Args:
+        algorithm: what to try.
+        evaluate: simulates scenarios; what it raises ends the campaign and reaches the consumer.
+        generations: of the main search, at least 1; generations of local searches come on top. None where the number
+            of ``runs`` decides; there are no more than that.
+        seed: of all draws, at least 0.
+        runs: simulated scenarios, at least 1, after which it ends, also within a generation, which counts as finished
+            then without that the algorithm is told; None for no limit.
+        max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated.
+        clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
+        stop: asked between two calls of ``evaluate`` whether to end the campaign.
+        batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
+            larger ones let ``evaluate`` simulate in parallel.
+        seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
+        foresee: told at the beginning of a generation which of its scenarios are not known, in their order, each of
+            which may be drawn only when it is read. Most of them are given to ``evaluate`` afterwards; who simulates
+            them ahead changes no event.
+        adapted: the algorithm to go on with, asked before each generation with the one so far and its state, from which
+            ``evaluate`` may know what need not be measured.
+        resumed: from which an earlier campaign with the same arguments goes on. Generations and runs count from
+            there. The events of both, one after the other, are those of one campaign that was not cut, but for its
+            beginning and its end; a generation that was cut is told as finished by both where the runs decided.
+        border: told at the beginning, after each generation, once its events are through, and at the end, how to make
+            the checkpoint; that can be done until the next event is asked for.
+
+    Raises:
+        ValueError: for an argument out of range, before anything runs.
+        CheckpointError: for a checkpoint of another campaign, before anything runs.
+    """
+    if generations is None and runs is None:
+        raise ValueError("generations, runs: expected a number of either, received none")
+    for name, value, least in (
+        ("generations", generations, 1),
+        ("runs", runs, 1),
+        ("seed", seed, 0),
+        ("batch", batch, 1),
+    ):
+        if value is not None and value < least:
+            raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
+    if max_seconds is not None and not max_seconds >= 0:
+        raise ValueError(f"max_seconds: expected seconds, at least 0, or None for no limit, received {max_seconds!r}")
+    if max_seconds is not None and clock is None:
+        raise ValueError("clock: expected a function that gives seconds, such as time.monotonic, with max_seconds")
+    now = clock or (lambda: 0.0)
+
+    def exceeded(left: int, seconds: float) -> EndReason | None:
+        if stop is not None and stop():
+            return "stopped"
+        if left <= 0:
+            return "runs"
+        return "time" if max_seconds is not None and seconds >= max_seconds else None
+
+    evaluator = _Evaluator(evaluate, foresee, EvaluationCache(seeds_matter=seeds_matter))
+    if resumed is None:
+        sums = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
+        resumed = Checkpoint(state=algorithm.start(generation_rng(seed)), sums=sums)
+        border(partial(evaluator.remembering, resumed))
+    evaluator.restore(resumed)
+    campaign = _Campaign(
+        adapted=adapted,
+        evaluator=evaluator,
+        exceeded=exceeded,
+        now=now,
+        border=border,
+        seed=seed,
+        generations=resumed.state.generation + (generations or (runs or 0) + bool(resumed.begun)),
+        runs=sys.maxsize if runs is None else resumed.sums.simulated + runs,
+        batch=batch,
+    )
+    begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
+    return campaign.events(algorithm, begun, resumed)
+
+
+def generation_rng(seed: int, *generation: int) -> np.random.Generator:
+    """The generator of one generation: a function of the seed and the generation's numbers alone."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Campaign(Generic[StateT]):
+    """The loop, with the totals at which it ends."""
+
+    adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]]
+    evaluator: _Evaluator
+    exceeded: Callable[[int, float], EndReason | None]  # by the runs that are left, and the seconds
+    now: Callable[[], float]
+    border: Callable[[Callable[[], Checkpoint[StateT]]], None]
+    seed: int
+    generations: int
+    runs: int
+    batch: int
+
+    def events(
+        self, algorithm: Algorithm[StateT], begun: CampaignStarted, resumed: Checkpoint[StateT]
+    ) -> Generator[Event, None, None]:
+        started, state, end, told = self.now(), resumed.state, resumed.sums, list(resumed.begun)
+        yield begun
+        reason: EndReason | None = None
+        while reason is None and state.generation < self.generations:
+            rng = generation_rng(self.seed, state.generation, state.local_generation)
+            algorithm = self.adapted(algorithm, state)
+            last = state
+            state, scenarios = self._asked(Drawing(algorithm, state, rng), told, self.runs - end.simulated)
+            while len(told) < len(scenarios):
+                if end.evaluated > resumed.sums.evaluated:
+                    reason = self.exceeded(self.runs - end.simulated, self.now() - started)
+                if reason is not None:
+                    break
+                to_come = scenarios[len(told) :][: min(self.batch, self.runs - end.simulated)]
+                for evaluation, reused in self.evaluator.evaluated(to_come):
+                    event = Evaluated(
+                        generation=state.generation,
+                        local_generation=state.local_generation,
+                        index=len(told),
+                        evaluation=evaluation,
+                        reused=reused,
+                    )
+                    told.append((evaluation, reused))
+                    end = _with_one_more(end, event)
+                    yield event
+            here = Checkpoint(state=last, sums=end, begun=tuple(told))
+            state, events = self._finished(algorithm, state, told, rng, reason)
+            for tell in events:
+                # A restart that no generation follows does not take place.
+                if not (isinstance(tell, Restarted) and tell.generation >= self.generations):
+                    if isinstance(tell, GenerationFinished) and tell.local_generation == 0:
+                        end = replace(end, generations=end.generations + 1)
+                    yield tell
+            if reason is None:
+                here, told = Checkpoint(state=state, sums=end), []
+            self.border(partial(self.evaluator.remembering, here))
+        yield replace(end, reason=reason or "generations", seconds=self.now() - started)
+
+    def _asked(
+        self, drawing: Drawing[StateT], told: Sequence[tuple[Evaluation, bool]], left: int
+    ) -> tuple[StateT, Sequence[Scenario]]:
+        """The scenarios of a generation, of which the first may run while the last is drawn."""
+        if told:
+            drawing.finished()
+            _check_begun(told, drawing.scenarios)
+            self.evaluator.foresee(drawing.scenarios[len(told) :], left)
+        else:
+            self.evaluator.forget()
+            self.evaluator.foresee(drawing, left)
+        return drawing.finished(), drawing.scenarios
+
+    def _finished(
+        self,
+        algorithm: Algorithm[StateT],
+        state: StateT,
+        told: Sequence[tuple[Evaluation, bool]],
+        rng: np.random.Generator,
+        reason: EndReason | None,
+    ) -> tuple[StateT, tuple[AlgorithmEvent, ...]]:
+        evaluations = tuple(evaluation for evaluation, _ in told)
+        if reason is None:
+            return algorithm.tell(state, evaluations, rng)
+        if reason != "runs" or not evaluations:
+            return state, ()
+        # The algorithm need not know: no other generation follows.
+        finished = GenerationFinished(
+            generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
+        )
+        return state, (finished,)
+
+
+def _check_begun(begun: Sequence[tuple[Evaluation, bool]], scenarios: Sequence[Scenario]) -> None:
+    """Refuse evaluations of a generation that the algorithm asks otherwise for."""
+    try:
+        check_order("begun", scenarios[: len(begun)], [evaluation for evaluation, _ in begun])
+    except ValueError as error:
+        raise CheckpointError(str(error)) from None
+
+
+def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
+    """The sums of a campaign after one more evaluation."""
+    return replace(
+        end,
+        evaluated=end.evaluated + 1,
+        simulated=end.simulated + (not event.reused),
+        best=event.evaluation if improves(event.evaluation, end.best) else end.best,
+    )
+
+
+class _Evaluator:
+    """The one gate before each simulation."""
+
+    def __init__(
+        self, evaluate: Evaluate, foresee: Callable[[Iterable[Scenario]], None] | None, cache: EvaluationCache
+    ) -> None:
+        self._evaluate = evaluate
+        self._foresee = foresee
+        self._cache = cache
+
+    def restore(self, checkpoint: Checkpoint[Any]) -> None:
+        """Know what another campaign knew.
+
+        Raises:
+            CheckpointError: where that is not of one.
+        """
+        try:
+            self._cache.restore(checkpoint.remembered)
+        except ValueError as error:
+            raise CheckpointError(f"remembered: {error}") from None
+        for evaluation, reused in checkpoint.begun:
+            if not reused:
+                self._cache.add(evaluation)
+
+    def remembering(self, checkpoint: Checkpoint[StateT]) -> Checkpoint[StateT]:
+        """A checkpoint with what is known, but for what it tells itself of the generation that has begun."""
+        new = sum(not reused for _, reused in checkpoint.begun)
+        return replace(checkpoint, remembered=self._cache.remembered(but=new))
+
+    def forget(self) -> None:
+        """Forget old runs: only between two generations, so that no batch makes a difference."""
+        self._cache.forget()
+
+    def foresee(self, scenarios: Iterable[Scenario], most: int) -> None:
+        """Tell what is going to be evaluated, unless one scenario of a generation shows what another does."""
+        if self._foresee is not None:
+            self._foresee(islice(self._unknown(scenarios), most))
+
+    def _unknown(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
+        """Each scenario that no earlier run shows, once."""
+        seen = set()
+        for scenario in scenarios:
+            if scenario not in seen and self._cache.recall(scenario) is None:
+                seen.add(scenario)
+                yield scenario
+
+    def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
+        """The evaluation of each scenario, and whether it is reused.
+
+        Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
+        though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
+        """
+        recalled = [self._cache.recall(scenario) for scenario in batch]
+        unknown = _distinct([scenario for scenario, known in zip(batch, recalled, strict=True) if known is None])
+        results = self._evaluate(unknown) if unknown else ()
+        check_order("evaluate", unknown, results)
+        for index, scenario in enumerate(batch):
+            # What the batch has shown up to here may tell as well.
+            known = self._cache.recall(scenario) if index else recalled[0]
+            if known is None:
+                new = results[unknown.index(scenario)]
+                self._cache.add(new)
+            yield (new, False) if known is None else (known, True)
+
+
+def _distinct(scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
+    return tuple(dict.fromkeys(scenarios) if len(scenarios) > 1 else scenarios)  # to hash one takes a while

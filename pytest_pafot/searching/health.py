@@ -1,0 +1,215 @@
+"""Whether a search tested anything: counts over its evaluations, and what they mean."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import chain, compress, pairwise
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import Chromosome, PositionInstruction
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
+from pytest_pafot.searching.events import Evaluated, Event
+
+# Which instructions a search asked for, had driven, and saw reached: cells, steps on the ring, target speeds.
+
+SPEED_BIN = 5.0  # width of a bin of target speeds [m/s]
+
+Key = tuple[str, int] | tuple[str, int, int]
+"""``("cell", 2)``, ``("step", 1, 2)`` from cell to cell, or ``("bin", 4)`` of target speeds, from 0."""
+
+CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)  # the eight, cell 1 first
+
+STEPS: tuple[Key, ...] = tuple(
+    ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
+)
+"""The twenty-four that a valid chain can take; from each cell: holding it, one step clockwise, one anticlockwise."""
+
+
+def speed_bins(speed_limit: float) -> tuple[Key, ...]:
+    """The bins up to a speed limit [m/s], from the slowest."""
+    return tuple(("bin", number) for number in range(int(speed_limit // SPEED_BIN) + 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """How often simulated runs did what. Lane-Instructions have speeds, and neither cells nor steps."""
+
+    requested: Counter[Key] = field(default_factory=Counter)  # asked for by the scenarios
+    # by the genes that the runs came to, after the repair inside the run
+    driven: Counter[Key] = field(default_factory=Counter)
+    reached: Counter[Key] = field(default_factory=Counter)  # those driven whose cell, or lane, was reached
+
+    def counted(self, evaluation: Evaluation) -> Coverage:
+        """With one more run."""
+        depth = evaluation.depth if evaluation.genes_started else 0
+        asked = driven = [_keys(chain) for chain in evaluation.scenario.npcs]
+        if evaluation.executed is not evaluation.scenario or evaluation.driven:
+            driven = [_keys(chain) for chain in evaluation.chains]
+        arrived = zip(driven, evaluation.arrived, strict=False)
+        return Coverage(
+            requested=_added(self.requested, chain.from_iterable(asked)),
+            driven=_added(self.driven, chain.from_iterable([keys[:depth] for keys in driven])),
+            reached=_added(self.reached, chain.from_iterable([compress(*each) for each in arrived])),
+        )
+
+    def describe(self, speed_limit: float) -> str:
+        """One line for a summary: what was reached, and what was asked for; the limit [m/s] says which bins exist."""
+        groups = (("cells", CELLS), ("ring steps", STEPS), ("speed bins", speed_bins(speed_limit)))
+        requested, reached = (
+            [f"{sum(count[key] > 0 for key in keys)}/{len(keys)}" for _, keys in groups]
+            for count in (self.requested, self.reached)
+        )
+        named = ", ".join(f"{share} {name}" for share, (name, _) in zip(reached, groups, strict=True))
+        return f"reached {named}; requested {', '.join(requested)}"
+
+
+def _added(counts: Counter[Key], genes: Iterable[Iterable[Key]]) -> Counter[Key]:
+    counts = counts.copy()
+    counts.update(chain.from_iterable(genes))
+    return counts
+
+
+@lru_cache(maxsize=64)  # the sums of a campaign and its health count the same chains
+def _keys(genes: Chromosome) -> list[tuple[Key, ...]]:
+    """Of each gene of a chain; a step belongs to the gene that it leads to."""
+    bins: list[Key] = [("bin", int(gene.speed // SPEED_BIN)) for gene in genes]
+    cells = [gene.target for gene in genes if isinstance(gene, PositionInstruction)]
+    if not cells:
+        return [(each,) for each in bins]
+    steps = [(("step", *step),) for step in pairwise(cells)]
+    return [(speed, ("cell", cell), *step) for speed, cell, step in zip(bins, cells, [(), *steps], strict=True)]
+
+
+MAX_INVALID_SHARE = 0.25
+MIN_REACHED_SHARE = 0.2  # runs of four NPCs often end within a gene: a quarter to a half is usual
+IMMEDIATE = 1.0  # a collision before this time was hardly caused by driving [s]
+MAX_USELESS_SHARE = 0.5  # of the valid runs, for each kind of run that tests nothing
+
+USELESS = (
+    (
+        "never brought an NPC near the ego in its lane",
+        "raise the number of NPCs or genes, or check that the ego drives on the lanes that the NPCs can use",
+    ),
+    (
+        "left all NPCs more than 100 m behind the ego for half of the run or longer",
+        "raise speed_limit to the ego's speed, or check that the ADS keeps the limit",
+    ),
+    (
+        f"had an ego with a mean speed below {BARELY_MOVING:g} m/s",
+        "check that the ADS returns accelerations in m/s^2 and that the factory makes a fresh one",
+    ),
+    (
+        "collided within the first second, before an NPC can have caused it",
+        "check that the ego starts on a free lane and that the ADS steers in rad",
+    ),
+)
+"""What runs that test nothing did, and what to do: without interaction, outran, barely moved, immediate collision."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """Counts over the evaluations of a search. All but ``evaluated`` count simulated scenarios only."""
+
+    evaluated: int = 0  # scenarios that the algorithm asked for
+    simulated: int = 0  # those of them that were run; the others were known from earlier runs
+    invalid: int = 0  # runs in which two NPCs touched
+    discarded: int = 0  # runs that the user's function declined to judge, or whose process did not come back
+    genes_started: int = 0  # over all NPCs, but for runs that a fault of the ADS cut short, and so are the next
+    genes_reached: int = 0
+    valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
+    failing: int = 0  # runs that the user's function rejected
+    # A run that a fault of the ADS cut short is none of the next three.
+    no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react
+    outran: int = 0  # runs in which the ego left all NPCs behind
+    barely_moved: int = 0  # runs in which the ego hardly drove
+    immediate: int = 0  # collisions within the first second
+    coverage: Coverage = field(default_factory=Coverage)  # of the instructions, requested, driven and reached
+
+    @classmethod
+    def of(cls, events: Iterable[Event]) -> Health:
+        """Counted over the events of a campaign."""
+        health = cls()
+        for event in events:
+            if isinstance(event, Evaluated):
+                health = health.counted(event.evaluation, reused=event.reused)
+        return health
+
+    def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
+        """With one more evaluation."""
+        if reused:
+            return replace(self, evaluated=self.evaluated + 1)
+        invalid = evaluation.outcome is Outcome.INVALID
+        valid = not (invalid or evaluation.discarded)
+        broken = evaluation.outcome in (Outcome.ADS_ERROR, Outcome.HANG)
+        driven = valid and not broken
+        is_immediate = evaluation.outcome is Outcome.COLLISION and evaluation.duration < IMMEDIATE
+        return Health(
+            evaluated=self.evaluated + 1,
+            simulated=self.simulated + 1,
+            invalid=self.invalid + invalid,
+            discarded=self.discarded + (evaluation.discarded and not invalid),
+            genes_started=self.genes_started + (0 if broken else evaluation.genes_started),
+            genes_reached=self.genes_reached + (0 if broken else evaluation.genes_reached),
+            valid=self.valid + valid,
+            failing=self.failing + (valid and evaluation.failing),
+            no_interaction=self.no_interaction + (driven and not evaluation.interaction),
+            outran=self.outran + (driven and evaluation.outran),
+            barely_moved=self.barely_moved + (driven and evaluation.barely_moved),
+            immediate=self.immediate + (valid and is_immediate),
+            coverage=self.coverage.counted(evaluation),
+        )
+
+    @property
+    def reused(self) -> int:
+        """Scenarios that were not simulated, since an earlier run showed what they do."""
+        return self.evaluated - self.simulated
+
+    @property
+    def vacuous(self) -> bool:
+        """Whether the search can have shown nothing: no valid run."""
+        return self.valid == 0
+
+    @property
+    def reached_share(self) -> float:
+        """Of the genes started, those whose cell was reached; 0 when none was started."""
+        return _share(self.genes_reached, self.genes_started)
+
+    def warnings(self) -> list[str]:
+        """What makes the search doubtful, in sentences that say what to do; empty when it is well."""
+        if self.simulated == 0:
+            return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
+        found = []
+        if self.vacuous:
+            found.append(
+                f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended in a crash "
+                f"between NPCs, {self.discarded} were rejected, skipped or ended their process), so nothing was "
+                "tested; use fewer NPCs, reject less, or mend what ends the process"
+            )
+        if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
+            found.append(
+                f"{_percent(self.invalid, self.simulated)} simulated scenarios ended in a crash between NPCs and "
+                "tested nothing, which should be at most 25 %; use fewer NPCs or more lanes"
+            )
+        if self.genes_started and self.reached_share < MIN_REACHED_SHARE:
+            found.append(
+                f"NPCs reached the cell of only {_percent(self.genes_reached, self.genes_started)} "
+                "Position-Instructions that they began; give them more time (gene_seconds) or a higher speed_limit "
+                "than the ego's speed"
+            )
+        useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
+        for count, (what, remedy) in zip(useless, USELESS, strict=True):
+            if _share(count, self.valid) > MAX_USELESS_SHARE:
+                found.append(f"{_percent(count, self.valid)} valid runs {what}; {remedy}")
+        return found
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{_share(part, whole):.0%} ({part}) of {whole}".replace("%", " %", 1)

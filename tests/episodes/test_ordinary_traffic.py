@@ -1,0 +1,209 @@
+"""Episodes in an environment's own traffic: compiled as by the environment's own steps, for every kind of ADS."""
+
+import time
+
+import gymnasium
+import numpy as np
+import pytest
+from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+import pytest_pafot as pafot
+from example_ads import constant_speed, idm_mobil
+from pytest_pafot.episodes.ordinary_traffic import drive
+from pytest_pafot.model.trace import Outcome
+from tests.benchmarks.traffic_against_highway_env import WITHIN, difference, swerving, undecided
+from tests.helpers.stages import oracle
+
+SHORT = {"vehicles_count": 10, "duration": 15}
+FAST = pafot.World("highway-fast-v0", SHORT)
+CRASHING = pafot.World("highway-v0", {**SHORT, "lanes_count": 2, "simulation_frequency": 10, "vehicles_density": 2})
+SWERVING = {"vehicles_count": 6, "duration": 5, "action": {"type": "ContinuousAction"}, "policy_frequency": 5}
+CONTINUOUS = pafot.World("highway-fast-v0", SWERVING)
+LINEAR = pafot.World(
+    "highway-fast-v0", {**SHORT, "duration": 3, "other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
+)
+
+
+def driven(world, factory, seed, **options):
+    return drive(world.environment, factory, seed, hang_limit=world.hang_limit, **options)
+
+
+class Sluggish(IDMVehicle):
+    """A vehicle class with code of its own, that remembers what it did."""
+
+    def act(self, action=None):
+        before = self.action["acceleration"]
+        super().act()
+        self.action["acceleration"] = 0.9 * before + 0.1 * self.action["acceleration"]
+
+
+class Coasting(Vehicle):
+    """One that wants neither a lane nor a speed."""
+
+    def act(self, action=None):
+        super().act({"acceleration": -0.5, "steering": 0.001})
+
+
+def looking_ahead(env):
+    """A planner that simulates inside of the environment: it takes the action whose next second is free of a crash."""
+
+    def act(observation):
+        for action in (3, 1, 4):
+            future = env.unwrapped.simplify()
+            future.step(action)
+            if not future.vehicle.crashed:
+                return action
+        return 4
+
+    return act
+
+
+@pytest.mark.parametrize(
+    ("world", "factory", "options"),
+    [
+        pytest.param(FAST, undecided, {}, id="meta-actions"),
+        pytest.param(CRASHING, undecided, {}, id="others-crash-too"),
+        pytest.param(CONTINUOUS, swerving, {}, id="continuous-actions"),
+        oracle(FAST, idm_mobil.make, {}, id="vehicle-class"),
+        oracle(FAST, lambda: Sluggish, {}, id="vehicle-class-of-its-own"),
+        pytest.param(CRASHING, Coasting, {}, id="vehicle-class-without-goals"),
+        pytest.param(FAST, constant_speed.make, {"is_planner": True}, id="planner"),
+        oracle(FAST, looking_ahead, {}, id="planner-that-simulates"),
+    ],
+)
+def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factory, options):
+    compiled = driven(world, factory, 0, is_recorded=True, **options)
+    stepped = driven(world, factory, 0, is_recorded=True, may_compile=False, **options)
+    assert (compiled.steps, stepped.steps) == ("", "that was asked for")
+    assert difference(compiled, stepped) <= WITHIN
+    assert len(compiled.recording.states) == 1 + round(compiled.seconds * compiled.recording.physics_hz)
+
+
+def test_a_crash_is_where_highway_env_flags_it_and_the_episode_is_cut_there():
+    episode = driven(FAST, constant_speed.make, 1, is_planner=True, is_recorded=True)
+    assert episode.outcome is Outcome.COLLISION
+    ends = episode.recording.states[-1]
+    assert 4.5 < np.abs(ends[1:, 0] - ends[0, 0])[np.abs(ends[1:, 1] - ends[0, 1]) < 2].min() < 6.0
+
+
+def test_other_traffic_roads_and_wrappers_go_through_the_environments_steps_and_say_why():
+    merge = driven(pafot.World("merge-v0", {"simulation_frequency": 5}), lambda: lambda seen: 1, 0)
+    assert "the road is not straight" in merge.steps
+    linear = driven(LINEAR, constant_speed.make, 0, is_planner=True)
+    assert "LinearVehicle" in linear.steps
+    wrapped = pafot.World("highway-fast-v0", {**SHORT, "duration": 3}, wrappers=[gymnasium.wrappers.FlattenObservation])
+    shapes = []
+    flat = driven(wrapped, lambda: lambda seen: shapes.append(seen.shape) or 1, 0)
+    assert "FlattenObservation" in flat.steps
+    assert shapes[0] == (25,)
+
+
+class HighwayOfOurOwn(HighwayEnvFast):
+    """With steps that the kernel knows nothing of."""
+
+    def step(self, action):
+        return super().step(1)
+
+
+def test_an_environment_with_steps_of_its_own_takes_them():
+    gymnasium.register("own-highway-v0", entry_point=HighwayOfOurOwn)
+    try:
+        world = pafot.World("own-highway-v0", {"vehicles_count": 3, "duration": 6})
+        assert driven(world, undecided, 0).steps == "HighwayOfOurOwn has steps of its own"
+        seconds = {driven(world, factory, 3).seconds for factory in (undecided, lambda: lambda seen: 1)}
+        assert len(seconds) == 1
+    finally:
+        del gymnasium.registry["own-highway-v0"]
+
+
+@pytest.mark.parametrize("may_compile", [True, False])
+def test_an_ads_that_raises_or_hangs_ends_its_episode_with_its_name(may_compile):
+    def raising():
+        asked = []
+
+        def act(seen):
+            asked.append(seen)
+            if len(asked) == 3:
+                raise ValueError("no plan")
+            return 1
+
+        return act
+
+    failed = driven(FAST, raising, 0, may_compile=may_compile)
+    assert (failed.outcome, failed.seconds, failed.error.kind) == (Outcome.ADS_ERROR, 2.0, "ValueError")
+    hung = drive(FAST.environment, lambda: lambda seen: time.sleep(5), 0, hang_limit=0.1, may_compile=may_compile)
+    assert (hung.outcome, hung.seconds) == (Outcome.HANG, 0.0)
+    broken = driven(FAST, lambda: 1 / 0, 0, may_compile=may_compile)
+    assert (broken.outcome, broken.error.kind) == (Outcome.ADS_ERROR, "ZeroDivisionError")
+
+
+def test_a_planner_needs_a_straight_road():
+    with pytest.raises(pafot.WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"):
+        driven(pafot.World("merge-v0"), constant_speed.make, 0, is_planner=True)
+
+
+def test_an_environment_that_needs_an_ego_of_its_own_says_so_and_one_with_a_number_of_steps_ends_after_them():
+    with pytest.raises(pafot.WorldError, match="with an ego of the class IDMVehicle, received LaneKeepingEnv"):
+        driven(pafot.World("lane-keeping-v0"), idm_mobil.make, 0)
+    assert driven(pafot.World("exit-v0", {"vehicles_count": 2, "duration": 2}), idm_mobil.make, 0).seconds == 2.0
+    gymnasium.register("ten-steps-v0", entry_point=HighwayEnvFast, max_episode_steps=10)
+    try:
+        counted = pafot.World("ten-steps-v0", SHORT)
+        episodes = [driven(counted, idm_mobil.make, 0, may_compile=compiled) for compiled in (True, False)]
+        assert [(each.seconds, bool(each.steps)) for each in episodes] == [(10.0, False), (10.0, True)]
+    finally:
+        del gymnasium.registry["ten-steps-v0"]
+
+
+def test_an_environment_has_its_reward_again_after_an_ego_that_has_no_use_for_it():
+    driven(FAST, idm_mobil.make, 0, may_compile=False)
+    env = FAST.environment.with_traffic().unwrapped
+    env.reset(seed=0)
+    assert env.step(1)[1] > 0.1
+
+
+@pytest.mark.oracle
+def test_an_environment_that_sets_constants_of_a_class_leaves_them_to_the_next_as_they_were():
+    before = IDMVehicle.DISTANCE_WANTED, MDPVehicle.DEFAULT_TARGET_SPEEDS
+    episode = driven(pafot.World("intersection-v0", {"duration": 2}), lambda: lambda seen: 0, 0, is_recorded=True)
+    assert episode.recording.lanes[0].points
+    assert before == (IDMVehicle.DISTANCE_WANTED, MDPVehicle.DEFAULT_TARGET_SPEEDS)
+
+
+EYES = {"range": 60.0, "latency": 0.5, "noise": {"position": 0.3, "speed": 1.0}, "dropout": 0.1, "occlusion": True}
+
+
+@pytest.mark.parametrize("wrappers", [None, oracle([gymnasium.wrappers.FlattenObservation])])
+def test_a_policy_with_an_imperfect_sight_is_shown_the_same_by_either_means(wrappers):
+    world, shown = pafot.World("highway-fast-v0", {**SHORT, "duration": 7}, wrappers=wrappers), []
+
+    def policy():
+        shown.append([])
+        return lambda observation: shown[-1].append(observation.ravel()) or 1
+
+    for may_compile in (True, False):
+        driven(world, pafot.Perception(policy, **EYES), 1, may_compile=may_compile)
+    driven(world, policy, 1)
+    compiled, stepped, perfect = map(np.array, shown)
+    assert len(compiled) > 5
+    assert compiled == pytest.approx(stepped, abs=1e-6)
+    assert abs(compiled - perfect).max() > 0.01
+
+
+def test_a_planner_with_an_imperfect_sight_is_shown_the_same_by_either_means():
+    shown = []
+
+    def planner():
+        shown.append([])
+        return lambda observation: (shown[-1].append(observation.array), (0.0, 0.0))[1]
+
+    factory, world = pafot.Perception(planner, **EYES), pafot.World("highway-fast-v0", {**SHORT, "duration": 7})
+    for may_compile in (True, False):
+        driven(world, factory, 1, is_planner=True, may_compile=may_compile)
+    driven(world, planner, 1, is_planner=True)
+    compiled, stepped, perfect = shown
+    assert compiled == [pytest.approx(each, abs=1e-6) for each in stepped]
+    assert {len(each) for each in compiled} != {len(each) for each in perfect} == {11}

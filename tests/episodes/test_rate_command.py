@@ -1,0 +1,232 @@
+"""The command from its arguments to its page, and rates as values."""
+
+import csv
+import os
+import re
+import sys
+
+import pytest
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.episodes import rate_command, rate_plan
+from pytest_pafot.episodes.rate import EpisodeRow, Pair, Rate, shown
+from pytest_pafot.report import animation
+
+SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
+ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
+
+
+def rate(*arguments):
+    return main(["rate", *SHORT, *arguments])
+
+
+def rated(name, **outcomes):
+    """A rate of episodes of 36 s, with the outcomes of some of the first ten seeds, `s0="collision"`."""
+    return Rate(
+        ads=name,
+        rows=tuple(
+            EpisodeRow(ads=name, seed=seed, outcome=outcomes.get(f"s{seed}", "safe"), seconds=36.0, error="", steps="")
+            for seed in range(10)
+        ),
+    )
+
+
+def test_it_tells_the_share_its_interval_the_crashes_per_hour_and_their_seeds(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(rate_command, "picture", lambda episode, title: f"{title}: {episode.outcome}".encode())
+    assert (
+        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10", "--out", str(tmp_path))
+        == 0
+    )
+    out, told = capsys.readouterr()
+    assert re.search(r"^constant_speed@planner in highway-fast-v0: \d of 10 episodes crashed, [\d.]+ % \(95 %: ", out)
+    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %); none in " in out
+    assert "0 with idm_mobil alone, 0 with both" in out
+    assert "rate: 20 of 20 episodes done after " in told
+    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
+    assert [int(row["seed"]) for row in rows] == [*range(10), *range(10)]
+    crashed = [row["seed"] for row in rows if row["outcome"] == "collision"]
+    assert len(crashed) > 1
+    assert f"seeds of the crashes: {', '.join(crashed)}\n" in out
+    page = (tmp_path / "report.md").read_text()
+    assert "| idm_mobil | 10 | 0 | 0 % | at most 30.8 % |" in page
+    (picture,) = re.findall(r"!\[The first crash\]\((.*)\)", page)
+    assert (tmp_path / picture).read_text() == f"constant_speed@planner, seed {crashed[0]}: collision"
+
+
+def test_interrupted_it_goes_on_and_more_episodes_are_added_later(tmp_path, capsys, monkeypatch):
+    def driven(world, name, factory, seed, **options):
+        is_first = seed not in seeds
+        seeds.append(seed)
+        if seed == 30 and is_first and not whole.exists():
+            raise KeyboardInterrupt
+        return EpisodeRow(ads=name, seed=seed, outcome="safe", seconds=float(seed), error="", steps="0")
+
+    whole, seeds = tmp_path / "whole", []
+    monkeypatch.setattr(rate_plan, "driven", driven)
+    for episodes in ("50", "50", "60"):
+        rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
+    assert "rate: interrupted; what is finished is kept" in capsys.readouterr().err
+    assert seeds == [*range(31), *range(25, 60)]
+    assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
+    assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+
+
+class Trained:
+    """A factory that says which weights its policy has, as those of ``pafot.policies`` do."""
+
+    weights_digest = "sha256:1"
+
+    def __call__(self):
+        return lambda observation: 1
+
+
+trained = Trained()
+
+
+def test_results_of_other_weights_are_not_gone_on_with(tmp_path, capsys, monkeypatch):
+    arguments = ("--ads", f"{__name__}:trained", "--episodes", "1", "--out", str(tmp_path))
+    assert rate(*arguments) == rate(*arguments) == 0
+    monkeypatch.setattr(Trained, "weights_digest", "sha256:2")
+    assert rate(*arguments) == 2
+    told = capsys.readouterr().err
+    assert "whose rate.json differs in the policies, their weights, " in told
+    assert "from before" not in told
+
+
+def test_a_policy_that_tells_no_weights_is_gone_on_with_and_that_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    planner = tmp_path / "planner_of_mine.py"
+    planner.write_text("def make():\n    return lambda observation: 1\n")
+    arguments = ("--ads", "planner_of_mine:make", "--episodes", "1", "--out", "out")
+    assert rate(*arguments) == rate(*arguments) == 0
+    told = "rate: 1 of 1 episodes are from before; planner_of_mine:make tells no hash of weights, so that only the file"
+    assert capsys.readouterr().err.count(told) == 1
+    planner.write_text(planner.read_text().replace("1", "0"))
+    assert rate(*arguments) == 2
+
+
+def test_without_pillow_the_report_has_no_picture_and_that_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.delitem(sys.modules, "pytest_pafot.report.drawing", raising=False)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    assert rate(*ONE_CRASH, "--out", str(tmp_path)) == 0
+    assert "rate: the report has no picture: " in capsys.readouterr().err
+    assert "seeds of the crashes: 2" in (tmp_path / "report.md").read_text()
+
+
+def test_one_episode_is_driven_again_with_a_picture(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])
+    assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path)) == 0
+    assert "constant_speed@planner in highway-fast-v0, seed 2: crashed after " in capsys.readouterr().out
+    assert (tmp_path / "constant_speed-planner-2.png").read_bytes().startswith(b"\x89PNG")
+
+
+def unloadable():
+    raise OSError("no weights")
+
+
+def test_one_episode_of_a_policy_that_cannot_be_made_says_why_without_a_picture(tmp_path, capsys):
+    assert rate("--ads", f"{__name__}:unloadable", "--episode", "2", "--out", str(tmp_path)) == 0
+    assert capsys.readouterr().out.endswith("seed 2: failed after 0.0 s: OSError: no weights\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_policy_that_fails_is_counted_and_named_and_a_planner_told_how_it_is_given(capsys):
+    assert rate("--ads", "constant_speed", "--episodes", "2") == 1
+    out = capsys.readouterr().out
+    assert "no episode of 2 was driven to its end" in out
+    assert (
+        "the ADS failed in 2 episodes, which no rate counts; seeds 0, 1; the first: BadAction: expected a whole" in out
+    )
+    assert "a planner in SI units, as for pafot.Highway, is --ads constant_speed@planner" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
+        (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
+        (["--against", "idm_mobil"], "--against: expected another policy than --ads"),
+        (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
+        (["--config", "{count: 3}"], "--config: expected JSON such as"),
+        (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
+        (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
+        (["--episode", "-1"], "--episode: expected a seed, at least 0, received -1"),
+        (["--workers", "0"], "--workers: expected at least 1, received 0"),
+        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+    ],
+)
+def test_what_is_wrong_on_the_command_line_is_told_with_a_way_out(arguments, text, capsys):
+    assert rate("--ads", "idm_mobil", "--episodes", "2", *arguments) == 2
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("below", ["", "deep"])
+@pytest.mark.parametrize("arguments", [["--episodes", "2"], ["--episode", "2"]])
+def test_a_folder_that_cannot_be_one_is_told_with_a_way_out(tmp_path, capsys, below, arguments):
+    (tmp_path / "taken").touch()
+    assert rate("--ads", "idm_mobil", *arguments, "--out", str(tmp_path / "taken" / below)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(
+        f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
+    )
+    assert error.endswith("; a file lies where a folder should be: rename or delete it, or give another folder\n")
+
+
+def test_an_episode_is_not_driven_where_its_picture_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "taken").touch()
+    assert rate("--ads", "constant_speed@planner", "--episode", "2", "--out", str(tmp_path / "taken")) == 2
+    out, told = capsys.readouterr()
+    assert out == ""
+    assert told.startswith(f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken'}: ")
+
+
+def tells_what_is_taken(arguments, taken, capsys):
+    assert rate(*arguments) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"rate: --out: expected a folder that can be written, received {taken}: ")
+    assert told.endswith(": rename or delete it, then give the same command again: what is finished is kept")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+def test_rows_that_cannot_be_written_at_last_are_told_and_the_same_command_goes_on(tmp_path, capsys):
+    arguments = ("--ads", "constant_speed@planner", "--episodes", "1", "--out", str(tmp_path))
+    taken = tmp_path / "runs"
+    taken.touch()
+    tells_what_is_taken(arguments, taken, capsys)
+    taken.unlink()
+    assert rate(*arguments) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
+def test_what_cannot_be_written_at_last_is_told_and_the_same_command_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(rate_command, "picture", lambda episode, title: b"drawn")
+    arguments = (*ONE_CRASH, "--out", str(tmp_path))
+    for name in ("results.csv", "constant_speed-planner-2.png", "report.md"):
+        taken = tmp_path / name
+        taken.mkdir()
+        tells_what_is_taken(arguments, taken, capsys)
+        taken.rmdir()
+    assert rate(*arguments) == 0
+    assert (tmp_path / "constant_speed-planner-2.png").read_bytes() == b"drawn"
+
+
+def test_a_rate_counts_episodes_that_were_driven_and_their_hours():
+    rate = rated("a", s1="collision", s4="collision", s5="hang")
+    assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
+    assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
+    assert repr(rate) == f"<Rate of a: {rate.sentence}>"
+    assert rate.interval()[1] > rate.upper_bound() > rate.share
+
+
+def test_of_many_seeds_the_first_ten_are_told():
+    assert shown(range(12)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"
+    assert shown(range(10)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9"
+
+
+def test_two_policies_are_told_apart_by_the_seeds_that_one_alone_crashes_at():
+    first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
+    second = rated("b", s2="collision", s9="collision")
+    pair = Pair.of(first, second)
+    assert (pair.first_only, pair.second_only, pair.both, len(pair.neither)) == ((0, 1), (), (2,), 6)
+    assert "2 crashed with a alone, 0 with b alone, 1 with both, 6 with neither: p = 0.5" in pair.sentence

@@ -1,0 +1,109 @@
+"""Random runs for both engines, and what two traces differ in."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from dataclasses import dataclass, replace
+
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, Scenario
+from pytest_pafot.world import Highway
+from tests.helpers.world_cases import EGOS, random_scenario
+
+FREQUENCIES = ((15, 5), (15, 15), (20, 10), (30, 5), (12, 4), (5, 1))
+SAME = ("executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
+
+
+class Hurried(IDMVehicle):
+    """IDM with constants of its own."""
+
+    COMFORT_ACC_MAX = 4.5
+    TIME_WANTED = 0.6
+    DISTANCE_WANTED = 6.0
+    POLITENESS = 0.3
+    LANE_CHANGE_DELAY = 0.4
+    KP_LATERAL = 1.2
+
+
+def steps_and_swerves():
+    """An action of each kind in turn: beyond what a car can do, text of numbers, whole numbers, nothing."""
+    actions = ((9.0, 0.0), (-20.0, 0.01), [1, 0], np.array([0.5, -0.01]), (0.0, 2.0), (0, 0), (-3.0, -0.02))
+    return lambda observation: actions[int(observation.time * 2) % len(actions)]
+
+
+def follows():
+    """Looks at everything that an observation has, and brakes behind whoever is ahead in its lane."""
+
+    def drive(observation):
+        ego = observation.ego
+        ahead = [other for other in observation.others if other.lane == ego.lane and other.x > ego.x]
+        gap = min((other.x - ego.x - (other.length + ego.length) / 2 for other in ahead), default=100.0)
+        wish = 0.3 * (min(observation.speed_limit, gap / 1.2) - ego.speed)
+        return wish, -0.01 * (ego.y - ego.lane * observation.lane_width) - 0.3 * ego.heading
+
+    return drive
+
+
+def fails_in_the_end():
+    """Returns nothing after four seconds."""
+    return lambda observation: (0.2, 0.0) if observation.time < 4 else None
+
+
+ALL_EGOS = (*EGOS, IDMVehicle, Hurried, steps_and_swerves, follows, fails_in_the_end)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run: world, scenario and ego."""
+
+    world: Highway
+    scenario: object
+    ego: object
+
+    @classmethod
+    def random(cls, seed: int) -> Case:
+        """One to eight NPCs on three to six lanes, at any frequencies; every fourth with Lane-Instructions."""
+        rng = random.Random(seed)
+        lanes, (physics_hz, ads_hz) = rng.randint(3, 6), rng.choice(FREQUENCIES)
+        world = Highway(
+            lanes=lanes,
+            physics_hz=physics_hz,
+            ads_hz=ads_hz,
+            speed_limit=rng.choice([26.8, 20.0, 35.0]),
+            clearance=rng.choice([0.0, 3.0, 10.0]),
+            headway=rng.choice([1.0, 2.0]),
+        )
+        scenario = random_scenario(rng, lanes=lanes, speed_limit=world.speed_limit)
+        if rng.random() < 0.3:
+            scenario = replace(scenario, gene_seconds=10.0)
+        if seed % 4 == 3:
+            scenario = in_lanes(scenario, rng)
+        return cls(world, scenario, rng.choice(ALL_EGOS))
+
+    def run(self, engine: str):
+        return replace(self.world, engine=engine).rollout(self.scenario, self.ego)
+
+
+def in_lanes(scenario: Scenario, rng: random.Random) -> Scenario:
+    """The scenario with the same speeds, and Lane-Instructions in the place of cells."""
+    chains = [[LaneInstruction(rng.choice(SHIFTS), gene.speed) for gene in chain] for chain in scenario.npcs]
+    return replace(scenario, npcs=tuple(map(tuple, chains)))
+
+
+def differences(first, second) -> list[str]:
+    """In what two traces differ, to the last bit."""
+    found = [name for name in SAME if getattr(first, name) != getattr(second, name)]
+    for name in ("states", "sizes"):
+        a, b = getattr(first, name), getattr(second, name)
+        if not np.array_equal(a, b):
+            found.append(f"{name} of {a.shape} and {b.shape}")
+    return found
+
+
+def digest(trace) -> str:
+    """A text that is equal for equal runs."""
+    told = repr([getattr(trace, name) for name in SAME])
+    return hashlib.sha256((trace.states + 0.0).tobytes() + told.encode()).hexdigest()

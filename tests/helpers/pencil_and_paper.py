@@ -1,0 +1,768 @@
+"""The rules of attribution once more, from docs/explanation/verdicts.md alone: clause by clause, in plain loops.
+
+It was written without a look at the program that it is compared with, and is obvious rather than fast. Sides are +1 to
+the right and -1 to the left; ticks are indices of the trace's rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from pytest_pafot.model.trace import ACROSS, ALONG, ANGLE, HEADING, LANE, OFFSET, SPEED, STRETCH, X, Y
+from tests.helpers.polygons import corners, point_to_segment, polygon_distance
+
+STANDS = 0.1
+MOVES_SIDEWAYS = 0.3
+OFF_CENTRE = 0.375
+BRAKES = 0.5
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """A verdict: who, which fault, what it begins with, and the ticks by which it was found."""
+
+    responsibility: str
+    fault: str | None
+    tick: int
+    ticks: dict[str, int] = field(default_factory=dict)
+
+
+class Vehicle:
+    """What the trace says of one vehicle, in the page's words; every list is by tick."""
+
+    def __init__(self, trace, index):
+        self.hz = trace.physics_hz
+        self.length, self.width = trace.sizes[index].tolist()
+        self.rows = trace.states[:, index].tolist()
+        self.body_speed = [row[SPEED] for row in self.rows]
+        if trace.track is None:
+            self._on_straight_road(trace)
+        else:
+            self._on_bend(trace, trace.track[:, index].tolist())
+        self.is_straight = trace.track is None
+        self.lane_width = [trace.lanes[lane].width for lane in self.lane]
+        self.speed = [v * math.cos(a) for v, a in zip(self.body_speed, self.angle, strict=True)]
+
+    def _on_straight_road(self, trace):
+        cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
+        centres = [lane.y * cos - lane.x * sin for lane in trace.lanes]
+        width = trace.lanes[0].width
+        with_shoulders = [*centres, min(centres) - width, max(centres) + width]
+        self.along = [row[X] * cos + row[Y] * sin for row in self.rows]
+        self.across = [row[Y] * cos - row[X] * sin for row in self.rows]
+        self.angle = [row[HEADING] - trace.lanes[0].heading for row in self.rows]
+        self.centre = [
+            centres[int(row[LANE])] if row[LANE] >= 0 else min(with_shoulders, key=lambda centre: abs(centre - y))
+            for row, y in zip(self.rows, self.across, strict=True)
+        ]
+        self.lane = [nearest_lane(trace, row) for row in self.rows]
+        self.stretch = [1.0] * len(self.rows)
+
+    def _on_bend(self, trace, track):
+        self.along = [row[ALONG] for row in track]
+        self.across = [row[ACROSS] for row in track]
+        self.angle = [row[ANGLE] for row in track]
+        self.centre = [row[ACROSS] - row[OFFSET] for row in track]
+        self.lane = [nearest_lane(trace, row) for row in self.rows]
+        self.stretch = [row[STRETCH] for row in track]
+
+    def reach(self, tick):
+        """To the front and to the back of the centre."""
+        angle = self.angle[tick]
+        return (self.length * abs(math.cos(angle)) + self.width * abs(math.sin(angle))) / 2
+
+    def side_reach(self, tick):
+        angle = self.angle[tick]
+        return (self.length * abs(math.sin(angle)) + self.width * abs(math.cos(angle))) / 2
+
+    def edge(self, tick, side):
+        """How far the box reaches to a side, counted to that side."""
+        return side * self.across[tick] + self.side_reach(tick)
+
+    def sideways(self, tick):
+        """To the right."""
+        if tick == 0:
+            return self.body_speed[0] * math.sin(self.angle[0])
+        was, now = self.rows[tick - 1], self.rows[tick]
+        road = was[HEADING] - self.angle[tick - 1]
+        return ((now[Y] - was[Y]) * math.cos(road) - (now[X] - was[X]) * math.sin(road)) * self.hz
+
+    def deceleration(self, tick):
+        return (self.body_speed[tick - 1] - self.body_speed[tick]) * self.hz if tick else 0.0
+
+    def deceleration_along(self, tick):
+        return (self.speed[tick - 1] - self.speed[tick]) * self.hz if tick else 0.0
+
+    def off_centre(self, tick):
+        """To the right."""
+        return self.across[tick] - self.centre[tick]
+
+    def is_over_its_line(self, tick, side):
+        return self.edge(tick, side) > self.line(tick, side)
+
+    def line(self, tick, side):
+        """The line of its own lane on a side, counted to that side."""
+        return side * self.centre[tick] + self.lane_width[tick] / 2
+
+
+def metres(a, b, tick):
+    """Driven from one to the other, on a bend, per metre of the way: the mean of both places."""
+    return (a.stretch[tick] + b.stretch[tick]) / 2
+
+
+def nearest_lane(trace, row):
+    """The lane of a row of the trace; off the road the nearest."""
+    if row[LANE] >= 0:
+        return int(row[LANE])
+    return min(range(len(trace.lanes)), key=lambda lane: distance_to(trace.lanes[lane], (row[X], row[Y])))
+
+
+def distance_to(lane, place):
+    """Of a place to the centre line of a lane."""
+    points = lane.points or ((lane.x, lane.y), end_of(lane))
+    return min(point_to_segment(place, *piece) for piece in pairwise(points))
+
+
+def gap(a, b, tick):
+    return abs(a.along[tick] - b.along[tick]) * metres(a, b, tick) - a.reach(tick) - b.reach(tick)
+
+
+def beside(a, b, tick):
+    """Between the boxes across the road; at most 0 in one track."""
+    return abs(a.across[tick] - b.across[tick]) - a.side_reach(tick) - b.side_reach(tick)
+
+
+def in_one_track(a, b, tick):
+    return beside(a, b, tick) <= 0
+
+
+def is_behind(ego, npc, tick):
+    """Whether the ego is the one behind, as it is with level centres."""
+    return ego.along[tick] <= npc.along[tick]
+
+
+def side_of(other, own, tick):
+    return 1 if other.across[tick] > own.across[tick] else -1
+
+
+def safe_along(behind, ahead, tick):
+    v, u = behind.speed[tick], ahead.speed[tick]
+    return max(0.0, v * 1.0 + v * abs(v) / 12 - u * abs(u) / 16)
+
+
+def safe_across(a, b, tick):
+    closer = 0.0
+    for own, other in ((a, b), (b, a)):
+        s = side_of(other, own, tick) * own.sideways(tick)
+        t = s + 0.2
+        closer += s * 1.0 + 0.1 + t * abs(t) / 1.6
+    return 0.1 + max(0.0, closer)
+
+
+def giving_way(behind, ahead):
+    """The gap that is to be left, by the speeds of the one behind and of the one ahead."""
+    dv = max(0.0, behind - ahead)
+    return max(0.0, dv * 0.4 + dv**2 / (2 * 3.0) + ahead * 1.0)
+
+
+def first_of_last_stretch(holds, last):
+    """Of ticks up to the last one, which counts as one of them."""
+    first = last
+    while first > 0 and holds(first - 1):
+        first -= 1
+    return first
+
+
+class Crash:
+    """One collision, from the ego's and the NPC's trace."""
+
+    def __init__(self, trace):
+        self.trace, self.hz, self.impact = trace, trace.physics_hz, trace.collision.tick
+        self.vehicles = [Vehicle(trace, index) for index in range(trace.states.shape[1])]
+        self.ego, self.npc = self.vehicles[0], self.vehicles[trace.collision.npc + 1]
+        self.danger = first_of_last_stretch(self.is_danger, self.impact)
+        self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
+        self.is_cut_in = False
+        self.counted = None  # the tick since which a response was counted last
+        self.sides = {}
+        self.ticks = {"danger": self.danger, "joined": self.joined}
+
+    def is_danger(self, tick):
+        apart = gap(self.ego, self.npc, tick)
+        pair = (self.ego, self.npc) if is_behind(self.ego, self.npc, tick) else (self.npc, self.ego)
+        is_close_along = apart < safe_along(*pair, tick) or apart <= 0
+        is_close_across = max(0.0, beside(self.ego, self.npc, tick)) < safe_across(self.ego, self.npc, tick)
+        return is_close_along and is_close_across
+
+    def seconds(self, ticks):
+        return ticks / self.hz
+
+    def opinion(self, responsibility, fault=None, tick=None):
+        tick = self.danger if tick is None else tick
+        return Opinion(responsibility, fault, tick, self.ticks)
+
+    def verdict(self):
+        """The rules in their order, and the excuse for an ego that stands."""
+        opinion = self._by_the_first_rule_that_applies()
+        is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or "drift" in self.ticks
+        if is_excused and opinion.responsibility == "ego" and self.stands() and not self.rolled_into_it():
+            return self.opinion("npc", None, opinion.tick)
+        return opinion
+
+    def stands(self):
+        return abs(self.ego.speed[self.impact]) <= STANDS
+
+    def rolled_into_it(self):
+        just_before = range(max(0, self.impact - int(0.5 * self.hz)), self.impact + 1)
+        return any(self.ego.speed[tick] > STANDS for tick in just_before)
+
+    def _by_the_first_rule_that_applies(self):
+        mine, theirs = LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego)
+        over = self.came_over()
+        if over is not None and all(each is None or over[1].moment > each.moment for each in (mine, theirs)):
+            return self.changed_lanes(*((over[1], None) if over[0] is self.ego else (None, over[1])))
+        if self.danger > self.joined or self.joined == 0:
+            return self.one_follows_the_other()
+        if mine is not None and theirs is not None and self.seconds(abs(mine.moment - theirs.moment)) > 1.0:
+            mine, theirs = (mine, None) if mine.moment > theirs.moment else (None, theirs)
+        if mine is not None or theirs is not None:
+            return self.changed_lanes(mine, theirs)
+        if gap(self.ego, self.npc, self.joined) <= 0:
+            return self.drift()
+        return self.one_follows_the_other()
+
+    def changed_lanes(self, mine, theirs):
+        for name, change in (("ego's moment", mine), ("npc's moment", theirs)):
+            if change is not None:
+                self.ticks[name], self.sides[name] = change.moment, change.side
+        if mine is not None and theirs is not None:
+            return self.both_changed_lanes(mine, theirs)
+        return self.npc_changed_lanes(theirs) if mine is None else self.ego_changed_lanes(mine)
+
+    # Rule 2, last paragraph
+
+    def came_over(self):
+        """Who did, and the lane change that it was; None if nobody did."""
+        first = max(self.danger, self.joined)
+        for tick in range(self.impact, first, -1):
+            is_ego_behind = is_behind(self.ego, self.npc, tick)
+            mover, other = (self.npc, self.ego) if is_ego_behind else (self.ego, self.npc)
+            for side in (-1, 1):
+                if comes_over(mover, other, tick, side):
+                    return mover, LaneChange(first, tick, side)
+        return None
+
+    # Rule 3
+
+    def ego_gives_way(self, at):
+        """In a lane change ahead of the NPC, with the lowest speed in it."""
+        apart, then = gap(self.ego, self.npc, at), max(at, self.joined)
+        return (
+            apart > 0
+            and apart >= giving_way(self.npc.speed[at], self.slowest_in_change(at))
+            and gap(self.ego, self.npc, then) >= giving_way(self.npc.speed[then], self.ego.speed[then])
+        )
+
+    def slowest_in_change(self, at):
+        """The ego's lowest speed in a lane change ahead."""
+        end = min(self.impact, max(at, self.joined) + round(1.0 * self.hz))
+        return min(self.ego.speed[at : end + 1])
+
+    def both_changed_lanes(self, mine, theirs):
+        at, later = mine.moment, max(mine.moment, theirs.moment)
+        if not is_behind(self.ego, self.npc, at) and self.ego_gives_way(at):
+            return self.npc_follows(at, tick=at)
+        ego_behind = is_behind(self.ego, self.npc, self.joined)
+        ahead, behind = (self.npc, self.ego) if ego_behind else (self.ego, self.npc)
+        passed = self.duty_passes(ahead, behind, later)
+        if passed is not None and ego_behind:
+            return self.opinion(self.ego_or_both(theirs.moment), "leader-unanswered", passed.kept)
+        if passed is not None:
+            return self.npc_follows(passed.due, tick=passed.kept)
+        return self.opinion("both", "entered-lane", at)
+
+    def ego_changed_lanes(self, change):
+        at = change.moment
+        if is_behind(self.ego, self.npc, at):
+            return self.opinion("ego", "entered-lane", at)
+        if self.ego_gives_way(at):
+            return self.npc_follows(at, tick=at)
+        passed = self.duty_passes(self.ego, self.npc, at)
+        if passed is not None:
+            return self.npc_follows(passed.due, tick=passed.kept)
+        due, apart = max(at, self.danger - 1), gap(self.ego, self.npc, at)
+        had_room = apart > 0 and apart >= giving_way(self.npc.speed[at], self.ego.speed[at])
+        is_ahead = gap(self.ego, self.npc, self.joined) > 0
+        if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
+            self.ticks["answer"] = self.counted
+            return self.opinion("both", "entered-lane", at)
+        has_chance = self.has_second_chance(self.npc, self.ego, at)
+        return self.opinion("both" if has_chance else "ego", "entered-lane", at)
+
+    def npc_changed_lanes(self, change):
+        at = change.moment
+        if not is_behind(self.ego, self.npc, at) and gap(self.ego, self.npc, at) > 0:
+            return self.npc_follows(at, tick=at, moved_in=at)
+        if gap(self.ego, self.npc, at) <= 0 or gap(self.ego, self.npc, self.joined) <= 0:
+            return self.npc_unless_second_chance(at, moment=at)
+        return self.cut_in(change)
+
+    # Rule 4a
+
+    def duty_passes(self, mover, other, since):
+        """To the other, who would have avoided it from then on; None where it does not."""
+        second = self.keeps_its_lane(mover, since)
+        if second is None:
+            return None
+        kept, end = second
+        due = max(end, self.danger - 1)
+        if not self.would_have_avoided(other, mover, due):
+            return None
+        self.ticks["answer"] = self.counted
+        return Passed(kept, due)
+
+    def keeps_its_lane(self, vehicle, since):
+        """From when to when it did so for long enough, since a tick; None if not up to the impact."""
+        near = inside = 0
+        for tick in range(since, self.impact + 1):
+            off = abs(vehicle.off_centre(tick))
+            near = near + 1 if off <= OFF_CENTRE else 0
+            inside = inside + 1 if off + vehicle.side_reach(tick) <= vehicle.lane_width[tick] / 2 else 0
+            for ticks, length in ((near, round(1.0 * self.hz)), (inside, round(2.0 * self.hz))):
+                if ticks > length:
+                    return tick - length, tick
+        return None
+
+    # Rule 4b
+
+    def one_follows_the_other(self):
+        if is_behind(self.ego, self.npc, self.danger):
+            if self.would_have_avoided(self.ego, self.npc, max(self.danger - 1, 0)):
+                self.ticks["answer"] = self.counted
+                return self.opinion(self.ego_or_both(), "leader-unanswered")
+            return self.npc_unless_second_chance(self.danger)
+        return self.npc_follows(0, tick=self.danger)
+
+    def npc_follows(self, since, *, tick, moved_in=None):
+        """Since a tick that rule 3 or 4a names, or 0; ``moved_in`` is the NPC's moment behind the ego."""
+        due = max(since, self.danger - 1, 0)
+        hard, stop = self.braked_for_nothing(self.ego, self.npc, since, moved_in), self.stopped_for_nothing(moved_in)
+        if hard is None and stop is None:
+            return self.opinion("npc", None, tick)
+        fault, began = ("stopped-for-nothing", stop) if hard is None else ("braked-for-nothing", hard)
+        if hard is not None:
+            due = max(since, min(due, hard))
+        could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
+        self.ticks["answer"] = self.counted
+        return self.opinion("both" if could else "ego", fault, began)
+
+    # Rule 4c
+
+    def has_second_chance(self, behind, ahead, named):
+        """Whether the one behind had one, by the tick that the reason names first."""
+        first = max(named, self.danger - 1) + round(1.0 * self.hz)
+        looked_at = [
+            tick
+            for tick in range(first, self.impact)
+            if behind.along[tick] < ahead.along[tick] and gap(behind, ahead, tick) > 0
+        ]
+        no_faster = [tick for tick in looked_at if behind.speed[tick] <= ahead.speed[tick]]
+        if no_faster and self.would_have_avoided_a_cut_in(behind, ahead, no_faster[-1]):
+            self.ticks["no faster"], self.ticks["answer"] = no_faster[-1], self.counted
+            return True
+        for tick in looked_at:
+            if self.lets_the_brakes_go(behind, ahead, tick) and self.could_have_braked_on(behind, ahead, tick):
+                self.ticks["brakes let go"] = self.ticks["answer"] = tick
+                return True
+        return False
+
+    def lets_the_brakes_go(self, behind, ahead, tick):
+        """Though it is faster, and for 0.4 s, which are over at the impact at the latest."""
+        end = tick + round(0.4 * self.hz)
+        return (
+            end <= self.impact
+            and behind.speed[tick] > ahead.speed[tick]
+            and behind.deceleration(tick) >= BRAKES
+            and all(behind.deceleration(later) < BRAKES for later in range(tick + 1, end + 1))
+        )
+
+    def npc_unless_second_chance(self, named, moment=None):
+        """For an ego behind that is excused, by the NPC's lane change if its moment is given."""
+        if not self.has_second_chance(self.ego, self.npc, named):
+            return self.opinion("npc", None, named)
+        is_shared = moment is not None and not self.stands() and self.cuts_in_soon_before(moment)
+        return self.opinion("both" if is_shared else "ego", "leader-unanswered", named)
+
+    # Rule 5
+
+    def cut_in(self, change):
+        at = change.moment
+        self.is_cut_in = self.seconds(self.impact - at) <= 5.0
+        if gap(self.ego, self.npc, at) < 0.3 * self.ego.speed[at] and self.npc_brakes_hard(at, within=2.0):
+            return self.npc_unless_second_chance(at, moment=at)
+        seen = at
+        while seen > change.start and self.is_seen(seen - 1, change) and self.is_seen(at, change):
+            seen -= 1
+        dv = self.ego.speed[seen] - self.npc.speed[seen]
+        nobody_can = dv > 0 and gap(self.ego, self.npc, seen) <= dv * (1.4 + dv / (2 * 6.0))
+        if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen):
+            self.ticks["answer"] = self.counted
+            return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
+        passed = self.duty_passes(self.npc, self.ego, at)
+        if passed is not None:
+            return self.opinion(self.ego_or_both(at), "leader-unanswered", passed.kept)
+        return self.npc_unless_second_chance(at, moment=at)
+
+    def npc_brakes_hard(self, at, *, within=math.inf):
+        """Whether it begins to, for at least 0.4 s, in a time after a tick."""
+        length = round(0.4 * self.hz)
+        return any(
+            all(self.npc.deceleration_along(tick + ticks) > 5.0 for ticks in range(1, length + 1))
+            for tick in range(at, self.impact - length + 1)
+            if self.seconds(tick - at) <= within
+        )
+
+    def ego_or_both(self, moment=None):
+        """Sharing; the moment is that of the NPC's lane change, if there was one."""
+        if self.stands():
+            return "ego"
+        cut_in_and_braked = moment is not None and self.cuts_in_soon_before(moment) and self.npc_brakes_hard(moment)
+        return "both" if cut_in_and_braked or self.npc_braked_close_for_nothing() else "ego"
+
+    def npc_braked_close_for_nothing(self):
+        began = self.braked_for_nothing(self.npc, self.ego)
+        return began is not None and gap(self.ego, self.npc, began) <= 1.0 * self.ego.speed[began]
+
+    def cuts_in_soon_before(self, at):
+        """Whether the NPC's lane change did not give way, at most 5 s before the impact."""
+        gave_way = gap(self.ego, self.npc, at) >= giving_way(self.ego.speed[at], self.npc.speed[at])
+        return not gave_way and self.seconds(self.impact - at) <= 5.0
+
+    def is_seen(self, tick, change):
+        return change.side * self.npc.off_centre(tick) > OFF_CENTRE
+
+    # Rule 1
+
+    def would_have_avoided(self, responder, other, due):
+        """Following: 1.0 s, then 6 m/s^2."""
+        drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
+        self.counted = due
+        return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
+
+    def would_have_avoided_a_cut_in(self, responder, other, seen):
+        drive = Response(self, responder, other, seen, delay=1.4, perceived=0.4, to_cut_in=True)
+        avoids, self.counted = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in), seen
+        if drive.mastered is not None:
+            return self.would_have_avoided_a_cut_in(responder, other, drive.mastered)
+        return avoids
+
+    def could_have_braked_on(self, responder, other, since):
+        """At once, 6 m/s^2."""
+        drive = Response(self, responder, other, since, delay=0.0, perceived=0.0)
+        self.counted = since
+        return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
+
+    # Rule 7
+
+    def braked_for_nothing(self, braker, follower, since=0, moved_in=None):
+        """The tick at which such braking begins, or None."""
+        stretch = self.hard_braking(braker)
+        if stretch is None or stretch[1] < max(self.danger - round(1.0 * self.hz), since):
+            return None
+        began = stretch[0] - 1
+        end = min(self.impact, began + round(0.4 * self.hz))
+        return began if self.counts(braker, follower, began, end, stretch[1], moved_in) else None
+
+    def hard_braking(self, braker):
+        return last_hard_braking(braker.deceleration, range(1, self.impact + 1), self.hz)
+
+    def stopped_for_nothing(self, moved_in):
+        """The tick at which the braking to a standstill begins, or None."""
+        speed = self.ego.body_speed
+        moving = [tick for tick in range(self.impact + 1) if speed[tick] > STANDS]
+        if not moving:
+            return None
+        stood = self.ticks["stood"] = moving[-1] + 1
+        if self.seconds(self.impact - stood) < 3.0 - ROUNDING or self.npc.speed[self.danger] <= 3.0:
+            return None
+        began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
+        return began if self.counts(self.ego, self.npc, began, stood, stood, moved_in) else None
+
+    def counts(self, braker, follower, began, end, last, moved_in):
+        """Whether braking was for nothing: also with no reason from 1.6 s before it began to an end."""
+        is_ahead = is_behind(self.ego, self.npc, began) == (follower is self.ego)
+        if not is_ahead or braker.speed[self.impact] >= braker.speed[began]:
+            return False
+        if gap(braker, follower, began) < 2.0 * (follower.speed[began] - braker.speed[began]):
+            return False
+        if braker.speed[self.impact] > STANDS and self.seconds(self.impact - last) > 3.0:
+            return False
+        if moved_in is not None and self.seconds(moved_in - last) > 1.0:
+            return False
+        if follower.speed[self.impact] > min(follower.speed[max(last, self.danger - 1) : self.impact + 1]) + 1.0:
+            return False
+        ticks = range(max(0, began - round(1.6 * self.hz)), end + 1)
+        return not any(self.is_reason(braker, tick, braker.lane[end]) for tick in ticks)
+
+    def is_reason(self, braker, tick, lane):
+        others = [vehicle for vehicle in self.vehicles if vehicle is not braker]
+        is_leader = any(self.is_leader_a_reason(braker, other, tick) for other in others)
+        is_entered = any(self.is_entering(braker, other, tick) for other in others)
+        return is_leader or is_entered or self.is_end_of_lane_near(braker, tick, lane)
+
+    def is_ahead_or_side_by_side(self, braker, other, tick):
+        return other.along[tick] > braker.along[tick] or gap(braker, other, tick) <= 0
+
+    def is_leader_a_reason(self, braker, other, tick):
+        if not self.is_ahead_or_side_by_side(braker, other, tick) or not in_one_track(braker, other, tick):
+            return False
+        apart, closing = gap(braker, other, tick), braker.speed[tick] - other.speed[tick]
+        is_braking = other.deceleration_along(tick) > 5.0 and apart <= 4.0 * braker.speed[tick]
+        return apart < max(safe_along(braker, other, tick), 5.0, 4.0 * closing) or is_braking
+
+    def is_entering(self, braker, other, tick):
+        if not self.is_ahead_or_side_by_side(braker, other, tick) or in_one_track(braker, other, tick):
+            return False
+        side = side_of(other, braker, tick)
+        closing = side * (braker.sideways(tick) - other.sideways(tick))
+        return (
+            beside(braker, other, tick) < braker.lane_width[tick]
+            and gap(braker, other, tick) <= 4.0 * braker.speed[tick]
+            and closing >= MOVES_SIDEWAYS
+        )
+
+    def is_end_of_lane_near(self, braker, tick, lane):
+        end = end_of(self.trace.lanes[lane])
+        if any(math.dist(end, (other.x, other.y)) <= 1.0 for other in self.trace.lanes):
+            return False
+        place = braker.rows[tick][X], braker.rows[tick][Y]
+        return math.dist(end, place) < 4.0 * braker.speed[tick]
+
+    # Rule 8
+
+    def drift(self):
+        at, side = self.joined, side_of(self.npc, self.ego, self.joined)
+        self.ticks["drift"] = at
+        towards = side * self.ego.sideways(at), -side * self.npc.sideways(at)
+        ego, npc = (speed >= MOVES_SIDEWAYS for speed in towards)
+        if ego == npc:
+            ego, npc = self.ego.is_over_its_line(at, side), self.npc.is_over_its_line(at, -side)
+        if ego == npc:
+            ego = towards[0] - towards[1] >= MOVES_SIDEWAYS
+        return self.opinion("ego", "entered-lane", at) if ego else self.opinion("npc", None, at)
+
+
+def last_hard_braking(deceleration, ticks, hz):
+    """The first and the last tick of the last stretch with more than 5 m/s^2 for at least 0.4 s, or None."""
+    found = first = None
+    for tick in ticks:
+        is_hard = deceleration(tick) > 5.0
+        first = (first or tick) if is_hard else None
+        if is_hard and (tick - first + 1) / hz >= 0.4 - ROUNDING:
+            found = first, tick
+    return found
+
+
+def end_of(lane):
+    if lane.points:
+        return lane.points[-1]
+    return lane.x + lane.length * math.cos(lane.heading), lane.y + lane.length * math.sin(lane.heading)
+
+
+@dataclass(frozen=True)
+class LaneChange:
+    """Rule 2: from the first tick of the motion, over the line at the moment, to a side."""
+
+    start: int
+    moment: int
+    side: int
+
+    @classmethod
+    def of(cls, crash, mover, other):
+        """The mover's into the other's track, or None."""
+        joined = crash.joined
+        if joined == 0:
+            return None
+        side = side_of(other, mover, joined - 1)
+        start = start_of_motion(mover, joined, side)
+        if start is None:
+            return None
+        moment = last_crossing(mover, range(start, joined + 1), side)
+        if moment is None and not mover.is_straight:
+            line = side * other.centre[joined] - other.lane_width[joined] / 2
+            moment = next((tick for tick in range(start, joined + 1) if mover.edge(tick, side) > line), None)
+        return None if moment is None else cls(start, moment, side)
+
+
+def start_of_motion(mover, last, side):
+    """The first tick of the continuous motion to a side that is not over at the last one; None if there is none."""
+    moving = [tick for tick in range(last + 1) if side * mover.sideways(tick) >= MOVES_SIDEWAYS]
+    if not moving or (last - moving[-1]) / mover.hz >= 0.5 - ROUNDING:
+        return None
+    start = moving[-1]
+    for tick in reversed(moving):
+        if (start - tick - 1) / mover.hz >= 0.5 - ROUNDING:
+            break
+        start = tick
+    return start
+
+
+def comes_over(mover, other, tick, side):
+    """Into a lane in which the other already is."""
+    before = tick - 1
+    crosses = mover.is_over_its_line(tick, side) and not mover.is_over_its_line(before, side)
+    if not crosses or side * mover.sideways(tick) < MOVES_SIDEWAYS:
+        return False
+    if mover.rows[before][LANE] < 0 or other.rows[before][LANE] < 0:
+        return False
+    lanes = side * (other.centre[before] - mover.centre[before]) / mover.lane_width[before]
+    return 0.5 <= lanes <= 1.5
+
+
+def last_crossing(mover, motion, side):
+    """The first tick of the last stretch in which the box was over the line of the lane of its centre, or None."""
+    first, was_over = None, False
+    for tick in motion:
+        is_over = mover.is_over_its_line(tick, side)
+        has_passed = tick > motion[0] and side * (mover.centre[tick] - mover.centre[tick - 1]) > 1.0
+        if is_over and (has_passed or not was_over):
+            first = tick
+        was_over = is_over
+    return first
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Rule 4a: from when on the mover kept its lane, and from when on the other has to answer."""
+
+    kept: int
+    due: int
+
+
+class Response:
+    """Rule 1: the responder drives its recorded line at speeds of its own."""
+
+    LONGEST = 12.0
+
+    def __init__(self, crash, responder, other, since, *, delay, perceived, to_cut_in=False):
+        self.crash, self.responder, self.other, self.since = crash, responder, other, since
+        self.hz, self.impact, self.to_cut_in = crash.hz, crash.impact, to_cut_in
+        self.due = since + round(delay * self.hz)
+        self.perceived = since + round(perceived * self.hz)
+        self.speeds = {since: responder.speed[since]}
+        self.others_speeds = dict(enumerate(other.speed[: self.impact + 1]))
+        self.lag = self.others_way = 0.0
+        self.mastered = None
+
+    def avoids(self, deceleration, *, brakes_on=False):
+        """Whether there is no contact; ``brakes_on`` where the other goes on braking after the impact."""
+        if self.since >= self.impact:
+            return False
+        is_hit = False
+        for tick in range(self.since, self.impact):
+            self.lag += (self.responder.speed[tick] - self.speeds[tick]) / self.hz
+            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
+            is_hit = is_hit or self.is_contact(tick + 1)
+        if self.has_answered():
+            return False
+        if self.to_cut_in:
+            self.mastered = self.last_mastered()
+        return not is_hit and self.is_free_after_the_impact(deceleration, brakes_on)
+
+    def next_speed(self, tick, deceleration):
+        """After a step that begins at a tick."""
+        own = self.speeds[tick]
+        if tick + 1 >= self.due:
+            return max(0.0, own - deceleration / self.hz) if self.slows_down(tick) else own
+        if tick + 1 > self.impact:
+            return own
+        recorded = self.responder.speed[tick + 1]
+        return recorded if tick + 1 <= self.perceived else min(own, recorded)
+
+    def slows_down(self, tick):
+        own, other = self.speeds[tick], self.others_speeds[tick]
+        is_too_close = self.to_cut_in and self.straight_gap(tick) < own * 1.0 and other - own < 2.0
+        return own > other or is_too_close
+
+    def has_answered(self):
+        ticks = range(self.since, self.impact + 1)
+        was_never_faster = all(self.responder.speed[tick] <= self.speeds[tick] + 0.1 for tick in ticks)
+        is_as_slow = self.responder.speed[self.impact] <= self.speeds[self.impact] + 0.1
+        return was_never_faster or (is_as_slow and self.lag <= 0.2 * self.responder.speed[self.impact])
+
+    def last_mastered(self):
+        """The last tick at which it had answered so far, or None."""
+        last = None
+        for tick in range(self.since, self.impact + 1):
+            own = self.responder.speed[tick]
+            if own > self.speeds[tick] + 0.1:
+                break
+            if tick >= self.due and own <= self.other.speed[tick]:
+                last = tick
+        return last
+
+    def ahead_by(self, tick):
+        """How far the other's centre is ahead of where the responder would be [m]."""
+        at = min(tick, self.impact)
+        apart = (self.other.along[at] - self.responder.along[at]) * metres(self.other, self.responder, at)
+        return apart + self.lag + self.others_way
+
+    def is_contact(self, tick):
+        own, other = self.responder, self.other
+        places = (0.0, own.across[tick], own.angle[tick]), (self.ahead_by(tick), other.across[tick], other.angle[tick])
+        if abs(places[1][0]) > (math.hypot(own.length, own.width) + math.hypot(other.length, other.width)) / 2:
+            return False
+        boxes = corners(places[0], own.length, own.width), corners(places[1], other.length, other.width)
+        return polygon_distance(*boxes) == 0
+
+    def straight_gap(self, tick):
+        """At a tick, with straight boxes."""
+        return abs(self.ahead_by(tick)) - (self.responder.length + self.other.length) / 2
+
+    def is_free_after_the_impact(self, deceleration, brakes_on):
+        tick = self.impact
+        falls = max(0.0, self.other.deceleration_along(tick)) if brakes_on else 0.0
+        while True:
+            own, other = self.speeds[tick], self.others_speeds[tick]
+            still_brakes = falls > 0 and other > 0
+            if not still_brakes and (own <= other or (tick - self.impact) / self.hz >= self.LONGEST):
+                return True
+            self.speeds[tick + 1] = self.next_speed(tick, deceleration(tick))
+            self.others_speeds[tick + 1] = max(0.0, other - falls / self.hz) if still_brakes else other
+            self.lag -= own / self.hz
+            self.others_way += other / self.hz
+            tick += 1
+            if self.straight_gap(tick) <= 0:
+                return False
+
+
+class Emergency:
+    """How hard the responder to a cut-in brakes at a tick."""
+
+    def __init__(self, drive):
+        self.drive, self.count, self.first = drive, 0, None
+
+    def deceleration(self, tick):
+        """To be asked tick by tick."""
+        drive = self.drive
+        own, other = drive.speeds[tick], drive.others_speeds[tick]
+        self.count = self.count + 1 if self.is_one(tick, own - other) else 0
+        if self.first is None and self.count >= round(0.4 * drive.hz):
+            self.first = tick - self.count + 1
+        acts = self.first is not None and tick + 1 >= self.first + round(1.4 * drive.hz)
+        if acts and own <= other:
+            self.count, self.first, acts = 0, None, False
+        return 6.0 if acts else 3.0
+
+    def is_one(self, tick, closing):
+        speeds = self.drive.others_speeds
+        falls = (speeds[tick - 1] - speeds[tick]) * self.drive.hz if tick else 0.0
+        return (closing > 0 and self.drive.straight_gap(tick) / closing < 2.0) or falls > 5.0
+
+
+def judge(trace):
+    """The verdict on a collision."""
+    return Crash(trace).verdict()

@@ -1,0 +1,175 @@
+"""Random collisions of many policies on many roads, each named by its policy and a number, and made again from them."""
+
+from __future__ import annotations
+
+import functools
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from example_ads import constant_speed, defects, idm_mobil
+from pytest_pafot import Highway, Scenario, Trace
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.helpers.road_cases import space_of, world_of
+from tests.helpers.sound_driver import SoundLaneChanger
+
+ATTEMPTS = 400
+"""Scenarios that are tried for one collision."""
+ROADS = ("merge-v0", "roundabout-v0", "racetrack-v0", "exit-v0", "two-way-v0", "u-turn-v0", "intersection-v0")
+"""That are not straight."""
+
+
+class Erratic:
+    """Brakes, speeds up and drifts to anywhere on the road, from random ticks on; its habits are drawn first."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self.rng = rng
+        self.hold, self.braking = rng.uniform(0.2, 3.0), rng.uniform(2.0, 9.0)
+        self.sideways, self.patience = rng.uniform(0.1, 2.5), rng.uniform(1.0, 8.0)
+        self.calm = rng.uniform(0.0, 0.9)
+        self.acceleration, self.target, self.path = 0.0, math.nan, math.nan
+        self.until = self.turns = self.now = 0.0
+
+    def __call__(self, seen):
+        if math.isnan(self.path):
+            self.path = self.target = seen.ego.y
+        step, self.now = seen.time - self.now, seen.time
+        if seen.time >= self.until:
+            self.until = seen.time + self.rng.expovariate(1 / self.hold)
+            self.acceleration = 0.0 if self.rng.random() < self.calm else self.rng.uniform(-self.braking, 3.0)
+        if seen.time >= self.turns:
+            self.turns = seen.time + self.rng.expovariate(1 / self.patience)
+            place = self.rng.randrange(seen.lanes) + self.rng.choice([0.0, 0.0, self.rng.uniform(-0.5, 0.5)])
+            self.target = place * seen.lane_width
+        reach = self.sideways * step
+        self.path += max(min(self.target - self.path, reach), -reach)
+        heading = math.asin(max(min(0.8 * (self.path - seen.ego.y) / max(seen.ego.speed, 3.0), 0.3), -0.3))
+        acceleration = max(self.acceleration, -3.0 * seen.ego.speed)
+        return acceleration, 6.0 / max(seen.ego.speed, 6.0) * (heading - seen.ego.heading)
+
+
+class StopAndGo(Erratic):
+    """Keeps its lane, speeds up, and comes to a standstill for some seconds again and again."""
+
+    def __init__(self, rng: random.Random) -> None:
+        super().__init__(rng)
+        self.patience, self.standing = 1e9, rng.uniform(1.0, 8.0)
+        self.turns, self.stops = 1e9, rng.uniform(1.0, 10.0)
+
+    def __call__(self, seen):
+        _, steering = super().__call__(seen)
+        if seen.time < self.stops:
+            return (2.0 if seen.ego.speed < 0.9 * seen.speed_limit else 0.0), steering
+        if seen.time > self.stops + self.standing + 25.0 / self.braking:
+            self.stops = seen.time + self.rng.uniform(2.0, 10.0)
+        return max(-self.braking, -3.0 * seen.ego.speed), steering
+
+
+def erratic_vehicle(rng):
+    """A vehicle class that keeps to its way, and brakes, speeds up and changes lanes at random."""
+    from highway_env.vehicle.controller import ControlledVehicle
+
+    hold, braking, patience = rng.uniform(0.2, 3.0), rng.uniform(2.0, 9.0), rng.uniform(1.0, 8.0)
+
+    class ErraticVehicle(ControlledVehicle):
+        ticks = 0
+        wanted = 0.0
+
+        def act(self, action=None):
+            self.ticks += 1
+            turns = rng.random() < 1 / 15 / patience
+            super().act(rng.choice(["LANE_LEFT", "LANE_RIGHT"]) if turns else None)
+            if rng.random() < 1 / 15 / hold:
+                self.wanted = rng.uniform(-braking, 3.0)
+            self.action["acceleration"] = max(self.wanted, -3.0 * self.speed)
+
+    return ErraticVehicle
+
+
+Policy = Callable[[random.Random], Any]
+
+
+def _controlled_vehicle(rng):
+    from highway_env.vehicle.controller import ControlledVehicle
+
+    return ControlledVehicle
+
+
+ON_A_MOTORWAY: dict[str, Policy] = {
+    "constant-speed": lambda rng: constant_speed.make,
+    "idm-mobil": lambda rng: idm_mobil.make(),
+    "sound-lane-changer": lambda rng: SoundLaneChanger,
+    "erratic": lambda rng: functools.partial(Erratic, random.Random(rng.random())),
+    "stop-and-go": lambda rng: functools.partial(StopAndGo, random.Random(rng.random())),
+    **{name: lambda rng, name=name: REFERENCES[name] for name in REFERENCES},
+    **{name: lambda rng, name=name: defects.make(name) for name in defects.POLICIES if name != "healthy"},
+}
+ON_OTHER_ROADS: dict[str, Policy] = {
+    "idm-mobil, other roads": lambda rng: idm_mobil.make(),
+    "constant-speed, other roads": _controlled_vehicle,
+    "erratic, other roads": erratic_vehicle,
+    "looks-only-ahead, other roads": lambda rng: defects.make("looks-only-ahead"),
+    "brakes-weakly, other roads": lambda rng: defects.make("brakes-weakly"),
+    "brakes-for-ghosts, other roads": lambda rng: defects.make("brakes-for-ghosts"),
+}
+POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS}
+
+
+@dataclass(frozen=True)
+class RandomCollision:
+    """A collision, and what it was made from."""
+
+    policy: str
+    number: int
+    seed: int
+    world: Any
+    scenario: Scenario
+    trace: Trace
+
+
+def collision(policy: str, number: int, seed: int = 0) -> RandomCollision:
+    """The collision with a number; the same at every call.
+
+    Raises:
+        LookupError: where none is found.
+    """
+    rng = random.Random(f"{policy} {number} {seed}")
+    for _ in range(ATTEMPTS):
+        world = motorway(rng) if policy in ON_A_MOTORWAY else world_of(rng.choice(ROADS))
+        drawn = np.random.default_rng(rng.getrandbits(60))
+        scenario = sample(space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2)), drawn)
+        trace = world.rollout(scenario, POLICIES[policy](rng))
+        if trace.collision is not None:
+            return RandomCollision(policy, number, seed, world, scenario, trace)
+    raise LookupError(f"{policy}: no collision in {ATTEMPTS} runs")
+
+
+def motorway(rng: random.Random) -> Highway:
+    """Of any size and frequency."""
+    physics_hz = rng.choice([15, 15, 15, 10, 20])
+    return Highway(
+        lanes=rng.randint(3, 6),
+        speed_limit=round(rng.uniform(12.0, 36.0), 1),
+        physics_hz=physics_hz,
+        ads_hz=rng.choice([5, physics_hz]),
+        duration=30.0,
+        clearance=rng.choice([0.0, 1.0, 2.0, 5.0, 10.0, 20.0]),
+    )
+
+
+def space(world: Highway, rng: random.Random) -> SearchSpace:
+    """With long and with short instructions."""
+    genes = rng.choice([3, 6, 10, 15])
+    return SearchSpace(
+        npcs=rng.randint(1, 5),
+        genes=genes,
+        gene_seconds=world.duration / genes,
+        speed_limit=world.speed_limit,
+        ego_lane=rng.randrange(1, world.lanes - 1),
+        ego_speed=round(rng.uniform(0.4, 1.0) * world.speed_limit, 1),
+    )

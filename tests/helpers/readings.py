@@ -1,0 +1,121 @@
+"""Collisions that readers judged from their traces alone, without a look at any rule: packed traces, and the answers.
+
+Each was drawn from searches and random scenarios of 79 policies with one fault or habit each. The traces are those of
+the last 25 s, in millimetres, millimetres a second and tenths of a milliradian; a reader says whom it holds
+responsible, and which answers a colleague could defend.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import lzma
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
+from tests.helpers.traces import scenario_of
+
+FILE = Path(__file__).parents[1] / "attribution" / "readings.xz"
+COLUMNS, SCALES = (X, Y, HEADING, SPEED, LANE), np.array([1e3, 1e3, 1e4, 1e3, 1.0])
+
+
+@dataclass(frozen=True)
+class Read:
+    """A collision, the set that it was read in, 1 to 4 (the rules were made with the first three), and the answers."""
+
+    number: int
+    trace: Trace
+    read_in: int
+    answers: tuple[tuple[str, tuple[str, ...]], ...]
+
+    def accepts(self, responsibility):
+        """Whether the first reader would defend an answer."""
+        return responsibility in self.answers[0][1]
+
+
+def packed(trace, ticks):
+    """The last ticks of a trace, as plain data."""
+    states = trace.states[-ticks - 1 :, :, COLUMNS].copy()
+    states[..., 0] -= trace.states[-1, 0, X]
+    whole = np.round(states * SCALES).astype(np.int64)
+    steps = np.diff(whole, axis=0, prepend=0)
+    steps[1:, :, 0] = np.diff(steps[:, :, 0], axis=0)  # positions along the road: differences of differences
+    hit = trace.collision
+    return {
+        "steps": steps,
+        "sizes": trace.sizes.tolist(),
+        "lanes": [[lane.y, lane.width, lane.speed_limit] for lane in trace.lanes],
+        "hz": trace.physics_hz,
+        "npc": hit.npc,
+        "side": hit.side,
+    }
+
+
+def unpacked(data):
+    """The trace again, on a straight road without an end."""
+    steps = data["steps"].copy()
+    steps[1:, :, 0] = np.cumsum(steps[:, :, 0], axis=0)[1:]
+    whole = np.cumsum(steps, axis=0)
+    states = np.zeros((*whole.shape[:2], 7))
+    states[:, :, COLUMNS] = whole / SCALES
+    ticks, npcs, npc, hz = len(states) - 1, states.shape[1] - 1, data["npc"], data["hz"]
+    speeds = states[-1, :, SPEED]
+    return Trace(
+        scenario=scenario_of(npcs),
+        executed=scenario_of(npcs),
+        outcome=Outcome.COLLISION,
+        states=states,
+        sizes=np.array(data["sizes"]),
+        lanes=tuple(
+            Lane(x=-1e5, y=y, heading=0.0, length=2e5, width=width, speed_limit=limit)
+            for y, width, limit in data["lanes"]
+        ),
+        physics_hz=hz,
+        ads_hz=hz,
+        collision=Collision(
+            tick=ticks,
+            time=ticks / hz,
+            npc=npc,
+            side=data["side"],
+            cell=Cell.FRONT,
+            ego_speed=speeds[0],
+            npc_speed=speeds[npc + 1],
+            closing_speed=0.0,
+        ),
+    )
+
+
+def save(items, path=FILE):
+    """Write packed collisions with their answers."""
+    plain = [{key: value for key, value in item.items() if key != "steps"} for item in items]
+    shapes = [item["steps"].shape for item in items]
+    # Column by column, since like compresses best beside like.
+    numbers = [np.concatenate([item["steps"][..., column].ravel() for item in items]) for column in range(len(COLUMNS))]
+    head = json.dumps({"items": plain, "shapes": shapes}).encode()
+    body = io.BytesIO()
+    np.save(body, np.stack(numbers).astype(np.int32), allow_pickle=False)
+    path.write_bytes(
+        lzma.compress(len(head).to_bytes(8, "big") + head + body.getvalue(), preset=9 | lzma.PRESET_EXTREME)
+    )
+
+
+def load(path=FILE):
+    """All collisions that were read."""
+    data = lzma.decompress(path.read_bytes())
+    size = int.from_bytes(data[:8], "big")
+    head = json.loads(data[8 : 8 + size])
+    numbers = np.load(io.BytesIO(data[8 + size :]), allow_pickle=False).astype(np.int64)
+    found, begin = [], 0
+    for number, (item, (ticks, vehicles, _)) in enumerate(zip(head["items"], head["shapes"], strict=True)):
+        end = begin + ticks * vehicles
+        steps = numbers[:, begin:end].reshape(-1, ticks, vehicles).transpose(1, 2, 0)
+        answers = tuple((fault, tuple(others)) for fault, others in item["readings"])
+        found.append(
+            Read(number=number, trace=unpacked({**item, "steps": steps}), read_in=item["set"], answers=answers)
+        )
+        begin = end
+    return found

@@ -1,0 +1,124 @@
+"""Scenarios for worlds of any road, and the NPC limits checked on a finished trace, by highway-env's own lanes."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from pytest_pafot import World
+from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
+from pytest_pafot.searching.space import space_on
+from pytest_pafot.world.protocol import road_start
+from tests.helpers.world_cases import LENGTH, STANDING, WIDTH, beyond
+
+ENVIRONMENTS = (
+    "exit-v0", "exit-v1", "intersection-v0", "intersection-v1", "intersection-v2", "lane-keeping-v0", "merge-v0",
+    "merge-v1", "merge-generic-v0", "merge-generic-v1", "racetrack-v0", "racetrack-v1", "racetrack-large-v0",
+    "racetrack-large-v1", "racetrack-oval-v0", "racetrack-oval-v1", "roundabout-v0", "roundabout-v1",
+    "roundabout-generic-v0", "roundabout-generic-v1", "two-way-v0", "u-turn-v0", "u-turn-v1",
+)  # fmt: skip
+"""highway-env's, but for its straight roads, its parking lots and those with more than one ego."""
+ROADS = tuple(
+    env_id
+    for env_id in ENVIRONMENTS
+    if env_id.endswith("-v1") or env_id in ("intersection-v0", "lane-keeping-v0", "two-way-v0")
+)
+"""Each road and route once: versions differ in what a policy sees and does, which counts for no ego that drives itself.
+The first of the intersection has a route of its own."""
+
+ON_LANE_MARGIN = 0.1
+"""By how much a corner may be beyond the edge of all lanes [m]."""
+IN_A_GAP_MARGIN = 0.6
+"""The same in some roundabouts [m]: between two lanes there is a gap of 6 m with a bend of 50 degrees in it, in which
+whoever stays on the way is beside both."""
+WITH_GAPS = ("roundabout-v0", "roundabout-v1")
+
+
+@functools.cache
+def world_of(env_id, duration=None):
+    """Made once, since the survey of a road takes as long as many runs on it."""
+    return World(env_id, duration=duration)
+
+
+def space_of(world, npcs=2):
+    """What the plugin searches in a world of its own start."""
+    return space_on(world, {"npcs": npcs}, road_start(world))
+
+
+def wrapped(angle):
+    """In [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def off_lanes(network, trace):
+    """How far the corners of the NPCs are beyond the edges of all lanes of a network, at most [m]."""
+    states = trace.npcs[:: max(1, trace.physics_hz // 5)].reshape(-1, 7)
+    heading, centre = states[:, HEADING], states[:, [X, Y]]
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * LENGTH / 2
+    right = np.stack([-np.sin(heading), np.cos(heading)], axis=-1) * WIDTH / 2
+    worst = 0.0
+    for a in (-1, 1):
+        for b in (-1, 1):
+            worst = max(worst, *(beyond_edges(network, corner) for corner in centre + a * forward + b * right))
+    return worst
+
+
+def beyond_edges(network, point):
+    """Distance of a point to the nearest lane's edge [m]; negative on any."""
+    best = math.inf
+    for lane in network.lanes_list():
+        longitudinal, lateral = lane.local_coordinates(point)
+        if -5 <= longitudinal <= lane.length + 5:
+            best = min(best, abs(lateral) - lane.width_at(longitudinal) / 2)
+            if best < 0:
+                break
+    return best
+
+
+def violations(trace, world):
+    """Which limits the NPCs break, as texts with the worst value; empty when none."""
+    limits, s, dt = world.limits, trace.npcs, trace.dt
+    heading, speed, acceleration = s[..., HEADING], s[..., SPEED], s[..., ACCELERATION]
+    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
+    course = heading[:-1] + slip
+    standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
+    jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    lateral = limits.lateral_acceleration
+    turning = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
+    direction, fastest = lanes_of(trace, world.road)
+    beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
+    bounds = {
+        "acceleration": (acceleration, -limits.braking, limits.acceleration),
+        "jerk": (jerk, -limits.jerk, limits.jerk),
+        "speed": (speed, 0.0, limits.overspeed * world.speed_limit),
+        "speed in the bend": (speed - fastest, -np.inf, 0.0),
+        "angle to the lane": (wrapped(heading - direction), -limits.heading, limits.heading),
+        "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
+        "turning of the course": (turning, -lateral, lateral),
+        "forward motion": (np.diff(trace.track[:, 1:, ALONG], axis=0), -1e-9, np.inf),
+        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
+        "motion follows course, x": (np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt, 0.0, 0.0),
+        "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
+        "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, beside),
+    }
+    return beyond(bounds)
+
+
+def lanes_of(trace, road):
+    """Direction of each NPC's lane [rad], and sqrt(a / curvature) there [m/s], by the road's own line of that lane."""
+    direction = np.zeros(trace.npcs.shape[:2])
+    fastest = np.full(trace.npcs.shape[:2], np.inf)
+    for tick, npc in np.ndindex(direction.shape):
+        along = trace.track[tick, npc + 1, ALONG]
+        lane = next(
+            number for number, column in enumerate(road.columns)
+            if column.part[road.point(along)] == trace.npcs[tick, npc, 6] or number == len(road.columns) - 1
+        )  # fmt: skip
+        _, direction[tick, npc], _ = road.lane_at(lane, along)
+        x, y, _ = zip(*(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True)
+        turn = math.atan2(y[2] - y[1], x[2] - x[1]) - math.atan2(y[1] - y[0], x[1] - x[0])
+        bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(x[2] - x[1], y[2] - y[1])
+        fastest[tick, npc] = math.sqrt(4 / max(bend, 1e-9))
+    return direction, fastest

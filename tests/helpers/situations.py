@@ -1,0 +1,738 @@
+"""Collisions that an expert has judged: what happens, and whose fault it is, by which clause of the page.
+
+The page is docs/explanation/verdicts.md.
+
+The verdicts are written from the clauses, not from what the code says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pytest_pafot.model.trace import HEADING, SPEED, Trace, X, Y
+from pytest_pafot.world.kernel.bodies import Box, side_hit
+from tests.helpers import drives
+from tests.helpers.drives import HZ, bent, crash, merging
+from tests.helpers.traces import LENGTH, WIDTH, straight_lanes
+
+LEFT, OWN, RIGHT, FAR = 0.0, 4.0, 8.0, 12.0
+"""Centres of the lanes; who is not said to be elsewhere drives in OWN [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """A collision, its verdict and why.
+
+    Attributes:
+        name: of its picture, too.
+        text: what happens.
+        trace: makes it.
+        responsibility, fault: that an expert expects.
+        clause: of docs/explanation/verdicts.md that decides.
+        says: what the reason has in it.
+    """
+
+    name: str
+    text: str
+    trace: Callable[[], Trace]
+    responsibility: str
+    fault: str | None
+    clause: str
+    says: str
+
+
+def driven(*place, **plan):
+    """A vehicle whose plan has its speed along the road; while it moves sideways its body is faster than that."""
+    states = drives.driven(*place, **plan)
+    states[:, SPEED] /= np.cos(states[:, HEADING])
+    return states
+
+
+def hit(ego, *npcs, **road) -> Trace:
+    """The run up to the ego's first contact with the first NPC, with the side that was hit."""
+    trace = crash(ego, *npcs, **road)
+    ego_before, npc_before = (Box(*states[[X, Y, HEADING]], LENGTH, WIDTH) for states in trace.states[-2, :2])
+    return replace(trace, collision=replace(trace.collision, side=side_hit(ego_before, npc_before)))
+
+
+def turned(states, angle):
+    """A vehicle that points so to the road where it stands [rad]."""
+    states[states[:, SPEED] == 0, HEADING] = angle
+    return states
+
+
+def at_lane_end(ego, npc, *, end) -> Trace:
+    """The same where the ego's lane ends somewhere."""
+    lanes = list(straight_lanes())
+    lanes[1] = replace(lanes[1], length=end)
+    return hit(ego, npc, lanes=tuple(lanes))
+
+
+def cut_in(gap, *, slower, brakes=(), ego_brakes=(), lasts=2.0) -> Trace:
+    """The run in which an NPC from the left crosses the line into the ego's lane after 2.3 s, at a gap ahead of it."""
+    speed = 20.0 - slower
+    npc = driven(5.0 + gap + slower * 2.33, LEFT, speed=speed, brakes=brakes, shifts=[(2.0, OWN, lasts)], seconds=30.0)
+    return hit(driven(0.0, brakes=ego_brakes, seconds=30.0), npc)
+
+
+def lane_change(gap, *, faster, brakes=(), npc_brakes=(), speed=20.0) -> Trace:
+    """The run in which the ego comes from the left and crosses the line at 2.4 s, at a gap ahead of an NPC."""
+    ego = driven(0.0, LEFT, speed=speed, brakes=brakes, shifts=[(2.0, OWN, 2.0)], seconds=30.0)
+    npc = driven(-5.0 - gap - faster * 2.4, speed=speed + faster, brakes=npc_brakes, seconds=30.0)
+    return hit(ego, npc)
+
+
+def in_bend(ego, npc) -> Trace:
+    """The same where the road bends to the right."""
+    vehicles, road = bent(ego, npc)
+    return hit(*vehicles, **road)
+
+
+def at_ramp(ego, npc, *, on_ramp) -> Trace:
+    """The same where one of the two comes from a ramp."""
+    vehicles, road = merging(ego, npc, on_ramp=on_ramp)
+    return hit(*vehicles, **road)
+
+
+def weaving():
+    """An ego that comes from the left and weaves in its new lane from 4 s on, with a period of 3 s."""
+    ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0)
+    since = np.maximum(np.arange(len(ego)) / HZ - 4.0, 0.0)
+    ego[:, Y] += 0.6 * np.sin(since * 2 * np.pi / 3.0)
+    ego[:, HEADING] = np.arctan2(np.gradient(ego[:, Y]) * HZ, 20.0)
+    return ego
+
+
+def oncoming(x, y):
+    """A vehicle that drives towards the ego with 20 m/s."""
+    states = driven(x, y, speed=-20.0)
+    states[:, HEADING], states[:, SPEED] = np.pi, 20.0
+    return states
+
+
+SITUATIONS = {
+    "One follows the other": (
+        Situation(
+            "slow-leader-ignored",
+            "The ego, 20 m/s, runs into a vehicle that has driven 10 m/s all the time. It does not brake.",
+            lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
+            "ego", "leader-unanswered", "4b", "closer than the 47.1 m that RSS demands",
+        ),
+        Situation(
+            "standing-vehicle-ignored",
+            "A vehicle has stood in the ego's lane all the time, 150 m ahead. The ego does not brake.",
+            lambda: hit(driven(0.0), driven(155.0, speed=0.0)),
+            "ego", "leader-unanswered", "4b", "from 4.9 s",
+        ),
+        Situation(
+            "hard-brake-ahead-ignored",
+            "Two seconds ahead of the ego one brakes with 8 m/s^2 to a standstill. The ego does not brake.",
+            lambda: hit(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "the ego did not brake",
+        ),
+        Situation(
+            "braked-too-gently",
+            "So again, and the ego brakes a second later, with 3 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "with up to 3.0 m/s^2",
+        ),
+        Situation(
+            "braked-too-late",
+            "So again, and the ego brakes three seconds later, with 8 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "the ego braked from 5.0 s on with up to 8.0 m/s^2",
+        ),
+        Situation(
+            "leader-stops-dead",
+            "One that the ego follows 1.5 s behind stops within 7 m. The ego brakes with 6 m/s^2 from 1.0 s after on.",
+            lambda: hit(driven(0.0, brakes=[(3.0, 6.0, 0.0)]), driven(35.0, brakes=[(2.0, 30.0, 0.0)])),
+            "npc", None, "4b", "no response could avoid",
+        ),
+        Situation(
+            "began-too-close",
+            "The run begins 7 m behind one that brakes with 8 m/s^2 at once.",
+            lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
+            "npc", None, "4b", "no response could avoid it",
+        ),
+        Situation(
+            "ego-tailgates",
+            "The ego comes up to 2 m behind another and stays there; 5 s later that one brakes with 4 m/s^2.",
+            lambda: hit(driven(0.0, speed=25.0, brakes=[(7.0, 5.0, 20.0)]), driven(44.5, brakes=[(13.0, 4.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "closer than the 52.1 m that RSS demands",
+        ),
+        Situation(
+            "npc-tailgates",
+            "Another comes up to 2 m behind the ego and stays there; 5 s later the ego brakes with 4 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(13.0, 4.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
+            "npc", None, "4b", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "hit-from-behind",
+            "The ego keeps 20 m/s, and one with 26 m/s runs into it from behind.",
+            lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
+            "npc", None, "4b", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "ego-speeds-up-behind-a-close-leader",
+            "The run begins 8 m behind another of equal speed; after 3 s the ego speeds up.",
+            lambda: hit(driven(0.0, brakes=[(3.0, -2.0, 26.0)]), driven(13.0)),
+            "ego", "leader-unanswered", "4b", "the ego sped up to",
+        ),
+    ),
+    "Braking hard": (
+        Situation(
+            "braked-for-nothing",
+            "On a free road the ego brakes with 9 m/s^2. The one behind follows at 2 s and does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 0.0)]), driven(-45.0)),
+            "both", "braked-for-nothing", "7", "from 4.0 s the ego braked with up to 9.0 m/s^2",
+        ),
+        Situation(
+            "braked-for-nothing-unavoidable",
+            "So again with 9.8 m/s^2, and the one behind has just what RSS asks for, which counts with 8 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
+            "ego", "braked-for-nothing", "7", "NPC 0 behind could not avoid it",
+        ),
+        Situation(
+            "braked-for-nothing-tailgated",
+            "On a free road the ego brakes with 9 m/s^2 ahead of one that has come up to 2 m behind it.",
+            lambda: hit(driven(0.0, brakes=[(13.0, 9.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
+            "both", "braked-for-nothing", "7", "from 13.0 s the ego braked",
+        ),
+        Situation(
+            "braked-beside-a-neighbour",
+            "The ego brakes with 9 m/s^2 for a slower vehicle that keeps the lane beside.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 5.0)]), driven(-45.0), driven(60.0, LEFT, speed=10.0)),
+            "both", "braked-for-nothing", "7", "with nothing in its way",
+        ),
+        Situation(
+            "braked-after-the-leader-had-left",
+            "The slower one ahead has left the lane for 3 s when the ego brakes with 9 m/s^2.",
+            lambda: hit(
+                driven(0.0, brakes=[(8.0, 9.0, 5.0)]),
+                driven(-45.0),
+                driven(80.0, speed=14.0, shifts=[(2.0, RIGHT, 3.0)]),
+            ),
+            "both", "braked-for-nothing", "7", "from 8.0 s",
+        ),
+        Situation(
+            "brake-check-after-a-lane-change",
+            "The ego changes lanes 45 m ahead of another, and 6 s later brakes with 9 m/s^2 on a free road.",
+            lambda: lane_change(45.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
+            "both", "braked-for-nothing", "7", "from 8.0 s the ego braked",
+        ),
+        Situation(
+            "braked-for-a-leader-that-brakes",
+            "One 60 m ahead brakes with 8 m/s^2, and the ego does so 0.5 s later. The one 2 s behind does not brake.",
+            lambda: hit(
+                driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
+            ),
+            "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "braked-for-an-obstacle",
+            "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The one 2 s behind does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 8.0, 0.0)]), driven(-45.0), driven(135.0, speed=0.0)),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "braked-for-an-entering-vehicle",
+            "The ego brakes with 8 m/s^2 for a vehicle that comes into its lane 20 m ahead.",
+            lambda: hit(
+                driven(0.0, brakes=[(4.0, 8.0, 8.0)]),
+                driven(-45.0),
+                driven(29.0, LEFT, speed=19.0, shifts=[(3.7, OWN, 3.0)]),
+            ),
+            "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "braked-for-the-end-of-the-lane",
+            "The ego brakes with 7 m/s^2, 40 m before its lane ends.",
+            lambda: at_lane_end(driven(0.0, brakes=[(4.0, 7.0, 0.0)]), driven(-45.0), end=120.0),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "braked-moderately",
+            "On a free road the ego brakes with 4.5 m/s^2 to 5 m/s. The one 2 s behind does not brake.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 5.0)]), driven(-45.0)),
+            "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "braked-for-a-moment",
+            "On a free road the ego brakes with 9 m/s^2 for a quarter of a second. The one 1.4 s behind never brakes.",
+            lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 17.6)]), driven(-34.0)),
+            "npc", None, "7", "behind the ego, closer than the ",
+        ),
+        Situation(
+            "leader-brakes-for-nothing-half-a-second-ahead",
+            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 on a free road; the ego brakes with 6 m/s^2 a "
+            "second later.",
+            lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
+            "both", "leader-unanswered", "5", "from 5.0 s NPC 0 braked with up to 8.0 m/s^2 with nothing in its way",
+        ),
+        Situation(
+            "leader-brakes-for-nothing-1.8-s-ahead",
+            "So again 1.8 s ahead, and the ego brakes two seconds later, with 4 m/s^2.",
+            lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "with up to 4.0 m/s^2",
+        ),
+        Situation(
+            "leader-brakes-for-a-standing-vehicle",
+            "One that the ego follows 0.5 s behind brakes with 8 m/s^2 for a vehicle that stands in its lane; the ego "
+            "brakes with 6 m/s^2 a second later.",
+            lambda: hit(
+                driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
+            ),
+            "ego", "leader-unanswered", "4b", "the ego braked from 6.0 s on",
+        ),
+    ),
+    "Standing": (
+        Situation(
+            "npc-stands-askew",
+            "One has stood askew all the time, half in the ego's lane. The ego does not brake.",
+            lambda: hit(driven(0.0), turned(driven(150.0, 1.8, speed=0.0), 0.4)),
+            "ego", "leader-unanswered", "4b", "the ego did not brake",
+        ),
+        Situation(
+            "stopped-for-nothing",
+            "On a free road the ego brakes gently to a standstill, and after 5 s one runs into it.",
+            lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
+            "both", "stopped-for-nothing", "7", "the ego braked to a standstill with nothing in its way",
+        ),
+        Situation(
+            "stopped-in-a-queue",
+            "So again behind a vehicle that stands.",
+            lambda: hit(
+                driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0),
+                driven(-172.0, seconds=25.0),
+                driven(120.0, speed=0.0, seconds=25.0),
+            ),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "stopped-at-the-end-of-the-lane",
+            "So again at the end of its lane.",
+            lambda: at_lane_end(
+                driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0), end=112.0
+            ),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "stopped-for-a-moment",
+            "On a free road the ego brakes gently to a standstill; one runs into it 2 s later.",
+            lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-111.0, seconds=25.0)),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "stopped-askew-for-nothing",
+            "On a free road the ego comes to a standstill askew, half in the next lane, where one hits it 5 s later.",
+            lambda: hit(
+                turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
+                driven(-180.0, LEFT),
+            ),
+            "both", "stopped-for-nothing", "7", "stood for",
+        ),
+        Situation(
+            "stopped-askew-behind-another",
+            "So again behind a vehicle that stands in its lane.",
+            lambda: hit(
+                turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
+                driven(-180.0, LEFT),
+                driven(50.0, speed=0.0),
+            ),
+            "npc", None, "7", "the ego was standing",
+        ),
+        Situation(
+            "stopped-in-a-lane-change",
+            "The ego moves 6 m ahead of one in the next lane, brakes with 8 m/s^2 and stands when that one hits it.",
+            lambda: hit(
+                driven(0.0, LEFT, speed=10.0, brakes=[(2.5, 8.0, 0.0)], shifts=[(2.0, OWN, 1.5)]),
+                driven(-11.0, speed=10.0, brakes=[(3.2, 3.0, 0.0)]),
+            ),
+            "ego", "entered-lane", "3", "where giving way takes",
+        ),
+    ),
+    "An NPC comes into the ego's lane": (
+        Situation(
+            "cut-in-3-m-and-brakes",
+            "An NPC of equal speed moves in 3 m ahead and brakes with 8 m/s^2 at once.",
+            lambda: cut_in(3.0, slower=0.0, brakes=[(3.0, 8.0, 0.0)]),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "cut-in-4-m-slower",
+            "An NPC that is 4 m/s slower moves in 4 m ahead.",
+            lambda: cut_in(4.0, slower=4.0),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "cut-in-10-m-slower",
+            "An NPC that is 10 m/s slower moves in 10 m ahead: nobody can answer that.",
+            lambda: cut_in(10.0, slower=10.0),
+            "npc", None, "5", "10.0 m/s slower",
+        ),
+        Situation(
+            "cut-in-20-m-slower",
+            "An NPC that is 10 m/s slower moves in 20 m ahead: nobody can answer that either.",
+            lambda: cut_in(20.0, slower=10.0),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "cut-in-15-m-slower",
+            "An NPC that is 4 m/s slower moves in 15 m ahead. The ego does not brake.",
+            lambda: cut_in(15.0, slower=4.0),
+            "ego", "cut-in-unanswered", "5", "the ego did not brake",
+        ),
+        Situation(
+            "cut-in-30-m-slower",
+            "An NPC that is 10 m/s slower moves in 30 m ahead. The ego does not brake.",
+            lambda: cut_in(30.0, slower=10.0),
+            "ego", "cut-in-unanswered", "5", "braking with 3 to 6 m/s^2",
+        ),
+        Situation(
+            "cut-in-answered-too-gently",
+            "So again, and the ego brakes soon, with 1.5 m/s^2.",
+            lambda: cut_in(30.0, slower=10.0, ego_brakes=[(2.7, 1.5, 0.0)]),
+            "ego", "cut-in-unanswered", "5", "with up to 1.5 m/s^2",
+        ),
+        Situation(
+            "cut-in-answered-in-vain",
+            "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2; the ego brakes with 6 m/s^2 "
+            "from 1.4 s after on.",
+            lambda: cut_in(30.0, slower=10.0, brakes=[(2.6, 8.0, 0.0)], ego_brakes=[(3.6, 6.0, 0.0)]),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "braked-before-its-answer-was-due",
+            "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2; the ego brakes with 9 m/s^2 "
+            "after 0.7 s.",
+            lambda: cut_in(12.0, slower=4.0, brakes=[(2.4, 8.0, 0.0)], ego_brakes=[(2.9, 9.0, 0.0)]),
+            "npc", None, "1", "too late to avoid it",
+        ),
+        Situation(
+            "ego-speeds-up-after-a-cut-in",
+            "An NPC of equal speed moves in 4 m ahead; 2 s later the ego speeds up.",
+            lambda: cut_in(4.0, slower=0.0, ego_brakes=[(4.4, -2.0, 26.0)]),
+            "ego", "cut-in-unanswered", "5", "the ego sped up to",
+        ),
+        Situation(
+            "cut-in-far-ahead-and-slow",
+            "An NPC of 5 m/s moves in 80 m ahead. The ego does not brake.",
+            lambda: cut_in(80.0, slower=15.0),
+            "ego", "leader-unanswered", "4b", "closer than the 51.8 m that RSS demands",
+        ),
+        Situation(
+            "cut-in-45-m-and-slow",
+            "An NPC of 8 m/s moves in 45 m ahead. The ego does not brake.",
+            lambda: cut_in(45.0, slower=12.0),
+            "ego", "cut-in-unanswered", "5", "12.0 m/s slower",
+        ),
+        Situation(
+            "leader-since-a-close-cut-in",
+            "An NPC that is 4 m/s slower moves in 5 m ahead, too close to be answered, but speeds up and draws away "
+            "to 12 m; 5 s later it slows down with 3 m/s^2. The ego does not brake.",
+            lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
+            "ego", "leader-unanswered", "4a", "the ego did not brake",
+        ),
+        Situation(
+            "npc-brake-checks",
+            "An NPC overtakes with 5 m/s more, moves in 2 m ahead and 1.5 s later brakes with 8 m/s^2, 10 m ahead.",
+            lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "npc-enters-across-two-lanes",
+            "An NPC that is 6 m/s slower comes across two lanes in one motion, 8 m ahead when it crosses the line.",
+            lambda: hit(driven(0.0), driven(13.0 + 6 * 5.6, FAR, speed=14.0, shifts=[(2.0, OWN, 6.0)])),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "npc-enters-behind",
+            "An NPC that is 6 m/s faster moves in 15 m behind the ego and runs into it.",
+            lambda: hit(driven(0.0), driven(-32.0, RIGHT, speed=26.0, shifts=[(1.6, OWN, 2.0)])),
+            "npc", None, "4b", "m behind, ",
+        ),
+        Situation(
+            "npc-swipes-the-ego",
+            "An NPC beside the ego moves into it.",
+            lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
+            "npc", None, "3", "side by side",
+        ),
+        Situation(
+            "npc-drifts",
+            "An NPC beside the ego drifts into it with 0.2 m/s.",
+            lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 20.0)])),
+            "npc", None, "8", "NPC 0 came sideways into the ego",
+        ),
+        Situation(
+            "npc-swerves-into-the-side",
+            "An NPC beside the ego swerves into it with 4 m/s; the ego brakes with 8 m/s^2 at once.",
+            lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
+            "npc", None, "3", "side by side",
+        ),
+        Situation(
+            "sped-up-after-it-had-survived-a-cut-in",
+            "An NPC that is 4 m/s slower comes over slowly, close ahead. The ego brakes to less than its speed, and a "
+            "second later speeds up into it.",
+            lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
+            "both", "leader-unanswered", "4c", "the ego was no faster",
+        ),
+        Situation(
+            "let-the-brakes-go-behind-a-cut-in",
+            "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes with 8 m/s^2 until it is only 4 m/s "
+            "faster, 9 m behind, and brakes no more.",
+            lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
+            "both", "leader-unanswered", "4c", "the ego let the brakes go at",
+        ),
+        Situation(
+            "creeps-into-one-that-had-cut-in",
+            "So again, and the ego brakes until it is 0.5 m/s faster, and creeps into it 15 s later.",
+            lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
+            "ego", "leader-unanswered", "4a", "kept the lane ahead",
+        ),
+        Situation(
+            "creeps-into-one-that-stands-half-in-its-lane",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and brakes to a standstill. "
+            "The ego brakes to 1.5 m/s, lets go 7 m behind it and creeps into it.",
+            lambda: hit(
+                driven(0.0, brakes=[(2.7, 9.5, 1.5)]),
+                driven(48.3, LEFT, speed=10.0, brakes=[(2.6, 4.0, 0.0)], shifts=[(2.0, 2.2, 1.1)]),
+            ),
+            "ego", "leader-unanswered", "4b", "closer than the 1.7 m that RSS demands",
+        ),
+        Situation(
+            "speeds-up-behind-one-half-in-its-lane",
+            "An NPC that is 10 m/s slower comes half into the ego's lane, 20 m ahead, and stays so. The ego brakes to "
+            "its speed, follows it for 4 s and speeds up into it.",
+            lambda: hit(
+                driven(0.0, brakes=[(2.9, 8.0, 10.0), (8.0, -2.0, 20.0)]),
+                driven(48.3, LEFT, speed=10.0, shifts=[(2.0, 2.2, 1.1)]),
+            ),
+            "ego", "leader-unanswered", "4c", "the ego was no faster",
+        ),
+    ),
+    "The ego changes lanes": (
+        Situation(
+            "lane-change-1-m-ahead",
+            "The ego changes lanes 1 m ahead of one that is 4 m/s faster.",
+            lambda: lane_change(1.0, faster=4.0),
+            "ego", "entered-lane", "3", "where giving way takes 24.3 m",
+        ),
+        Situation(
+            "lane-change-2-m-ahead",
+            "The ego changes lanes 2 m ahead of one that is 4 m/s faster.",
+            lambda: lane_change(2.0, faster=4.0),
+            "ego", "entered-lane", "3", "where giving way takes 24.3 m",
+        ),
+        Situation(
+            "lane-change-10-m-ahead",
+            "The ego changes lanes 10 m ahead of one that is 8 m/s faster.",
+            lambda: lane_change(10.0, faster=8.0),
+            "ego", "entered-lane", "3", "where giving way takes 33.9 m",
+        ),
+        Situation(
+            "follower-lets-the-brakes-go",
+            "The ego changes lanes 10 m ahead of one that is 8 m/s faster. That one brakes with 8 m/s^2 until it is "
+            "2 m/s faster, 2 m behind, and brakes no more.",
+            lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
+            "both", "entered-lane", "4c", "NPC 0 let the brakes go at",
+        ),
+        Situation(
+            "lane-change-28-m-ahead",
+            "The ego changes lanes 28 m ahead of one that is 8 m/s faster, which has no second left when the ego has "
+            "come to keep its lane.",
+            lambda: lane_change(28.0, faster=8.0),
+            "ego", "entered-lane", "4a", "where giving way takes 33.9 m",
+        ),
+        Situation(
+            "lane-change-40-m-ahead",
+            "The ego changes lanes 40 m ahead of one that is 8 m/s faster and never brakes.",
+            lambda: lane_change(40.0, faster=8.0),
+            "npc", None, "3", "more than the 33.9 m",
+        ),
+        Situation(
+            "lane-change-80-m-ahead",
+            "The ego changes lanes 80 m ahead of one that is 8 m/s faster and never brakes.",
+            lambda: lane_change(80.0, faster=8.0),
+            "npc", None, "4b", "closer than the 68.3 m that RSS demands",
+        ),
+        Situation(
+            "lane-change-15-m-ahead-settled",
+            "The ego changes lanes 15 m ahead of one that is 2 m/s faster and does not brake in the 7 s after.",
+            lambda: lane_change(15.0, faster=2.0),
+            "npc", None, "4a", "from 3.9 s on",
+        ),
+        Situation(
+            "follower-speeds-up-after-room",
+            "The ego changes lanes 25 m ahead of one of equal speed, which then speeds up to 30 m/s.",
+            lambda: lane_change(25.0, faster=0.0, npc_brakes=[(4.0, -3.0, 30.0)]),
+            "npc", None, "3", "more than the 20.0 m",
+        ),
+        Situation(
+            "follower-speeds-up-after-settling",
+            "The ego changes lanes 10 m ahead of one of equal speed, and 3 s later that one speeds up.",
+            lambda: lane_change(10.0, faster=0.0, npc_brakes=[(5.4, -3.0, 30.0)]),
+            "npc", None, "4a", "from 3.9 s on",
+        ),
+        Situation(
+            "follower-speeds-up-behind-an-ego-that-weaves",
+            "The ego changes lanes 15 m ahead of one of equal speed and weaves by 0.6 m; 10 s later that one "
+            "speeds up.",
+            lambda: hit(weaving(), driven(-20.0, brakes=[(14.0, -3.0, 30.0)], seconds=30.0)),
+            "npc", None, "4a", "",
+        ),
+        Situation(
+            "brake-check-after-cutting-in",
+            "The ego changes lanes 5 m ahead of one of equal speed and brakes with 9 m/s^2 as soon as it is there.",
+            lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
+            "ego", "entered-lane", "4a", "where giving way takes 20.0 m",
+        ),
+        Situation(
+            "follower-entered-later",
+            "The ego changes lanes; 4 s later a faster one moves into the same lane 20 m behind it and runs into it.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
+            ),
+            "npc", None, "3", "NPC 0 crossed the lane line",
+        ),
+        Situation(
+            "ego-swipes",
+            "The ego moves into one beside it.",
+            lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
+            "ego", "entered-lane", "3", "side by side",
+        ),
+        Situation(
+            "ego-drifts",
+            "The ego drifts with 0.2 m/s into one beside it.",
+            lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 20.0)]), driven(1.0, LEFT)),
+            "ego", "entered-lane", "8", "the ego came sideways into NPC 0",
+        ),
+        Situation(
+            "ego-enters-behind-a-slower-one",
+            "The ego changes lanes 10 m behind one that is 8 m/s slower and runs into it.",
+            lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(15.0 + 8 * 2.4, speed=12.0)),
+            "ego", "entered-lane", "3", "m behind, ",
+        ),
+        Situation(
+            "ego-enters-across-two-lanes",
+            "The ego comes across two lanes in one motion into one that has kept its lane.",
+            lambda: hit(driven(0.0, LEFT, shifts=[(2.0, RIGHT, 5.0)]), driven(2.0, RIGHT)),
+            "ego", "entered-lane", "2", "at 5.1 s the ego crossed",
+        ),
+        Situation(
+            "ego-overtakes-into-oncoming-traffic",
+            "The ego moves into the lane of one that comes towards it, 80 m away.",
+            lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 2.0)]), oncoming(180.0, LEFT)),
+            "ego", "entered-lane", "3", "40.0 m/s faster",
+        ),
+        Situation(
+            "npc-on-the-wrong-side",
+            "One comes towards the ego in its lane. The ego brakes with 5 m/s^2 when it is 200 m away.",
+            lambda: hit(driven(0.0, brakes=[(3.0, 5.0, 0.0)]), oncoming(325.0, OWN)),
+            "npc", None, "4b", "",
+        ),
+        Situation(
+            "both-enter-side-by-side",
+            "The ego from the left and an NPC from the right move into the lane between them, side by side.",
+            lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.2, OWN, 2.0)])),
+            "both", "entered-lane", "3", "towards each other",
+        ),
+        Situation(
+            "both-enter-ego-10-m-ahead",
+            "So again with the ego 10 m ahead of the NPC, which is 6 m/s faster.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-30.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
+            ),
+            "both", "entered-lane", "3", "towards each other",
+        ),
+        Situation(
+            "both-enter-ego-with-room",
+            "So again with the ego 45 m ahead of the NPC, which is 6 m/s faster and never brakes.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-65.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
+            ),
+            "npc", None, "3", "more than the 28.4 m",
+        ),
+        Situation(
+            "both-enter-and-follow-for-long",
+            "Both move into the lane between, the ego 12 m ahead; 13 s later the NPC speeds up.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0),
+                driven(-17.0, RIGHT, shifts=[(2.2, OWN, 2.0)], brakes=[(15.0, -3.0, 30.0)], seconds=30.0),
+            ),
+            "npc", None, "4a", "",
+        ),
+        Situation(
+            "both-enter-behind-a-slower-one",
+            "Both move into the lane between, the NPC 30 m ahead and 5 m/s slower. The ego never brakes.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(47.0, RIGHT, speed=15.0, shifts=[(2.2, OWN, 2.0)])
+            ),
+            "ego", "leader-unanswered", "4a", "",
+        ),
+        Situation(
+            "ego-enters-where-one-has-just-entered",
+            "An NPC has moved into the lane between for 2 s when the ego moves in beside it.",
+            lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
+            "ego", "entered-lane", "3", "the ego crossed",
+        ),
+        Situation(
+            "ego-given-up-its-lane-change",
+            "The ego moves 0.8 m to the left and back; 3 s later an NPC beside it moves into it.",
+            lambda: hit(
+                driven(0.0, shifts=[(1.0, 3.2, 1.0), (2.0, OWN, 1.0)]), driven(1.0, LEFT, shifts=[(6.0, OWN, 2.0)])
+            ),
+            "npc", None, "2", "at 6.4 s NPC 0 crossed",
+        ),
+        Situation(
+            "ego-moved-two-lanes-away",
+            "The ego changes to a lane that is two away from an NPC's; 5 s later that one moves in beside it.",
+            lambda: hit(
+                driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
+                driven(1.0, FAR, shifts=[(3.0, RIGHT, 2.0), (8.0, OWN, 2.0)]),
+            ),
+            "npc", None, "2", "at 8.4 s NPC 0 crossed",
+        ),
+    ),
+    "Bends and ramps": (
+        Situation(
+            "bend-brake-ahead-ignored",
+            "In a bend the one 2 s ahead brakes with 6 m/s^2. The ego does not brake.",
+            lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
+            "ego", "leader-unanswered", "4b", "the ego did not brake",
+        ),
+        Situation(
+            "bend-cut-in",
+            "In a bend an NPC that is 6 m/s slower moves in 5 m ahead.",
+            lambda: in_bend(driven(0.0), driven(10.0 + 6 * 2.4, LEFT, speed=14.0, shifts=[(2.0, OWN, 2.0)])),
+            "npc", None, "5", "too late to avoid it",
+        ),
+        Situation(
+            "bend-npc-runs-wide",
+            "In a bend the NPC on the inside runs wide, into the ego beside it.",
+            lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
+            "npc", None, "3", "side by side",
+        ),
+        Situation(
+            "bend-ego-runs-wide",
+            "In a bend the ego runs wide, into an NPC beside it.",
+            lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
+            "ego", "entered-lane", "3", "side by side",
+        ),
+        Situation(
+            "ramp-npc-merges-close",
+            "An NPC that is 6 m/s slower merges from a ramp 6 m ahead of the ego.",
+            lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
+            "npc", None, "3", "at 7.2 s NPC 0 crossed",
+        ),
+        Situation(
+            "ramp-npc-merges-35-m-ahead",
+            "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego, which does not brake.",
+            lambda: at_ramp(driven(-83.0), driven(0.0, speed=14.0), on_ramp=1),
+            "ego", "cut-in-unanswered", "5", "at 7.2 s NPC 0 crossed",
+        ),
+    ),
+}  # fmt: skip
+"""By what the page calls them."""

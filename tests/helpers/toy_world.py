@@ -1,0 +1,49 @@
+"""A world without physics, whose ADS does with a scenario what a test wants, in whatever process."""
+
+import numpy as np
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Lane, Outcome, Trace
+
+
+def scenario(number):
+    """The scenario of this number; the ADS tells them apart by their seeds."""
+    return Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),),), seed=number)
+
+
+def trace_of(scenario):
+    """Nothing moves."""
+    return Trace(
+        scenario=scenario,
+        executed=scenario,
+        outcome=Outcome.SAFE,
+        states=np.full((2, 2, 7), float(scenario.seed)),
+        sizes=np.full((2, 2), 2.0),
+        lanes=(Lane(x=0.0, y=0.0, heading=0.0, length=1000.0, width=4.0, speed_limit=30.0),),
+        physics_hz=15,
+        ads_hz=5,
+        arrivals=((0,),),
+    )
+
+
+class Toy:
+    """A world that has the ADS do something with the number of each scenario."""
+
+    hang_limit = 30.0
+
+    def rollout(self, scenario, ads_factory):
+        ads_factory()(scenario.seed)
+        return trace_of(scenario)
+
+
+def idle():
+    """A factory that can be imported."""
+    return lambda number: None
+
+
+class Keeps:
+    """A planner that keeps its speed, of a module that can be imported."""
+
+    def __call__(self, observation):
+        return 0.0, 0.0

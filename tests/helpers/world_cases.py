@@ -1,0 +1,118 @@
+"""Random scenarios and egos for the tests of the world, and the NPC limits checked on a finished trace."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
+
+LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
+STANDING = 1e-6
+"""Slower than this an NPC stands [m/s]."""
+
+
+def constant_speed():
+    """Neither accelerates nor steers."""
+    return lambda observation: (0.0, 0.0)
+
+
+def weaving():
+    """Speeds up and slows down while it swerves, sometimes off the road."""
+    return lambda observation: (3 * math.sin(0.7 * observation.time), 0.05 * math.sin(1.3 * observation.time))
+
+
+def stopping():
+    """Speeds up, then brakes to a standstill."""
+    return lambda observation: (-4.0 if observation.time > 2 else 2.0, 0.0)
+
+
+def changing_lanes():
+    """Steers to the next lane and back every few seconds."""
+
+    def drive(observation):
+        lane = 1 + (observation.time % 8 > 4)
+        offset = observation.ego.y - lane * observation.lane_width
+        return 0.0, -0.01 * offset - 0.3 * observation.ego.heading
+
+    return drive
+
+
+EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
+
+
+def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:
+    """Random chains that need not be valid; speeds over the whole range."""
+    top = int(speed_limit * 10 + 1e-6)
+    return [
+        [PositionInstruction(rng.randint(1, 8), rng.randint(0, top) / 10) for _ in range(genes)] for _ in range(npcs)
+    ]
+
+
+def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs: int | None = None) -> Scenario:
+    """A short scenario that fits a highway of so many lanes; chains of different lengths."""
+    lane = rng.randrange(lanes)
+    free = 8 if 0 < lane < lanes - 1 else 5
+    count = min(npcs or rng.randint(1, 8), free)
+    return Scenario.repaired(
+        [chains(rng, 1, rng.randint(1, 4), speed_limit)[0] for _ in range(count)],
+        seed=rng.randrange(2**40),
+        ego_lane=lane,
+        ego_speed=rng.choice([0.0, 5.0, speed_limit, rng.uniform(0, speed_limit), 0.8 * speed_limit]),
+        gene_seconds=rng.choice([1.0, 2.0, 4.0]),
+    )
+
+
+def violations(trace, limits, speed_limit):
+    """Which limits the NPCs of a trace break, as texts with the worst value; empty when none.
+
+    Everything is computed from positions, headings, speeds and the recorded controls. The course is the direction of
+    motion: heading plus the slip angle of highway-env's bicycle model, whose agreement with the positions is checked.
+    """
+    s, dt = trace.npcs, trace.dt
+    x, y, heading, speed = s[..., X], s[..., Y], s[..., HEADING], s[..., SPEED]
+    acceleration = s[..., ACCELERATION]
+    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
+    course = np.concatenate([np.zeros_like(heading[:1]), heading[:-1] + slip])
+    standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
+    jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    half_width = (LENGTH * np.abs(np.sin(heading)) + WIDTH * np.abs(np.cos(heading))) / 2
+    road_right = (len(trace.lanes) - 0.5) * LANE_WIDTH
+    bounds = {
+        "acceleration": (acceleration, -limits.braking, limits.acceleration),
+        "jerk": (jerk, -limits.jerk, limits.jerk),
+        "speed": (speed, 0.0, limits.overspeed * speed_limit),
+        "heading": (heading, -limits.heading, limits.heading),
+        "course": (course, -limits.heading, limits.heading),
+        "lateral acceleration of the heading": (
+            speed[:-1] * np.diff(heading, axis=0) / dt,
+            -limits.lateral_acceleration,
+            limits.lateral_acceleration,
+        ),
+        "lateral acceleration of the course": (
+            speed[:-1] * np.diff(course, axis=0) / dt,
+            -limits.lateral_acceleration,
+            limits.lateral_acceleration,
+        ),
+        "forward motion": (np.diff(x, axis=0), 0.0, np.inf),
+        "left corner on the road": (y - half_width, -LANE_WIDTH / 2, np.inf),
+        "right corner on the road": (y + half_width, -np.inf, road_right),
+        "within the road's length": (x, LENGTH / 2, trace.lanes[0].length - LENGTH / 2),
+        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
+        "motion follows course": (np.diff(y, axis=0) - speed[:-1] * np.sin(course[1:]) * dt, 0.0, 0.0),
+    }
+    return beyond(bounds)
+
+
+def beyond(bounds):
+    """Of values, each by a name with its least and greatest, those that are out of bounds, as texts with the worst."""
+    broken = []
+    for name, (values, low, high) in bounds.items():
+        worst = max(np.max(values - high, initial=-1.0), np.max(low - values, initial=-1.0))
+        if not worst <= 1e-6:  # also NaN
+            broken.append(f"{name}: {worst:.3g} beyond [{low:g}, {high:g}]")
+    return broken

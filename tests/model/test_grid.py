@@ -1,0 +1,261 @@
+"""The grid around the ego, and the repair that keeps chains on its ring."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.grid import (
+    ALL_CELLS,
+    Cell,
+    cell_at,
+    is_adjacent,
+    longitudinal_target,
+    repair_chains,
+    repair_gene,
+    toss,
+)
+from tests.helpers.traces import ring_distance
+
+LENGTH, LANE = 5.0, 4.0
+
+cells = st.sampled_from(Cell)
+seeds = st.integers(0, 2**63 - 1)
+roads = st.sampled_from(
+    [
+        ALL_CELLS,
+        frozenset({Cell.FRONT, Cell.FRONT_RIGHT, Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR}),  # ego on the left lane
+        frozenset({Cell.FRONT, Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT, Cell.REAR}),  # ego on the right lane
+        frozenset({Cell.FRONT, Cell.REAR}),  # one lane
+    ]
+)
+
+
+def chains_of(most=8, genes=6):
+    return st.lists(st.lists(cells, min_size=1, max_size=genes), min_size=1, max_size=most)
+
+
+@st.composite
+def gene_requests(draw, most=8):
+    """(previous distinct cells, requested cells, cells whose lane exists, one coin per NPC)."""
+    previous = draw(st.lists(cells, min_size=1, max_size=most, unique=True))
+    requested = draw(st.lists(cells, min_size=len(previous), max_size=len(previous)))
+    coins = draw(st.lists(st.booleans(), min_size=len(previous), max_size=len(previous)))
+    return previous, requested, draw(roads), coins
+
+
+def test_cells_run_clockwise_from_the_front_left_around_the_ego():
+    around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
+    assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
+    assert [cell.label for cell in (Cell(1), Cell(2), Cell(5), Cell(8))] == [
+        "front-left",
+        "front",
+        "rear-right",
+        "left",
+    ]
+
+
+def test_the_ring_closes_between_8_and_1():
+    assert Cell.FRONT_LEFT.neighbours == (Cell.LEFT, Cell.FRONT)
+    assert Cell.LEFT.neighbours == (Cell.REAR_LEFT, Cell.FRONT_LEFT)
+
+
+@given(cells, cells)
+def test_adjacent_are_a_cell_itself_and_its_two_neighbours(a, b):
+    assert is_adjacent(a, b) == (b in (a, *a.neighbours))
+    assert is_adjacent(a, b) == is_adjacent(b, a)
+    assert ring_distance(a, b) == ring_distance(b, a) <= 4
+    assert abs(a.row - b.row) + abs(a.column - b.column) <= 1 or not is_adjacent(a, b)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 3.0])
+@pytest.mark.parametrize("cell", Cell)
+def test_the_centre_of_a_cell_lies_in_that_cell(cell, clearance):
+    longitudinal = longitudinal_target(cell, LENGTH, clearance)
+    assert longitudinal == cell.row * (LENGTH + clearance)
+    assert cell_at(longitudinal, cell.column * LANE, LENGTH, LANE) == cell
+
+
+def test_the_egos_own_place_is_no_cell_and_the_outer_cells_have_no_end():
+    assert cell_at(0.0, 0.0, LENGTH, LANE) is None
+    assert cell_at(LENGTH / 2, -LANE / 2, LENGTH, LANE) is None
+    assert cell_at(80.0, 0.5, LENGTH, LANE) is Cell.FRONT
+    assert cell_at(-300.0, -9.0, LENGTH, LANE) is Cell.REAR_LEFT
+
+
+@given(chains_of(), seeds)
+def test_repaired_chains_are_valid(chains, seed):
+    repaired = repair_chains(chains, seed)
+    assert [len(chain) for chain in repaired] == [len(chain) for chain in chains]
+    for chain in repaired:
+        assert all(is_adjacent(a, b) for a, b in pairwise(chain))
+    for gene in range(6):
+        held = [chain[gene] for chain in repaired if gene < len(chain)]
+        assert len(held) == len(set(held))
+
+
+@given(chains_of(), seeds, seeds)
+def test_valid_chains_come_back_unchanged_whatever_the_seed(chains, seed, other):
+    repaired = repair_chains(chains, seed)
+    assert repair_chains(repaired, other) == repaired
+
+
+@given(st.lists(cells, min_size=1, max_size=6), seeds)
+def test_a_chain_of_one_npc_is_changed_only_where_it_leaves_the_ring(chain, seed):
+    (repaired,) = repair_chains([chain], seed)
+    assert repaired[0] == chain[0]
+    for gene in range(1, len(chain)):
+        before = repaired[gene - 1]
+        if is_adjacent(before, chain[gene]):
+            assert repaired[gene] == chain[gene]
+        else:
+            assert repaired[gene] == before.neighbours[toss(seed, 0, gene)]
+
+
+def test_no_chain_is_repaired_to_no_chain():
+    assert repair_chains([], seed=0) == ()
+
+
+def test_the_two_neighbours_are_drawn_alike_for_every_npc_and_gene():
+    for npc, gene in product(range(8), range(6)):
+        heads = sum(toss(seed, npc, gene) for seed in range(2000))
+        assert 880 <= heads <= 1120, (npc, gene, heads)  # +- 5 standard deviations
+
+
+def test_draws_of_one_scenario_are_independent_of_each_other():
+    draws = [[toss(seed, npc, gene) for npc, gene in product(range(3), range(3))] for seed in range(2000)]
+    for a, b in product(range(9), repeat=2):
+        alike = sum(draw[a] == draw[b] for draw in draws)
+        assert a == b or 880 <= alike <= 1120, (a, b, alike)
+
+
+@given(st.lists(st.lists(cells, min_size=4, max_size=4), min_size=1, max_size=8), seeds)
+def test_a_repaired_gene_does_not_depend_on_genes_that_come_later(chains, seed):
+    longer = repair_chains([[*chain, Cell.FRONT] for chain in chains], seed)
+    assert tuple(chain[:-1] for chain in longer) == repair_chains(chains, seed)
+
+
+def preference(previous, requested, existing, clockwise):
+    """In words of the docstring: the request, then a neighbour by coin, then the other, then to hold."""
+    order = [requested] if previous == requested or requested in previous.neighbours else []
+    order += reversed(previous.neighbours) if clockwise else previous.neighbours
+    order = [cell for cell in order if cell in existing]
+    order.append(previous)
+    return [cell for rank, cell in enumerate(order) if cell not in order[:rank]]
+
+
+@given(gene_requests(most=5))
+def test_repair_takes_the_first_complete_assignment_in_order_of_preference(case):
+    previous, requested, existing, coins = case
+    orders = [
+        preference(before, wanted, existing, coin)
+        for before, wanted, coin in zip(previous, requested, coins, strict=True)
+    ]
+    complete = list(product(*(range(len(order)) for order in orders)))
+    distinct = [
+        choice
+        for choice in complete
+        if len({order[rank] for order, rank in zip(orders, choice, strict=True)}) == len(orders)
+    ]
+    best = tuple(order[rank] for order, rank in zip(orders, min(distinct), strict=True))
+    assert repair_gene(previous, requested, existing, coins.__getitem__) == best
+
+
+@given(gene_requests())
+def test_repaired_cells_are_distinct_adjacent_and_exist_unless_held(case):
+    previous, requested, existing, coins = case
+    executed = repair_gene(previous, requested, existing, coins.__getitem__)
+    assert len(set(executed)) == len(executed)
+    for before, cell in zip(previous, executed, strict=True):
+        assert is_adjacent(before, cell)
+        assert cell in existing or cell == before
+
+
+@given(gene_requests(), st.lists(st.booleans(), min_size=8, max_size=8))
+def test_requesting_what_was_executed_executes_it_again_whatever_the_coins(case, others):
+    """With the same coins always; with others wherever every executed cell exists."""
+    previous, requested, existing, coins = case
+    executed = repair_gene(previous, requested, existing, coins.__getitem__)
+    assert repair_gene(previous, executed, existing, coins.__getitem__) == executed
+    if set(executed) <= existing:
+        assert repair_gene(previous, executed, existing, others.__getitem__) == executed
+
+
+@given(st.lists(cells, min_size=1, max_size=8), roads, seeds)
+def test_in_the_first_gene_everybody_gets_the_nearest_cell_that_is_free(requested, existing, seed):
+    if len(requested) > len(existing):
+        with pytest.raises(
+            ValueError, match=rf"received {len(requested)} NPCs for {len(existing)} existing cells; use"
+        ):
+            repair_gene(None, requested, existing, lambda npc: toss(seed, npc, 0))
+        return
+    executed = repair_gene(None, requested, existing, lambda npc: toss(seed, npc, 0))
+    free = set(existing)
+    for wanted, cell in zip(requested, executed, strict=True):
+        nearest = min(ring_distance(wanted, other) for other in free)
+        assert cell in free
+        assert ring_distance(wanted, cell) == nearest
+        free.remove(cell)
+    assert repair_gene(None, executed, existing, lambda npc: not toss(seed, npc, 0)) == executed
+
+
+def test_a_vanished_lane_leaves_the_one_neighbour_that_exists():
+    """The ego is on the left lane: cells 1, 7 and 8 are off the road."""
+    right_side = ALL_CELLS - {Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT}
+    for coin in (False, True):
+        assert repair_gene([Cell.FRONT], [Cell.FRONT_LEFT], right_side, lambda npc, c=coin: c) == (Cell.FRONT_RIGHT,)
+        assert repair_gene([Cell.LEFT], [Cell.LEFT], right_side, lambda npc, c=coin: c) == (Cell.LEFT,)
+
+
+def test_of_two_npcs_that_want_one_cell_the_first_gets_it():
+    executed = repair_gene([Cell.FRONT_LEFT, Cell.FRONT_RIGHT], [Cell.FRONT, Cell.FRONT], ALL_CELLS, lambda npc: True)
+    assert executed == (Cell.FRONT, Cell.RIGHT)
+
+
+class TestRepairThatSkipsMissingCells:
+    """For roads on which few cells exist."""
+
+    one_lane = frozenset({Cell.FRONT, Cell.REAR})
+
+    def repaired(self, previous, requested, existing, clockwise=True):
+        return repair_gene([previous], [requested], existing, lambda npc: clockwise, skipping=True)[0]
+
+    @pytest.mark.parametrize("requested", [Cell.FRONT_LEFT, Cell.FRONT_RIGHT])
+    def test_a_step_to_a_missing_cell_leads_to_the_next_one_that_exists(self, requested):
+        assert self.repaired(Cell.FRONT, requested, self.one_lane) == Cell.REAR
+
+    def test_a_step_goes_on_in_its_own_direction(self):
+        existing = frozenset({Cell.FRONT, Cell.RIGHT, Cell.LEFT})
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, existing) == Cell.RIGHT
+        assert self.repaired(Cell.FRONT, Cell.FRONT_LEFT, existing) == Cell.LEFT
+
+    def test_holding_is_no_step(self):
+        assert self.repaired(Cell.FRONT, Cell.FRONT, self.one_lane) == Cell.FRONT
+
+    def test_the_next_existing_cells_are_neighbours(self):
+        assert self.repaired(Cell.FRONT, Cell.REAR, self.one_lane) == Cell.REAR
+
+    def test_a_cell_that_is_no_neighbour_becomes_one_of_the_two_by_the_coin(self):
+        existing = frozenset(Cell) - {Cell.FRONT_RIGHT}
+        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=True) == Cell.RIGHT
+        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=False) == Cell.FRONT_LEFT
+
+    def test_where_nothing_else_exists_an_npc_holds(self):
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset({Cell.FRONT})) == Cell.FRONT
+        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset()) == Cell.FRONT
+
+    @given(
+        st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
+        st.data(),
+        st.frozensets(st.sampled_from(Cell)),
+        st.booleans(),
+    )
+    def test_the_result_is_distinct_and_a_fixed_point(self, previous, data, existing, clockwise):
+        requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
+        executed = repair_gene(previous, requested, existing, lambda npc: clockwise, skipping=True)
+        assert len(set(executed)) == len(executed)
+        assert repair_gene(previous, executed, existing, lambda npc: clockwise, skipping=True) == executed
+        assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))

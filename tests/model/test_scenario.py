@@ -1,0 +1,273 @@
+"""Position-Instructions and scenarios: what is valid, and what the errors say."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import re
+from dataclasses import FrozenInstanceError, replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.scenario import MAX_SEED, LaneInstruction, PositionInstruction, Scenario, ScenarioError
+
+instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
+raw_chains = st.lists(st.lists(instructions, min_size=1, max_size=6), min_size=1, max_size=8)
+scenarios = st.builds(
+    Scenario.repaired,
+    raw_chains,
+    seed=st.integers(0, MAX_SEED),
+    ego_lane=st.integers(0, 5),
+    ego_speed=st.floats(0, 30),
+    gene_seconds=st.floats(0.1, 20),
+)
+
+
+def one(cell=2, speed=20.0):
+    return PositionInstruction(cell, speed)
+
+
+def test_a_position_instruction_takes_plain_and_numpy_numbers_and_keeps_pythons():
+    for gene in (
+        one(3, 12),
+        PositionInstruction(np.int64(3), np.float64(12.0)),
+        PositionInstruction(Cell(3), np.int32(12)),
+    ):
+        assert gene == PositionInstruction(Cell.FRONT_RIGHT, 12.0)
+        assert type(gene.cell) is Cell
+        assert type(gene.speed) is float
+
+
+@given(st.integers(0, 10_000))
+def test_speeds_are_exact_tenths_however_they_were_computed(tenths):
+    exact = float(Fraction(tenths, 10))
+    assert one(speed=tenths * 0.1).speed == exact
+    assert one(speed=np.float64(tenths) / 10).speed == exact
+    assert one(speed=sum([0.1] * min(tenths, 300))).speed == float(Fraction(min(tenths, 300), 10))
+
+
+@pytest.mark.parametrize("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
+def test_a_cell_that_is_no_cell_is_refused_with_the_range(cell):
+    with pytest.raises(ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"):
+        PositionInstruction(cell, 10.0)
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, "10", None, True, 10**400, np.array([1.0]), 1j])
+def test_a_speed_that_is_no_number_is_refused(speed):
+    with pytest.raises(ScenarioError, match="speed: expected a finite number, received"):
+        PositionInstruction(2, speed)
+
+
+@pytest.mark.parametrize(
+    ("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")]
+)
+def test_a_speed_off_the_steps_is_refused_with_the_nearest_valid_one(speed, nearest):
+    with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}; the nearest valid speed is {nearest}")):
+        PositionInstruction(2, speed)
+
+
+@pytest.mark.parametrize("speed", [1e4, 1e300, 1.7e308, 10**300])
+def test_an_absurd_speed_is_refused_with_the_bound(speed):
+    with pytest.raises(ScenarioError, match="speed: expected m/s, at most 1000, received"):
+        PositionInstruction(2, speed)
+
+
+def test_values_are_frozen_and_hashable():
+    scenario = Scenario(npcs=[[one()]])
+    with pytest.raises(FrozenInstanceError):
+        scenario.seed = 3
+    with pytest.raises(FrozenInstanceError):
+        scenario.npcs[0][0].speed = 3.0
+    assert len({scenario, Scenario(npcs=[[one()]]), replace(scenario, seed=1)}) == 2
+
+
+@given(scenarios)
+def test_a_scenario_survives_pickling_and_repairing(scenario):
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    again = Scenario.repaired(
+        scenario.npcs,
+        seed=(scenario.seed + 1) % MAX_SEED,
+        ego_lane=scenario.ego_lane,
+        ego_speed=scenario.ego_speed,
+        gene_seconds=scenario.gene_seconds,
+    )
+    assert again.npcs == scenario.npcs
+
+
+@given(raw_chains, st.integers(0, MAX_SEED))
+def test_repairing_keeps_every_speed_and_every_first_cell_that_it_can(chains, seed):
+    scenario = Scenario.repaired(chains, seed=seed)
+    assert [[g.speed for g in chain] for chain in scenario.npcs] == [[g.speed for g in chain] for chain in chains]
+    assert scenario.npcs[0][0].cell == chains[0][0].cell
+    assert scenario.seed == seed
+
+
+@given(scenarios, scenarios)
+def test_the_canonical_text_is_equal_exactly_for_equal_scenarios(a, b):
+    assert (a.canonical() == b.canonical()) == (a == b)
+    same = Scenario(
+        npcs=[list(chain) for chain in a.npcs],
+        seed=np.int64(a.seed),
+        ego_lane=np.int32(a.ego_lane),
+        ego_speed=np.float64(a.ego_speed),
+        gene_seconds=a.gene_seconds,
+    )
+    assert same.canonical() == a.canonical()
+    assert same.id == a.id
+
+
+def test_every_field_is_part_of_the_id():
+    scenario = Scenario(npcs=[[one(1), one(2)]], ego_speed=20.0)
+    others = [
+        replace(scenario, seed=1),
+        replace(scenario, ego_lane=2),
+        replace(scenario, ego_speed=20.1),
+        replace(scenario, gene_seconds=9.0),
+        scenario.truncated(1),
+        Scenario(npcs=[[one(1), one(2, 19.9)]], ego_speed=20.0),
+        Scenario(npcs=[[one(1), one(1)]], ego_speed=20.0),
+        Scenario(npcs=[[one(1)], [one(2)]], ego_speed=20.0),
+    ]
+    assert len({other.id for other in (scenario, *others)}) == len(others) + 1
+
+
+def test_the_id_is_the_same_on_every_machine():
+    scenario = Scenario(npcs=[[PositionInstruction(1, 25.0), PositionInstruction(2, 8.0)]], seed=7)
+    assert scenario.canonical() == "[[[[1,25.0],[2,8.0]]],7,1,22.0,10.0]"
+    assert scenario.id == "4240d6"
+
+
+def test_zero_and_minus_zero_are_one_speed():
+    a = Scenario(npcs=[[one(2, 0.0)]], ego_speed=0.0)
+    b = Scenario(npcs=[[one(2, -0.0)]], ego_speed=-0.0)
+    assert a == b
+    assert a.canonical() == b.canonical()
+
+
+@given(scenarios, st.integers(1, 7))
+def test_truncating_keeps_the_first_genes(scenario, genes):
+    short = scenario.truncated(genes)
+    assert short.genes == min(genes, scenario.genes)
+    assert all(a == b[: len(a)] for a, b in zip(short.npcs, scenario.npcs, strict=True))
+
+
+def test_the_repr_shows_the_chains_on_one_line():
+    scenario = Scenario(npcs=[[one(1, 25), one(2, 8.5)], [one(6, 0)]])
+    assert repr(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
+        ({"npcs": [[one()]] * 9}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 9"),
+        ({"npcs": [[one()], []]}, "npcs[1]: expected at least one Position-Instruction, received an empty chain"),
+        ({"npcs": [[(2, 20.0)]]}, "npcs[0][0]: expected a PositionInstruction, received (2, 20.0); write Position"),
+        ({"npcs": [one()]}, "npcs: expected one chain of Position-Instructions per NPC, received [Position"),
+        ({"npcs": None}, "npcs: expected one chain of Position-Instructions per NPC, received None; write [["),
+        ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
+        ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
+        ({"seed": 1.5}, "seed: expected a whole number"),
+        ({"seed": True}, "seed: expected a whole number"),
+        ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
+        ({"ego_lane": 1.0}, "ego_lane: expected a whole number"),
+        ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
+        ({"ego_speed": math.nan}, "ego_speed: expected a finite number, received nan"),
+        ({"ego_speed": "22"}, "ego_speed: expected a finite number, received '22'"),
+        ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0, received 0"),
+        ({"gene_seconds": math.inf}, "gene_seconds: expected a finite number, received inf"),
+    ],
+)
+@pytest.mark.parametrize("make", [Scenario, Scenario.repaired])
+def test_a_broken_field_is_refused_by_name_with_what_was_expected(make, fields, message):
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        make(**{"npcs": [[one()]], **fields})
+
+
+def test_a_leap_across_the_ring_is_refused_with_the_cells_that_may_follow():
+    expected = "npcs[0][1]: expected cell 1 again or its ring neighbour 2 or 8, received cell 5; Scenario.repaired(...)"
+    with pytest.raises(ScenarioError, match=re.escape(expected)):
+        Scenario(npcs=[[one(1), one(5)]])
+
+
+def test_the_parts_of_an_error_can_be_read_one_by_one_also_after_a_way_through_another_process():
+    with pytest.raises(ScenarioError) as caught:
+        Scenario(npcs=[[one(1), one(5)]])
+    for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
+        assert (error.field, error.received) == ("npcs[0][1]", "cell 5")
+        assert error.expected == "cell 1 again or its ring neighbour 2 or 8"
+        assert str(error) == f"{error.field}: expected {error.expected}, received {error.received}; {error.fix}"
+
+
+def test_two_npcs_in_one_cell_are_refused_with_both_named():
+    expected = "npcs[1][1]: expected a cell that no other NPC holds in gene 1, received cell 2 of npcs[0]"
+    with pytest.raises(ScenarioError, match=re.escape(expected)):
+        Scenario(npcs=[[one(1), one(2)], [one(3), one(2)]])
+
+
+def test_an_npc_whose_chain_has_ended_holds_no_cell_any_more():
+    assert Scenario(npcs=[[one(2)], [one(3), one(2)]]).genes == 2
+
+
+@given(raw_chains)
+def test_a_scenario_is_accepted_exactly_when_repair_has_nothing_to_do(chains):
+    repaired = Scenario.repaired(chains).npcs
+    assume(len(chains) > 0)
+    if repaired == tuple(map(tuple, chains)):
+        assert Scenario(npcs=chains).npcs == repaired
+    else:
+        with pytest.raises(ScenarioError, match=r"npcs\[\d\]\[\d\]: expected .*Scenario\.repaired"):
+            Scenario(npcs=chains)
+
+
+class TestLaneInstructions:
+    """Genes without a cell: keep the own lane or change it by one, at a speed."""
+
+    def test_they_take_the_three_lanes_and_speeds_in_tenths(self):
+        assert LaneInstruction("left", 12).speed == 12.0
+        assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [0, -1, 1]
+
+    @pytest.mark.parametrize("lane", ["up", "", None, 1, "Left"])
+    def test_another_lane_is_refused_with_those_that_exist(self, lane):
+        with pytest.raises(ScenarioError, match="lane: expected one of keep, left, right, received"):
+            LaneInstruction(lane, 10.0)
+
+    def test_a_speed_between_two_tenths_is_refused_as_in_other_genes(self):
+        with pytest.raises(ScenarioError, match=r"speed: expected m/s, .* the nearest valid speed is 12\.3"):
+            LaneInstruction("keep", 12.34)
+
+    def test_a_scenario_of_them_needs_no_repair_and_may_repeat_itself(self):
+        chain = (LaneInstruction("left", 10.0),) * 3
+        scenario = Scenario(npcs=(chain, chain))
+        assert Scenario.repaired(scenario.npcs) == scenario
+        assert scenario.positions == ()
+        assert scenario.truncated(1).npcs == ((chain[0],), (chain[0],))
+
+    def test_the_canonical_text_tells_them_from_cells(self):
+        scenario = Scenario(npcs=((LaneInstruction("right", 10.0),),))
+        assert scenario.canonical() == '[[[["right",10.0]]],0,1,22.0,10.0]'
+        assert "right@10" in repr(scenario)
+        assert (
+            len(
+                {
+                    scenario.id,
+                    Scenario(npcs=((LaneInstruction("left", 10.0),),)).id,
+                    Scenario(npcs=((one(4, 10.0),),)).id,
+                }
+            )
+            == 3
+        )
+
+    @pytest.mark.parametrize(
+        "chains", [([one()], [LaneInstruction("keep", 1.0)]), ([one(), LaneInstruction("keep", 1.0)],)]
+    )
+    def test_two_kinds_of_genes_in_one_scenario_are_refused_at_their_place(self, chains):
+        with pytest.raises(
+            ScenarioError, match=r"npcs\[[01]\]\[[01]\]: expected a PositionInstruction like npcs\[0\]\[0\]"
+        ):
+            Scenario(npcs=chains)

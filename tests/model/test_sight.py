@@ -1,0 +1,160 @@
+"""What is seen of the others: held against rays that are followed step by step, and against numbers of many draws."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pytest_pafot.model.sight import Sight, hidden
+from pytest_pafot.support.errors import FieldError
+from tests.helpers.polygons import corners
+
+LENGTH, WIDTH = 5.0, 2.0
+
+
+def states(*places):
+    """Everybody at x, y [m] and with a heading [rad], the ego first."""
+    return np.array([(x, y, heading, 20.0, 0.0, LENGTH, WIDTH) for x, y, heading in places])
+
+
+def seen(sight, *places, seed=1, tick=0):
+    return [glimpse.other for glimpse in sight.glimpses(states(*places), seed, tick)]
+
+
+def hidden_by_rays(everybody, wider):
+    """Follows each ray in steps of 2 cm, to points of a box that is looked at, past boxes so much wider [m]."""
+    eye, found = everybody[0, :2], []
+    boxes = [(row[:2], row[2], row[5] / 2 + wider, row[6] / 2 + wider) for row in everybody[1:]]
+    for index, row in enumerate(everybody[1:]):
+        blocked = []
+        for end in [row[:2], *map(np.array, corners(row, row[5], row[6]))]:
+            steps = np.linspace(0.0, 1.0, math.ceil(np.hypot(*(end - eye)) / 0.02) + 2)[:, None]
+            points, inside = eye + steps * (end - eye), np.zeros(len(steps), dtype=bool)
+            for other, (centre, heading, half_length, half_width) in enumerate(boxes):
+                along = (points - centre) @ (math.cos(heading), math.sin(heading))
+                across = (points - centre) @ (-math.sin(heading), math.cos(heading))
+                inside |= (other != index) & (np.abs(along) < half_length) & (np.abs(across) < half_width)
+            blocked.append(inside.any())
+        found.append(all(blocked))
+    return np.array(found)
+
+
+PLACES = st.tuples(st.floats(-25.0, 25.0), st.floats(-9.0, 9.0), st.floats(-math.pi, math.pi))
+
+
+@given(st.lists(PLACES, min_size=2, max_size=5))
+@example([(0.0, 0.0, 0.0), (0.0, 5e-324, 0.0)])
+def test_a_vehicle_is_hidden_where_rays_that_are_followed_step_by_step_say_so(places):
+    everybody, margin = states((0.0, 0.0, 0.3), *places), 0.05
+    found = hidden(everybody)
+    assert (found <= hidden_by_rays(everybody, margin)).all()
+    assert (found >= hidden_by_rays(everybody, -margin)).all()
+
+
+def test_the_one_ahead_of_the_leader_is_hidden_and_one_in_the_next_lane_is_not():
+    sight, ego, leader = Sight(occlusion=True), (0.0, 0.0, 0.0), (20.0, 0.0, 0.0)
+    assert seen(sight, ego, leader, (40.0, 0.0, 0.0), (40.0, 4.0, 0.0)) == [0, 2]
+
+
+def test_two_that_stand_side_by_side_hide_together_what_neither_hides_alone():
+    behind, left, right = (30.0, 0.0, math.pi / 2), (10.0, -0.8, 0.0), (10.0, 1.0, 0.0)
+    assert hidden(states((0.0, 0.0, 0.0), left, right, behind)).tolist() == [False, False, True]
+    assert not hidden(states((0.0, 0.0, 0.0), left, behind)).any()
+
+
+def test_those_are_seen_whose_centre_is_no_farther_than_the_range():
+    assert seen(Sight(range=5.0), (0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (3.0, 4.01, 0.0), (-5.0, 0.0, 0.0)) == [0, 2]
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**63 - 1])
+def test_noise_has_the_deviations_asked_for_and_no_bias(seed):
+    sight, two = Sight(noise={"position": 0.5, "speed": 2.0}), states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0))
+    errors = np.array([[each[1:] for each in sight.glimpses(two, seed, tick)] for tick in range(2000)])
+    count = errors[..., 0].size
+    for column, deviation in enumerate((0.5, 0.5, 2.0)):
+        values = errors[..., column].ravel()
+        assert abs(values.mean()) < 4 * deviation / math.sqrt(count)
+        assert abs(values.std() / deviation - 1) < 4 / math.sqrt(2 * count)
+    assert abs(np.corrcoef(errors.reshape(2000, 6).T) - np.eye(6)).max() < 4.5 / math.sqrt(2000)
+
+
+def test_each_vehicle_drops_out_as_often_as_asked_for_and_by_itself():
+    sight, places = Sight(dropout=0.3), [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0)]
+    looks = [seen(sight, *places, tick=tick) for tick in range(2000)]
+    assert sum(0 in look for look in looks) / 2000 == pytest.approx(0.7, abs=0.04)
+    assert sum(look == [0, 1] for look in looks) / 2000 == pytest.approx(0.49, abs=0.045)
+
+
+def test_what_is_drawn_depends_on_seed_and_tick_and_on_nothing_that_was_drawn_before():
+    sight, places = Sight(noise={"speed": 1.0}), states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0))
+    forwards = [list(sight.glimpses(places, 5, tick)) for tick in range(4)]
+    backwards = [list(sight.glimpses(places, 5, tick)) for tick in reversed(range(4))]
+    assert forwards == backwards[::-1]
+    assert forwards != [list(sight.glimpses(places, 6, tick)) for tick in range(4)]
+
+
+def test_another_imperfection_leaves_the_noise_as_it_is():
+    places = states((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (9.0, 4.0, 0.0))
+    alone = list(Sight(noise={"position": 1.0}).glimpses(places, 5, 3))
+    for others in ({"dropout": 0.5}, {"range": 9.5}, {"latency": 1.0}):
+        assert set(Sight(noise={"position": 1.0}, **others).glimpses(places, 5, 3)) <= set(alone)
+
+
+@pytest.mark.parametrize(("latency", "ticks"), [(0.0, 0), (0.2, 3), (0.3, 5), (1 / 15, 1), (0.01, 1), (1.4, 21)])
+def test_a_latency_lasts_to_the_next_whole_tick(latency, ticks):
+    assert Sight(latency=latency).delay(15) == ticks
+
+
+ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5, "speed": 1.0}, dropout=0.1, occlusion=True)
+
+
+@pytest.mark.parametrize(
+    ("sight", "text"),
+    [
+        (Sight(), "perfect sight"),
+        (Sight(latency=0.3), "0.3 s of latency"),
+        (Sight(range=60.0, dropout=0.025), "a range of 60 m and 2.5 % dropout"),
+        (Sight(noise={"speed": 1.0, "position": 0.0}), "noise of 1 m/s"),
+        (ALL, "a range of 60 m, 0.3 s of latency, noise of 0.5 m and 1 m/s, 10 % dropout and occlusion"),
+    ],
+)
+def test_a_sight_is_told_by_what_is_not_perfect(sight, text):
+    assert sight.described() == text
+
+
+def test_some_imperfections_can_be_kept_and_all_others_left_out():
+    assert ALL.only(("latency", "occlusion")) == Sight(latency=0.3, occlusion=True)
+    assert ALL.only(()) == Sight()
+    assert ALL.described(("latency", "occlusion")) == "0.3 s of latency and occlusion"
+
+
+def test_numbers_of_any_kind_become_pythons_own():
+    sight = Sight(range=np.int64(50), latency=np.float64(0.5), noise={"speed": np.float32(1)}, dropout=Fraction(1, 4))
+    assert sight == Sight(range=50, latency=0.5, noise={"speed": 1.0}, dropout=0.25)
+    told = [sight.range, sight.latency, sight.noise["speed"], sight.dropout]
+    assert [type(each) for each in told] == [int, float, float, float]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"latency": -0.1}, r"^latency: expected a finite number from 0 \[s\], received -0.1$"),
+        ({"latency": math.inf}, "latency: expected a finite number"),
+        ({"latency": True}, "latency"),
+        ({"range": -1.0}, r"range: .* \[m\]"),
+        ({"range": "far"}, "received 'far'"),
+        ({"noise": 0.5}, 'noise: expected a mapping of "position" .m. and "speed" .m/s., one of them or both'),
+        ({"noise": {"heading": 0.1}}, "received {'heading': 0.1}"),
+        ({"noise": {"position": -0.5}}, r"noise.position: expected a finite number from 0 \[m\], received -0.5"),
+        ({"noise": {"speed": math.nan}}, "noise.speed"),
+        ({"dropout": 1.1}, "dropout: expected a number from 0 to 1, received 1.1"),
+        ({"dropout": -0.1}, "dropout"),
+        ({"occlusion": 1}, "occlusion: expected True or False, received 1"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_by_its_name(values, message):
+    with pytest.raises(FieldError, match=message):
+        Sight(**values)

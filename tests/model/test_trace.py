@@ -1,0 +1,109 @@
+"""The record of a run: shapes, read-only arrays, and what follows from them."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, Trace, X, Y
+from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
+
+
+def made(states, sizes, **fields):
+    scenario = scenario_of(1)
+    return Trace(
+        scenario=scenario,
+        executed=scenario,
+        outcome=Outcome.SAFE,
+        states=states,
+        sizes=sizes,
+        lanes=straight_lanes(),
+        physics_hz=15,
+        ads_hz=5,
+        **fields,
+    )
+
+
+def test_columns_are_named_in_the_order_of_the_array():
+    assert [X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE] == [0, 1, 2, 3, 4, 5, 6]
+
+
+def test_arrays_are_float64_contiguous_and_read_only():
+    trace = made(np.zeros((3, 2, 7), dtype=np.float32)[::1], [[5, 2], [5, 2]])
+    for array in (trace.states, trace.sizes, trace.ego, trace.npcs):
+        assert array.dtype == np.float64
+        assert not array.flags.writeable
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 1
+
+
+def test_the_callers_array_stays_writeable_and_no_change_to_it_reaches_the_trace():
+    states, sizes = np.zeros((3, 2, 7)), np.full((2, 2), 5.0)
+    trace = made(states, sizes)
+    states[:], sizes[:] = 9.0, 9.0
+    assert trace.states.max() == 0.0
+    assert trace.sizes.max() == 5.0
+
+
+@pytest.mark.parametrize("copied", [lambda trace: pickle.loads(pickle.dumps(trace)), copy.deepcopy, copy.copy])
+def test_a_trace_from_another_process_is_read_only_too(copied):
+    trace = trace_of(vehicle(0.0, speed=10.0, ticks=4), vehicle(30.0, ticks=4))
+    twin = copied(trace)
+    assert twin.states.tobytes() == trace.states.tobytes()
+    assert not twin.states.flags.writeable
+    assert not twin.sizes.flags.writeable
+    assert (twin.scenario, twin.outcome, twin.lanes) == (trace.scenario, trace.outcome, trace.lanes)
+
+
+@pytest.mark.parametrize("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
+def test_states_of_another_shape_are_refused_with_both_shapes(shape):
+    with pytest.raises(ValueError, match=r"states: expected shape \[ticks \+ 1, vehicles, 7\], received \("):
+        made(np.zeros(shape), np.zeros((2, 2)))
+
+
+def test_sizes_that_do_not_match_the_vehicles_are_refused_with_both_shapes():
+    with pytest.raises(ValueError, match=r"sizes: expected shape \(2, 2\), received \(3, 2\)"):
+        made(np.zeros((3, 2, 7)), np.zeros((3, 2)))
+
+
+def test_row_zero_is_the_start_so_there_is_one_row_more_than_ticks():
+    trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(50.0, ticks=30))
+    assert trace.ticks == 30
+    assert trace.states.shape == (31, 2, 7)
+    assert trace.dt == 1 / 15
+    assert trace.duration == 2.0
+    assert trace.times.tolist() == [tick / 15 for tick in range(31)]
+    assert trace.ego.shape == (31, 7)
+    assert trace.npcs.shape == (31, 1, 7)
+
+
+def test_a_run_that_ended_before_the_first_tick_has_no_duration():
+    trace = trace_of(vehicle(0.0), vehicle(50.0))
+    assert (trace.ticks, trace.duration) == (0, 0.0)
+
+
+def test_the_speed_limit_is_that_of_the_fastest_lane():
+    lanes = (*straight_lanes(2, speed_limit=20.0), *straight_lanes(1, speed_limit=30.0))
+    assert trace_of(vehicle(0.0), vehicle(50.0), lanes=lanes).speed_limit == 30.0
+
+
+def test_the_repr_says_how_it_ended_and_when():
+    trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(50.0, ticks=30))
+    assert repr(trace) == f"<Trace safe after 2.0 s of {trace.scenario.id}>"
+
+
+def test_outcomes_are_the_texts_that_corpus_files_have():
+    assert [str(outcome) for outcome in Outcome] == [
+        "safe", "off_road", "left_route", "end_of_road", "collision", "invalid", "ads_error", "hang"
+    ]  # fmt: skip
+
+
+def test_the_track_of_a_vehicle_is_recorded_where_a_road_is_not_straight():
+    states, sizes = np.zeros((2, 2, 7)), np.full((2, 2), 5.0)
+    bent = made(states, sizes, track=np.arange(2 * 2 * 5.0).reshape(2, 2, 5))
+    assert bent.track_of(1).tolist() == [[5.0, 6.0, 7.0, 8.0, 9.0], [15.0, 16.0, 17.0, 18.0, 19.0]]
+    with pytest.raises(ValueError, match="received one on a straight road"):
+        made(states, sizes).track_of(0)

@@ -1,0 +1,174 @@
+import math
+import pickle
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pytest_pafot as pafot
+from pytest_pafot.oracle.checks import Check, CheckFailed, Recording, recorded
+
+JERK = np.array([0.0, 3.0, -1.0, 35.1, 12.0])
+
+
+def made(value, *, hz=2, ticks=4, **bounds):
+    """The one check of a run, whether it holds or not."""
+    recording = Recording(hz=hz, ticks=ticks)
+    with recorded(recording), suppress(CheckFailed):
+        pafot.check(value, name="jerk", **bounds)
+    return recording.checks[0]
+
+
+def test_a_broken_bound_is_told_with_value_unit_and_time():
+    with recorded(Recording(hz=2, ticks=4)), pytest.raises(CheckFailed) as failed:
+        pafot.check(JERK, name="jerk", at_most=20, unit="m/s^3")
+    assert str(failed.value) == "jerk 35.1 > 20 m/s^3 at 1.5 s"
+    assert isinstance(failed.value, AssertionError)
+
+
+def test_a_bound_from_below_is_told_likewise_with_the_npc():
+    assert str(made(0.3, at_least=0.5, unit="s", at=4.2, npc=1)) == "jerk 0.3 < 0.5 s at 4.2 s (NPC 1)"
+    assert str(made(0.7, at_least=0.5, unit="s")) == "jerk 0.7 >= 0.5 s"
+    assert str(made(12.0, at_least=0.5, at_most=10.0)) == "jerk 12.0 > 10"
+
+
+def test_a_value_never_reads_as_its_bound():
+    assert str(made(0.2963, at_least=0.3)) == "jerk 0.296 < 0.3"
+    assert str(made(20.04, at_most=20.0)) == "jerk 20.04 > 20"
+    assert str(made(20.0, at_most=20.0)) == "jerk 20 <= 20"
+
+
+GAP = pafot.above(pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m"), 1.5)
+
+
+@pytest.mark.parametrize(
+    ("formula", "says"),
+    [
+        (pafot.always(GAP), "-0.5 < 0 m at 0.5 s"),
+        (pafot.always(GAP, within=(1, 5)), "-0.5 < 0 m at 1.5 s"),
+        (pafot.always(GAP - 9.0, within=(0, 5)), "-9.5 < 0 at 0.5 s"),
+        (pafot.eventually(GAP - 9.0), "-6.5 < 0 at 2.0 s"),
+        (pafot.eventually(pafot.always(GAP, within=(0, 0.5)), within=(0, 1)), "-0.5 < 0 m at 0.5 s"),
+        (pafot.eventually(pafot.always(GAP - 4, within=(0, 1)), within=(0.5, 2)), "-1.5 < 0 at 2.0 s"),
+        (pafot.until(GAP, GAP - 9, within=(0.5, 1)), "-8.5 < 0 at 1.0 s"),
+        (~pafot.eventually(GAP, within=(1, 2)) / 5, "-0.5 < 0 at 2.0 s"),
+        (pafot.always(pafot.eventually(GAP - 2, within=(0, 0.5)))[1:], "-1.5 < 0 at 1.0 s"),
+        (pafot.eventually(GAP, within=(9, 10)), "-inf < 0 m"),
+        (pafot.always(GAP) + pafot.always(GAP), "-1.0 < 0"),
+    ],
+)
+def test_a_formula_is_told_with_the_tick_that_decides_it_where_one_does(formula, says):
+    assert str(made(formula)) == f"jerk {says}"
+
+
+def test_the_margin_is_in_units_of_the_bound_unless_a_scale_is_given():
+    assert made(15.0, at_most=20.0).margin == 0.25
+    assert made(15.0, at_most=20.0, scale=5.0).margin == 1.0
+    assert made(15.0, at_least=20.0).margin == -0.25
+    assert made(3.0, at_most=0.0).margin == -3.0
+    assert made(15.0, at_least=10.0, at_most=20.0).margin == 0.25
+
+
+def test_without_a_recording_it_only_asserts():
+    pafot.check(1.0, name="x", at_most=2.0)
+    pafot.target(1.0, name="x")
+    with pytest.raises(CheckFailed, match=r"x 3\.0 > 2"):
+        pafot.check(3.0, name="x", at_most=2.0)
+
+
+def test_an_array_that_is_not_one_value_a_tick_has_no_time():
+    assert made(JERK[2:], at_most=20.0).time is None
+    assert made(JERK[2:], at_most=20.0, at=9.0).time == 9.0
+
+
+@given(
+    st.lists(st.integers(-99, 99), min_size=1, max_size=9),
+    st.integers(-99, 99),
+    st.sampled_from(["at_most", "at_least"]),
+)
+def test_it_holds_where_every_value_keeps_the_bound_and_the_worst_is_told(values, bound, side):
+    check = made(np.array(values), **{side: bound})
+    worst = max(values) if side == "at_most" else min(values)
+    assert check.holds == (worst <= bound if side == "at_most" else worst >= bound)
+    assert check.value == worst
+    assert math.isclose(abs(check.margin) * (abs(bound) or 1.0), abs(worst - bound), rel_tol=1e-9, abs_tol=1e-9)
+
+
+def test_nan_fails():
+    check = made(np.array([1.0, math.nan]), at_most=20.0)
+    assert not check.holds
+    assert check.margin == -math.inf
+    assert "is not within" in str(check)
+
+
+def test_infinity_is_beyond_any_bound():
+    assert made(math.inf, at_least=1.0).holds
+    assert not made(math.inf, at_most=1.0).holds
+
+
+def test_a_target_never_fails_and_the_largest_value_has_the_least_margin():
+    recording = Recording(hz=2, ticks=4)
+    with recorded(recording):
+        pafot.target(JERK, name="jerk")
+        pafot.target(math.nan, name="nothing")
+    assert [(each.value, each.margin, each.holds) for each in recording.checks[:1]] == [(35.1, -35.1, True)]
+    assert recording.checks[1].margin == math.inf
+
+
+def test_a_failure_travels_between_processes():
+    check = Check(name="jerk", value=35.1, margin=-0.755, at_most=20.0, values=JERK)
+    assert pickle.loads(pickle.dumps(CheckFailed(check))).check == check
+
+
+@pytest.mark.parametrize(
+    ("value", "arguments", "says"),
+    [
+        (1.0, {}, "expected at_most=, at_least= or both"),
+        ("fast", {"at_most": 1.0}, "expected a number or an array of them, received 'fast'"),
+        (np.zeros((2, 3)), {"at_most": 1.0}, "shape (2, 3); check each NPC by itself"),
+        (np.array([]), {"at_most": 1.0}, "one value a tick"),
+        (1.0, {"at_most": math.nan}, "expected a finite bound"),
+        (1.0, {"at_least": "2"}, "expected a finite bound, received '2'"),
+        (1.0, {"at_most": True}, "expected a finite bound, received True"),
+        (1.0, {"at_most": 1.0, "scale": 0.0}, "expected a scale above 0"),
+        (1.0, {"at_most": 1.0, "scale": "big"}, "expected a scale above 0"),
+        (10**400, {"at_most": 1.0}, "expected a number or an array of them"),
+        (1.0, {"at_most": 2.0, "npc": 1.0}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "npc": True}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "npc": -2}, "expected npc= as the index of an NPC"),
+        (1.0, {"at_most": 2.0, "at": -1.0}, "expected at= as seconds since the run began"),
+        (1.0, {"at_most": 2.0, "at": math.nan}, "expected at= as seconds since the run began"),
+        (1.0, {"at_most": 2.0, "unit": 5}, "expected a short printable unit"),
+        (1.0, {"at_most": 2.0, "unit": "m\n"}, "expected a short printable unit"),
+    ],
+)
+def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
+    with pytest.raises(ValueError) as error:  # noqa: PT011
+        pafot.check(value, name="jerk", **arguments)
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["", " ", "a\nb", "x" * 61, None])
+def test_a_check_needs_a_name(name):
+    with pytest.raises(ValueError, match="printable text"):
+        pafot.check(1.0, name=name, at_most=2.0)
+
+
+def test_the_index_of_an_npc_may_come_from_an_array():
+    leader = np.array([1, -1])
+    assert type(made(1.0, at_most=2.0, npc=leader[0]).npc) is int
+    assert made(1.0, at_most=2.0, npc=leader[1]).npc is None
+    with recorded(Recording(hz=2, ticks=4, npcs=1)), pytest.raises(ValueError, match="at most 0, received 1"):
+        pafot.check(1.0, name="gap", at_most=2.0, npc=1)
+
+
+def test_a_value_never_reads_as_one_beyond_its_bound():
+    assert str(made(20.04, at_most=20.03)) == "jerk 20.04 > 20.03"
+    assert str(made(5.56, at_least=5.57)) == "jerk 5.56 < 5.57"
+
+
+def test_only_a_check_makes_a_failed_one():
+    with pytest.raises(TypeError, match="expected a Check, received 'slow'"):
+        CheckFailed("slow")

@@ -1,0 +1,193 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot import criticality
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.run import NoReferenceDriversError, Run
+from tests.helpers.reference_runs import Drivers, closing, rammed
+from tests.helpers.stages import mostly_oracle
+from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
+
+
+def crash(**fields):
+    return Run(closing(outcome=Outcome.COLLISION, **fields))
+
+
+def test_a_run_shows_what_its_trace_records():
+    run = crash()
+    assert run.collision.side == "front"
+    assert run.outcome == Outcome.COLLISION
+    assert run.duration == 2.0
+    assert run.scenario == run.trace.executed
+    assert not run.off_road
+    assert run.ads_error is None
+    assert run.responsibility == "ego"
+
+
+def test_without_a_collision_nobody_is_responsible():
+    run = Run(closing())
+    assert not run.collision
+    assert run.responsibility is None
+
+
+def test_the_position_rule_is_a_second_opinion_and_named_where_it_disagrees():
+    run = Run(replace(crash().trace, collision=collision_at(30, cell=Cell.LEFT, side="left")))
+    assert (run.responsibility, run.second_opinion) == ("ego", "npc")
+    assert "(the PAFOT authors' position rule says: npc)" in " ".join(run.explain().split())
+    assert crash().second_opinion == "ego"
+    assert "position" not in crash().explain()
+    assert Run(closing()).second_opinion is None
+
+
+def test_the_reference_drivers_are_tried_when_asked_for_and_once():
+    world = Drivers(calm=closing())
+    run = Run(closing(), world=world)
+    assert world.asked == []
+    assert run.preventable_by == run.preventable_by == ("calm",)
+    assert world.asked == ["calm"]
+
+
+def test_a_reference_driver_avoids_the_collision_or_is_hit_or_is_at_fault_itself():
+    drivers = Drivers(calm=closing(), unlucky=rammed(), blind=crash().trace, cut=closing(outcome=Outcome.INVALID))
+    at_fault, victim = Run(crash().trace, world=drivers), Run(rammed(), world=drivers)
+    assert at_fault.reference_drivers == {"calm": "avoids", "unlucky": "hit", "blind": "at-fault"}
+    assert (at_fault.responsibility, at_fault.preventable_by) == ("ego", ("calm", "unlucky"))
+    assert (victim.responsibility, victim.preventable_by) == ("npc", ("calm",))
+
+
+def test_a_run_made_of_a_trace_alone_says_how_to_try_the_reference_drivers():
+    with pytest.raises(NoReferenceDriversError, match=r"use Run\(trace, world=world\)"):
+        _ = Run(closing()).preventable_by
+
+
+def test_the_last_chance_is_looked_for_when_asked_for_and_once():
+    asked = []
+
+    def take_over(trace, tick, name):
+        asked.append((tick, name))
+        return replace(trace, outcome=Outcome.SAFE, collision=None)
+
+    run = Run(crash().trace, take_over=take_over)
+    assert asked == []
+    assert run.last_chance == run.last_chance
+    assert len(asked) == 1
+
+
+def test_a_run_made_of_a_trace_alone_says_how_to_look_for_the_last_chance():
+    with pytest.raises(NoReferenceDriversError, match=r"run\.last_chance: .*take_over=world\.take_over"):
+        _ = crash().last_chance
+
+
+def test_its_measures_are_those_of_the_criticality_functions():
+    rng = np.random.default_rng(7)
+    states = random_states(rng, 40, 3)
+    run = Run(trace_of(states[:, 0], states[:, 1], states[:, 2]))
+    assert run.mettc == criticality.mettc(run.trace)
+    assert run.min_ttc == criticality.min_ttc(run.trace)
+    assert run.min_distance == criticality.min_gap(run.trace)
+    assert run.min_centre_distance == criticality.min_centre_distance(run.trace)
+    assert run.hardest_brake == criticality.hardest_brake(run.trace)
+
+
+def test_the_worst_time_to_contact_has_a_time_an_npc_and_a_cell():
+    worst = Run(closing(ticks=15)).worst_ttc
+    assert (worst.npc, worst.time, worst.cell) == (0, 1.0, Cell.FRONT)
+
+
+def test_cells_are_relative_to_the_road_and_not_to_the_ego_that_turns():
+    ego = vehicle(0.0, 4.0, heading=0.5, speed=0.0, ticks=5)
+    run = Run(trace_of(ego, vehicle(-30.0, 4.0, speed=10.0, ticks=5), scenario=scenario_of(1)))
+    assert run.worst_ttc.cell == Cell.REAR
+
+
+def test_an_npc_in_the_ego_s_own_cell_has_the_last_cell_before_it():
+    npc = vehicle(np.array([8.0, 5.0, 2.4, 2.3]), 5.0, lane=1.0)
+    run = Run(trace_of(vehicle(np.zeros(4), 4.0), npc))
+    assert run.closest_approach.cell == Cell.FRONT
+
+
+def test_where_nothing_ever_approaches_there_is_no_worst_moment():
+    run = Run(trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=9), vehicle(50.0, 4.0, speed=20.0, ticks=9)))
+    assert run.worst_ttc is None
+    assert run.event_cell is None
+    assert run.event_time == run.closest_time
+
+
+def test_the_event_is_the_collision_else_the_fault_else_the_worst_moment():
+    error = AdsError(kind="ValueError", message="no path", traceback="", tick=6)
+    assert crash().event_time == 2.0
+    assert Run(closing(outcome=Outcome.ADS_ERROR, error=error)).event_time == pytest.approx(0.4)
+    assert Run(closing(outcome=Outcome.OFF_ROAD, off_road_tick=3)).event_time == pytest.approx(0.2)
+    assert Run(closing(ticks=15)).event_time == 1.0
+
+
+def test_decisions_are_too_slow_only_where_a_limit_is_set():
+    trace = closing(max_decision_seconds=0.3)
+    assert Run(trace).max_decision_time == 0.3
+    assert not Run(trace).too_slow
+    assert not Run(trace, decision_limit=0.5).too_slow
+    assert Run(trace, decision_limit=0.1).too_slow
+
+
+def test_its_repr_fits_the_header_of_a_traceback():
+    assert len(repr(crash())) < 80
+    assert repr(crash()).startswith("<Run collision after 2.0 s, scenario ")
+
+
+def test_an_explanation_tells_what_happened_whose_fault_and_what_the_npcs_were_told():
+    text = crash(arrivals=((12,), (None,))).explain()
+    assert text.splitlines() == [
+        "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
+        "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",
+        "  hardest brake of the ego: 0.0 m/s^2",
+        "  responsible: ego, because from 0.0 s on the ego was 21.0 m behind NPC 0, closer than the 47.1 m",
+        "    that RSS demands; braking with 6 m/s^2 from 1.0 s on would have avoided it; the ego did not",
+        "    brake",
+        "  from [s]  NPC 0                                NPC 1",
+        "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
+        f"  scenario {crash().scenario.id}, repair seed 0",
+    ]
+
+
+def test_an_explanation_names_the_error_of_the_ads():
+    error = AdsError(kind="ZeroDivisionError", message="division by zero\nnaïve", traceback="", tick=15)
+    headline = Run(closing(outcome=Outcome.ADS_ERROR, error=error)).explain().splitlines()[0]
+    assert headline == "ADS error after 1.0 s: ZeroDivisionError: division by zero na\\xefve"
+
+
+def test_an_explanation_of_a_safe_run_names_its_worst_moment():
+    lines = Run(closing(ticks=15)).explain().splitlines()
+    assert lines[0] == "no collision in 1.0 s"
+    assert lines[1] == "  least time to contact: 1.10 s, NPC 0 in cell 2 (front) at 1.0 s"
+
+
+@pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.SAFE, Outcome.COLLISION, Outcome.ADS_ERROR))
+@given(npcs=st.integers(1, 8), genes=st.integers(1, 30), message=st.text(max_size=200), seed=st.integers(0, 99))
+def test_every_explanation_is_short_plain_ascii(outcome, npcs, genes, message, seed):
+    rng = np.random.default_rng(seed)
+    states = random_states(rng, 31, npcs + 1)
+    error = AdsError(kind="E", message=message, traceback="", tick=3) if outcome in ("ads_error", "hang") else None
+    scenario = scenario_of(npcs, genes=genes, gene_seconds=0.1)
+    collision = collision_at(30, npc=npcs - 1, cell=Cell.REAR_RIGHT, ego_speed=0.0) if outcome == "collision" else None
+    trace = trace_of(*states.swapaxes(0, 1), scenario=scenario, outcome=outcome, error=error, collision=collision)
+    trace = replace(trace, off_road_tick=4 if outcome == "off_road" else None)
+    lines = Run(trace).explain().split("\n")
+    assert len(lines) < 15
+    assert all(len(line) < 100 and line.isascii() and line.isprintable() for line in lines)
+
+
+def test_an_explanation_of_many_genes_shows_the_last_ones():
+    trace = trace_of(
+        vehicle(0.0, 4.0, speed=20.0, ticks=150),
+        vehicle(50.0, 4.0, speed=20.0, ticks=150),
+        scenario=scenario_of(1, genes=20, gene_seconds=1.0),
+    )
+    lines = Run(trace).explain().splitlines()
+    assert "(5 earlier)" in lines[2]
+    assert lines[3].split()[0] == "5.0"
+    assert lines[-2].split()[0] == "9.0"

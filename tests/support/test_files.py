@@ -1,0 +1,232 @@
+"""Files are written as a whole or not at all, and what a killed writer left behind goes."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.support import files
+from pytest_pafot.support.files import open_regular, remove_unfinished, write_if_free, write_whole
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "folder" / "of a test" / "file.txt"
+
+
+@pytest.fixture(params=["hard links", "no hard links"])
+def links(request, monkeypatch):
+    if request.param == "no hard links":
+
+        def refuse(self, target):
+            raise PermissionError(1, "Operation not permitted")
+
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+
+
+@pytest.mark.parametrize("write", [write_whole, write_if_free])
+def test_a_file_comes_with_its_folders_and_nothing_beside_it(path, write, links):
+    write(path, b"content")
+    assert path.read_bytes() == b"content"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_path_that_is_free_is_taken_once(path, links):
+    assert write_if_free(path, b"first")
+    assert not write_if_free(path, b"second")
+    assert path.read_bytes() == b"first"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_file_that_is_there_is_replaced(path):
+    write_whole(path, "first")
+    write_whole(path, "zw\u00f6lf\n")
+    assert path.read_bytes() == "zw\u00f6lf\n".encode()
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_of_many_writers_at_once_one_wins_and_none_fails(path):
+    barrier = threading.Barrier(8)
+    won = []
+
+    def writer(number):
+        barrier.wait()
+        won.append((write_if_free(path, str(number).encode()), number))
+
+    threads = [threading.Thread(target=writer, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(written for written, _ in won) == [False] * 7 + [True]
+    assert path.read_text() == str(next(number for written, number in won if written))
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("write", [write_whole, write_if_free])
+@pytest.mark.parametrize("call", ["publish", "fsync", "open"])
+def test_a_disk_that_fails_leaves_nothing_half_written_and_what_was_there(path, monkeypatch, write, call):
+    write_whole(path, "before")
+
+    def fail(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    if call == "fsync":
+        monkeypatch.setattr(os, "fsync", fail)
+    elif call == "open":
+        monkeypatch.setattr(Path, "open", fail)
+    else:
+        for name in ("hardlink_to", "rename", "replace"):
+            monkeypatch.setattr(Path, name, fail)
+        monkeypatch.setattr(os.path, "lexists", lambda path: False)
+    with pytest.raises(OSError, match="No space left on device"):
+        write(path, b"content")
+    monkeypatch.undo()
+    assert list(path.parent.iterdir()) == [path]
+    assert path.read_text() == "before"
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from pytest_pafot.support import files
+temporary, file = files._create(Path(sys.argv[1]))
+file.write(b"half a fi")
+file.flush()
+print(temporary.name, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def writer(path):
+    """A process that is writing a file, and the name of its temporary file."""
+    path.parent.mkdir(parents=True)
+    with subprocess.Popen([sys.executable, "-c", WRITER, path.parent], stdout=subprocess.PIPE, text=True) as process:
+        yield process, path.parent / process.stdout.readline().strip()
+        process.kill()
+
+
+def test_what_a_process_writes_stays_while_it_lives_and_goes_with_the_next_save_after_its_end(path, writer):
+    process, temporary = writer
+    os.utime(temporary, (1.0, 1.0))
+    write_if_free(path, b"content")
+    assert sorted(path.parent.iterdir()) == sorted([temporary, path])
+    process.kill()
+    process.wait()
+    write_whole(path, b"content")
+    assert list(path.parent.iterdir()) == [path]
+
+
+FORKING = """
+import os, signal, sys
+from pytest_pafot.support import files
+file = open(sys.argv[1], "ab")
+files.hold(file.fileno(), is_inherited=False)
+forked = os.fork()
+if not forked:
+    signal.pause()
+print(forked, flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_lock_that_is_not_inherited_ends_with_its_process_though_one_lives_that_it_has_forked(tmp_path):
+    path = tmp_path / "lock"
+    command = [sys.executable, "-c", FORKING, path]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        forked = int(process.stdout.readline())
+        with path.open("ab") as file:
+            assert not files.hold(file.fileno(), is_inherited=False)
+            process.stdin.close()
+            process.wait()
+            assert files.hold(file.fileno(), is_inherited=False)
+        os.kill(forked, signal.SIGKILL)
+
+
+def test_without_locks_the_process_id_in_the_name_decides(path, writer, monkeypatch):
+    def no_locks(descriptor):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(files, "_lock", no_locks)
+    process, temporary = writer
+    remove_unfinished(path.parent)
+    assert temporary.exists()
+    process.kill()
+    process.wait()
+    remove_unfinished(path.parent)
+    assert not temporary.exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_only_a_regular_file_is_opened_and_no_link_is_followed(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("mine")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(secret)
+    (tmp_path / "dangling").symlink_to(tmp_path / "none")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for mode in ("rb", "r+b", "ab"):
+        for name in ("link", "dangling", "loop", "zero", "pipe", "."):
+            with pytest.raises(OSError, match=r"a link|a folder|something else"):
+                open_regular(tmp_path / name, mode)
+    with open_regular(tmp_path / "new", "ab") as file:
+        file.write(b"content")
+    with open_regular(tmp_path / "new") as file:
+        assert file.read() == b"content"
+    assert secret.read_text() == "mine"
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_a_write_replaces_a_link_and_leaves_what_it_leads_to(path, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("mine")
+    path.parent.mkdir(parents=True)
+    temporary = path.parent / ".pafot-1-00.tmp"
+    for link in (path, temporary):
+        link.symlink_to(secret)
+    assert not write_if_free(path, b"content")
+    write_whole(path, b"content")
+    assert (path.read_text(), path.is_symlink(), temporary.is_symlink()) == ("content", False, True)
+    assert secret.read_text() == "mine"
+
+
+def test_a_temporary_file_of_an_earlier_version_goes(path):
+    path.parent.mkdir(parents=True)
+    (path.parent / ".pafot-0123456789abcdef.tmp").write_text("half a fi")
+    write_if_free(path, b"content")
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_temporary_file_that_another_session_took_for_a_dead_process_s_is_made_anew(path, monkeypatch):
+    path.parent.mkdir(parents=True)
+    holding, taken = files.hold, []
+
+    def taken_at_first(descriptor):
+        if not taken:
+            taken.extend(path.parent.iterdir())
+            taken[0].unlink()
+        return holding(descriptor)
+
+    monkeypatch.setattr(files, "hold", taken_at_first)
+    assert write_if_free(path, b"content")
+    assert path.read_bytes() == b"content"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of files")
+def test_a_file_has_the_permissions_of_any_new_file(path):
+    before = os.umask(0o022)
+    try:
+        write_whole(path, "content")
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o644

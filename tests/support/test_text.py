@@ -1,0 +1,142 @@
+"""Texts of strangers command nobody, wherever they are shown, and can still be recognised."""
+
+import contextlib
+import io
+import json
+import re
+from dataclasses import replace
+from datetime import date
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pytest_pafot.__main__ import main
+from pytest_pafot.campaign import saved_scenario
+from pytest_pafot.campaign.events import Find, Progress, SearchSummary
+from pytest_pafot.corpus.file_format import text_of
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.plugin.messages import set_properties
+from pytest_pafot.plugin.node_ids import saved_part
+from pytest_pafot.report import job_summary, markup, terminal
+from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord, to_text
+from pytest_pafot.support.errors import CorpusError, FieldError
+from pytest_pafot.support.text import (
+    ascii_text,
+    fitted_lines,
+    markdown_table,
+    quiet_json,
+    visible,
+    visible_lines,
+    wrapped_to,
+)
+from tests.findings.builders import plain_finding
+from tests.helpers.hostile import TEXTS, obeyed
+
+WIDTHS = st.integers(20, 120)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0", r"a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0"),
+        ("::error::a ::b test.py::c", r"\x3a:error::a \x3a:b test.py::c"),
+        ("##[group]a##vso[x] ## # a", r"\x23#[group]a\x23#vso[x] ## # a"),
+        ("na\u00efve \U0001f697 C:\\x", "na\u00efve \U0001f697 C:\\x"),
+    ],
+)
+def test_what_acts_is_shown_as_an_escape_and_all_else_stays(text, shown):
+    assert visible(text) == shown
+
+
+@given(TEXTS, WIDTHS)
+def test_a_shown_text_is_obeyed_nowhere_and_one_line(text, width):
+    for shown in (visible(text), ascii_text(text), str(FieldError(text)), str(FieldError(field=text, received=text))):
+        assert obeyed(shown) == []
+        assert "\n" not in shown
+        assert visible(shown) == shown
+        assert obeyed("\n".join(wrapped_to(shown, width))) == []
+    assert obeyed("\n".join(fitted_lines([text, f"E   {text}"], width))) == []
+    assert visible_lines(text).count("\n") == text.count("\n")
+    assert obeyed(visible_lines(text).replace("\t", " ")) == []
+    assert obeyed(saved_part(text)) == []
+    assert json.loads(quiet_json(json.dumps(text))) == text
+
+
+@given(TEXTS, TEXTS, WIDTHS)
+def test_no_line_of_the_terminal_is_obeyed(text, other, width):
+    find = Find(id="a", node_id=text, headline=other, path=text, problem=other, difference=text)
+    search = SearchSummary(
+        node_id=text, generations=1, runs=3, seconds=1.0, failing=1, finds=[find], known={text: 1}, rejected=0,
+        skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, profile="ci", reason=text,
+        warnings=[text], notes=[other], against=text, drawn=other,
+    )  # fmt: skip
+    session = terminal.SessionSummary(
+        searches=[search],
+        replays=[terminal.ReplaySummary(node_id=text, label="drifted", detail=other, against=text)],
+        orphans=[(text, 1)], removed=[(other, 1)], strays=[(text, other)], unmerged=[(other, text)],
+        problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
+    )  # fmt: skip
+    progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
+    lines = [*terminal.session_lines(session, verbose=True, width=width), *terminal.found_lines(find, width)]
+    section = terminal.find_section(find, explanation=text, content=text, details=[other], advice=text, width=width)
+    assert obeyed("\n".join([*lines, terminal.progress_line(progress, width), section])) == []
+    assert all("\n" not in line and line.isascii() for line in lines)
+
+
+@given(TEXTS, TEXTS)
+def test_the_summary_of_a_job_and_tables_have_no_markup_of_others(text, other):
+    found = FindingRecord(
+        node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
+        flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
+    )  # fmt: skip
+    faulty = SearchRecord(node_id=text, message=other, result="failed", against=text)
+    record = SessionRecord(
+        findings=[found], searches=[faulty], rates=[text], merged=[other], warnings=[text], problems=[text]
+    )
+    shown = job_summary.markdown(record)
+    assert obeyed(shown.replace("\u200b", "")) == []
+    outside = re.sub(r"(`+).*?(?<!`)\1(?!`)", "", shown)
+    assert not re.search(r"<(?!br>|/?span>)|(?<!\\)\||@(?!&#8203;)|\$(?!</span>)", outside)
+    assert json.loads(to_text(record))["findings"][0]["xfail"]["reason"] == other
+    assert obeyed(to_text(record)) == []
+    table = markdown_table([text], [[other]])
+    assert obeyed(table) == []
+    assert table.count("\n") == 2
+
+
+@given(TEXTS)
+def test_pages_and_junit_files_have_no_markup_of_others(text):
+    shown = markup.text(text)
+    assert obeyed(shown.replace("\t", " ")) == []
+    assert not re.search("[<>\"']", shown)
+    properties = []
+    set_properties(properties, file=text, seed=1)
+    element = ElementTree.Element("property", dict(properties))
+    assert obeyed(ElementTree.tostring(element, "unicode")) == []
+
+
+@settings(max_examples=6)  # each reads nineteen files
+@given(TEXTS.filter(str.strip))
+def test_no_line_of_the_corpus_command_and_of_its_errors_is_obeyed(tmp_path_factory, text):
+    folder = tmp_path_factory.mktemp("corpus")
+    expect = replace(plain_finding().expect, assertion=text, failure=text)
+    finding = plain_finding(test=text, flaky=text, xfail=text, xfail_until=date(2027, 1, 31), expect=expect)
+    (folder / "a.pafot.yaml").write_text(text_of(finding), encoding="utf-8")
+    shown = (repr(saved_scenario.load(folder / "a.pafot.yaml")), repr(Saved(path=folder / f"{text}.pafot.yaml")))
+    assert list(map(obeyed, shown)) == [[], []]
+    broken = (json.dumps(text), f"{json.dumps(text)}: 1", text_of(finding) + f"{json.dumps(text)}: 1\n")
+    for number, content in enumerate(broken):
+        path = folder / f"b{number}.pafot.yaml"
+        path.write_text(content, encoding="utf-8")
+        with pytest.raises(CorpusError) as raised:
+            load(path)
+        assert obeyed(str(raised.value)) == []
+        assert "\n" not in str(raised.value)
+    for arguments in (["list"], ["stats"], ["list", "--json"], ["stats", "--json"]):
+        told = io.StringIO()
+        with contextlib.redirect_stdout(told):
+            main(["corpus", *arguments, str(folder)])
+        assert obeyed(told.getvalue()) == []

@@ -1,0 +1,373 @@
+"""An ADS that raises, returns nonsense, hangs or is slow: an outcome of its own, never a collision, never a crash."""
+
+from __future__ import annotations
+
+import asyncio
+import bdb
+import math
+import signal
+import subprocess
+import sys
+import threading
+import time
+import unittest
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import Highway
+from pytest_pafot.world.guard import hang_guard
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from tests.helpers.stopped_clock import StoppedClock
+from tests.world.driving.test_ads import CONTINUOUS, GYM, HIGHWAY, SCENARIO, always, worlds
+
+# --- ADSs that fail
+
+
+class CustomFault(Exception):  # noqa: N818
+    pass
+
+
+def failing_after(decisions, fail, idle):
+    """An ADS that drives for so many decisions, then calls ``fail``."""
+
+    def factory():
+        count = iter(range(1000))
+
+        def drive(observation):
+            return idle if next(count) < decisions else fail()
+
+        return drive
+
+    return factory
+
+
+@worlds
+def test_an_ads_that_raises_ends_the_run_with_a_traceback_of_its_own_code_alone(world, idle):
+    def deep():
+        raise CustomFault("the map\nhas no  lane 7")
+
+    def fail():
+        return deep()
+
+    trace = world.rollout(SCENARIO, failing_after(2, fail, idle))
+    every = world.physics_hz // world.ads_hz if world is GYM else 3
+    assert trace.outcome is Outcome.ADS_ERROR
+    assert trace.collision is None
+    assert trace.ticks == trace.error.tick == 2 * every
+    assert (trace.error.kind, trace.error.message) == ("CustomFault", "the map has no lane 7")
+    report = trace.error.traceback
+    assert report.startswith("Traceback (most recent call last):")
+    assert [line.split()[-1] for line in report.splitlines() if line.startswith("  File")] == ["drive", "fail", "deep"]
+    assert "pytest_pafot" not in report
+    assert len(trace.actions) == 2
+
+
+class Panic(BaseException):
+    """As the bindings of a native library raise it."""
+
+
+FAULTS = [
+    ValueError(), TypeError("x"), StopIteration(), SystemExit(2), ExceptionGroup("g", [ValueError("y")]), Panic("rust"),
+    GeneratorExit(), asyncio.CancelledError(), BaseExceptionGroup("g", [SystemExit(2)]), unittest.SkipTest("no map"),
+    pytest.skip.Exception("no GPU"), pytest.fail.Exception("no map"), pytest.xfail.Exception("never"),
+    pytest.exit.Exception("enough"), pytest.exit.Exception("green", 0),
+    ExceptionGroup("g", [pytest.exit.Exception("green", 0)]),
+]  # fmt: skip
+INTERRUPTIONS = [
+    KeyboardInterrupt(), bdb.BdbQuit(),
+    BaseExceptionGroup("g", [ValueError("y"), BaseExceptionGroup("h", [KeyboardInterrupt()])]),
+]  # fmt: skip
+
+
+@worlds
+@pytest.mark.parametrize("fault", FAULTS, ids=repr)
+def test_whatever_an_ads_raises_is_an_ads_error_of_that_kind(world, idle, fault):
+    def fail():
+        raise fault
+
+    trace = world.rollout(SCENARIO, failing_after(1, fail, idle))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, type(fault).__name__)
+    assert type(fault).__name__ in trace.error.traceback
+
+
+@pytest.mark.parametrize(("status", "ends_the_session"), [(None, True), (0, False)])
+def test_the_handler_of_a_signal_may_end_the_session_but_not_as_passed(status, ends_the_session):
+    def handler(number, frame):
+        pytest.exit("terminated", returncode=status)
+
+    before = signal.signal(signal.SIGTERM, handler)
+    try:
+        ads = failing_after(1, lambda: signal.raise_signal(signal.SIGTERM), (0.0, 0.0))
+        with pytest.raises(pytest.exit.Exception) if ends_the_session else nullcontext():
+            assert Highway().rollout(SCENARIO, ads).error.kind == "Exit"
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_an_exception_that_cannot_even_be_printed_is_an_ads_error_too():
+    class Mute(Exception):  # noqa: N818
+        def __str__(self):
+            raise RuntimeError("no words")
+
+    def fail():
+        raise Mute
+
+    trace = HIGHWAY.rollout(SCENARIO, failing_after(1, fail, (0, 0)))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "Mute")
+
+
+@worlds
+@pytest.mark.parametrize("interruption", INTERRUPTIONS, ids=repr)
+def test_the_end_of_a_session_or_a_debugger_inside_an_ads_is_the_users_and_no_finding(world, idle, interruption):
+    def fail():
+        raise interruption
+
+    with pytest.raises(type(interruption)) as caught:
+        world.rollout(SCENARIO, failing_after(1, fail, idle))
+    assert caught.value is interruption
+    assert hang_guard._WATCHDOG._guards == []
+
+
+def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick():
+    class Breaks(IDMVehicle):
+        steps = 0
+
+        def step(self, dt):
+            super().step(dt)
+            self.steps += 1
+            if self.steps > 30:
+                raise CustomFault("tyre")
+
+    for trace in (HIGHWAY.rollout(SCENARIO, Breaks), HIGHWAY.rollout_in_gym(SCENARIO, Breaks)):
+        assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "CustomFault", "tyre")
+        assert trace.error.tick == trace.ticks == 30
+
+
+PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive, received"
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
+        ("1", "2"),
+        {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
+    trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
+    assert trace.outcome is Outcome.ADS_ERROR
+    assert trace.error.kind == "BadAction"
+    assert trace.error.message.startswith(PAIR)
+    assert (trace.error.traceback, trace.error.tick, trace.ticks) == ("", 3, 3)
+
+
+@pytest.mark.parametrize(
+    "action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)], ids=repr
+)
+def test_what_is_no_action_of_a_discrete_space_is_a_bad_action(action):
+    trace = GYM.rollout(SCENARIO, always(action))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
+    assert trace.error.message.startswith("expected a whole number from 0 to 4, received ")
+
+
+@pytest.mark.parametrize(
+    "action",
+    [None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
+     [1j, 0], [None, 0.0], [[1], [2, 3]], {}],
+    ids=repr,
+)  # fmt: skip
+def test_what_is_no_action_of_a_continuous_space_is_a_bad_action(action):
+    trace = CONTINUOUS.rollout(SCENARIO, always(action))
+    assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
+    assert trace.error.message.startswith("expected finite numbers of shape (2,), received ")
+
+
+def test_a_huge_wrong_action_is_shown_on_one_short_line():
+    trace = HIGHWAY.rollout(SCENARIO, always(np.zeros((1000, 3))))
+    assert len(trace.error.message) < 250
+    assert "\n" not in trace.error.message
+
+
+# --- ADSs that hang
+
+
+def sleeping():
+    time.sleep(30)
+
+
+def spinning():
+    while True:
+        pass
+
+
+def spinning_deaf():
+    """Swallows whatever interrupts it, once."""
+    try:
+        spinning()
+    except BaseException:  # noqa: BLE001
+        spinning()
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of all limits, which shows more only where a test says so: no healthy decision is ever too slow."""
+    return StoppedClock(monkeypatch)
+
+
+@worlds
+@pytest.mark.parametrize("hang", [sleeping, spinning, spinning_deaf])
+def test_a_hang_is_interrupted_and_shown_where_it_hung(world, idle, hang, clock):
+    def hangs():
+        clock.now += 1.0
+        hang()
+
+    world = type(world)(**({"env_id": "highway-v0"} if world is GYM else {}), hang_limit=0.2)
+    trace = world.rollout(SCENARIO, failing_after(1, hangs, idle))
+    assert trace.outcome is Outcome.HANG
+    assert trace.error.kind == "Hang"
+    assert "hang limit" in trace.error.message
+    assert hang.__name__ in trace.error.traceback
+    assert "pytest_pafot" not in trace.error.traceback
+    assert trace.ticks == trace.error.tick > 0
+    assert world.rollout(SCENARIO, always(idle)).outcome is Outcome.SAFE
+
+
+def test_a_busy_hang_is_interrupted_outside_the_main_thread_too(clock):
+    received = []
+    world = Highway(hang_limit=0.2)
+
+    def hangs():
+        clock.now += 1.0
+        spinning()
+
+    thread = threading.Thread(
+        target=lambda: received.extend(
+            world.rollout(SCENARIO, ads) for ads in (failing_after(1, hangs, (0, 0)), always((0, 0)))
+        )
+    )
+    thread.start()
+    thread.join(60)
+    assert [trace.outcome for trace in received] == [Outcome.HANG, Outcome.SAFE]
+    assert "spinning" in received[0].error.traceback
+
+
+def test_an_ads_inside_another_run_may_hang_without_the_outer_one():
+    def nesting(observation):
+        inner = HIGHWAY.rollout(SCENARIO, always((0.0, 0.0)))
+        return (0.0, 0.0) if inner.outcome is Outcome.SAFE else None
+
+    assert HIGHWAY.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
+
+
+def test_time_between_decisions_is_not_counted_as_a_hang():
+    now = [0.0]
+    with HangGuard(0.05, clock=lambda: now[0]) as guard:
+        for _ in range(3):
+            guard.decision_starts()
+            guard.decision_ends()
+            now[0] += 0.08
+            assert guard.look() == 0.0
+
+
+@pytest.mark.parametrize("inside_thread", [False, True])
+def test_a_decision_that_ends_just_as_it_is_interrupted_never_breaks_what_comes_after(inside_thread):
+    """Decisions of about the limit, over and over: each is interrupted inside, or not at all."""
+    from pytest_pafot.world.guard.hang_guard import AdsHang
+
+    escaped = []
+
+    def decide(until):
+        """In a frame of its own, as an ADS's: CPython 3.13 leaves the jump of a ``while`` out of the ``try`` around."""
+        while time.perf_counter() < until:
+            pass
+
+    def work():
+        try:
+            for step in range(30):
+                with HangGuard(0.004) as guard:
+                    try:
+                        try:
+                            guard.decision_starts()
+                            decide(time.perf_counter() + 0.003 + step * 0.0001)
+                        finally:
+                            guard.decision_ends()
+                    except AdsHang:
+                        guard.decision_ends()
+                    time.sleep(0)
+        except BaseException as error:  # noqa: BLE001
+            escaped.append(error)
+
+    if inside_thread:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    else:
+        work()
+    assert escaped == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+def test_an_interruption_that_comes_late_interrupts_nothing():
+    with HangGuard(5.0) as guard:
+        signal.raise_signal(signal.SIGUSR1)
+        guard.decision_starts()
+        signal.raise_signal(signal.SIGUSR1)
+        guard.decision_ends()
+        signal.raise_signal(signal.SIGUSR1)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR1"), reason="no user signals here")
+def test_the_users_signal_handler_is_back_after_a_run():
+    before = signal.signal(signal.SIGUSR1, handler := lambda number, frame: None)
+    try:
+        HIGHWAY.rollout(SCENARIO, always((0, 0)))
+        assert signal.getsignal(signal.SIGUSR1) is handler
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+def test_slow_decisions_are_measured_and_change_nothing_else():
+    def slow():
+        calls = iter(range(100))
+        return lambda observation: time.sleep(0.03 * (next(calls) == 2)) or (0.0, 0.0)
+
+    trace = HIGHWAY.rollout(SCENARIO, slow)
+    assert trace.outcome is Outcome.SAFE
+    assert 0.03 <= trace.max_decision_seconds < 5
+    assert trace.states.tobytes() == HIGHWAY.rollout(SCENARIO, always((0.0, 0.0))).states.tobytes()
+
+
+@pytest.mark.processes
+def test_a_thread_can_be_traced_after_a_hang_in_another_one():
+    # CPython 3.11 hangs in a traced function after an exception for a thread was taken back by its C interface.
+    code = """
+import sys, threading
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+
+def decide():
+    with HangGuard(0.05) as guard:
+        guard.decision_starts()
+        try:
+            while True:
+                pass
+        except AdsHang:
+            guard.decision_ends()
+
+for _ in range(3):
+    thread = threading.Thread(target=decide)
+    thread.start()
+    thread.join()
+
+def traced():
+    return sum(range(100))
+
+sys.settrace(lambda *event: None)
+traced()
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

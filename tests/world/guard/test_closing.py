@@ -1,0 +1,130 @@
+"""An ADS with a method ``close`` is closed once when its run is over, however that ends and whatever stepped it."""
+
+import functools
+import itertools
+
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import Highway, World
+from tests.helpers.stages import mostly_oracle
+from tests.helpers.stopped_clock import StoppedClock
+
+BRAKED = Scenario(npcs=[[PositionInstruction(2, 0.0)]], gene_seconds=8.0)
+BESIDE = Scenario(npcs=[[PositionInstruction(4, 22.0)]], gene_seconds=2.0)
+
+
+class Program:
+    """Drives as told, for a second; how often it is closed is written into a list."""
+
+    def __init__(self, log, then=lambda: (0.0, 0.0), end=lambda: None):
+        self.log, self.then, self.end, self.asked = log, then, end, 0
+
+    def __call__(self, observation):
+        self.asked += 1
+        assert not self.log, "asked after it was closed"
+        return self.then() if self.asked > 5 else (0.0, 0.0)
+
+    def close(self):
+        self.log.append("closed")
+        self.end()
+
+
+def raises(error=LookupError):
+    raise error("lost")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "then", "outcome"),
+    [
+        (BESIDE, lambda: (0.0, 0.0), Outcome.SAFE),
+        (BRAKED, lambda: (0.0, 0.0), Outcome.COLLISION),
+        (BESIDE, raises, Outcome.ADS_ERROR),
+        (BESIDE, lambda: "left", Outcome.ADS_ERROR),
+        (BESIDE, None, Outcome.HANG),
+    ],
+    ids=["safe", "collision", "raises", "bad action", "hangs"],
+)
+@pytest.mark.parametrize("drive", ["kernel", "highway-env", "rollout_in_gym"])
+def test_it_is_closed_once_however_its_run_ends(scenario, then, outcome, drive, monkeypatch):
+    world, log = Highway(engine="auto" if drive == "rollout_in_gym" else drive), []
+    run = getattr(world, drive, world.rollout)
+    then = then or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
+    assert (run(scenario, lambda: Program(log, then)).outcome, log) == (outcome, ["closed"])
+
+
+def test_it_is_closed_when_the_session_ends_inside_of_it():
+    log = []
+    with pytest.raises(KeyboardInterrupt):
+        Highway().rollout(BESIDE, lambda: Program(log, lambda: raises(KeyboardInterrupt)))
+    assert log == ["closed"]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "drive", "inside"),
+    mostly_oracle(
+        itertools.product(["highway-v0", "roundabout-v0"], ["rollout", "rollout_in_gym"], [False, True]),
+        ("highway-v0", "rollout", False),
+        ("highway-v0", "rollout", True),
+        ("highway-v0", "rollout_in_gym", False),
+        ("roundabout-v0", "rollout", False),
+        ("roundabout-v0", "rollout_in_gym", True),
+    ),
+)
+def test_policies_and_planners_inside_of_an_environment_are_closed_as_well(env_id, drive, inside):
+    made = []
+
+    class Policy(Program):
+        def __call__(self, observation):
+            super().__call__(observation)
+            return 1
+
+    def policy(**_):
+        made.append(Policy([]))
+        return made[-1]
+
+    factory = (lambda env: policy(env=env)) if inside else policy
+    getattr(World(env_id, duration=1.0), drive)(
+        Scenario(npcs=[[PositionInstruction(2, 20.0)]], gene_seconds=1.0), factory
+    )
+    assert [each.log for each in made] == [["closed"]]
+
+
+def test_one_that_drives_many_runs_is_closed_after_the_last_of_them():
+    class Batching(Program):
+        def batch(self, observations):
+            return [self(observation) for observation in observations]
+
+    made = []
+    world = Highway(duration=2.0)
+    traces = world.rollout_batch([BESIDE, BRAKED, BESIDE], lambda: made.append(Batching([])) or made[-1])
+    assert (len(traces), [each.log for each in made]) == (3, [["closed"]])
+    world.rollout_batch([BESIDE, BRAKED], lambda: made.append(Program([])) or made[-1])
+    assert [each.log for each in made[1:]] == [["closed"]] * 3, "one was made to see whether it decides for many"
+
+
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [(raises, "no exception, received LookupError: lost"), (None, "at most the hang limit, 30 s")],
+    ids=["raises", "hangs"],
+)
+def test_what_goes_wrong_in_closing_is_a_warning_and_leaves_the_run_as_it_was(end, said, monkeypatch):
+    world, end = Highway(), end or functools.partial(StoppedClock(monkeypatch).sleep, 1000.0)
+    with pytest.warns(RuntimeWarning, match=rf"^ads\.close: expected .*{said}.*; the run before it counts as it was"):
+        trace = world.rollout(BRAKED, lambda: Program([], end=end))
+    assert trace.outcome is Outcome.COLLISION
+
+
+def test_an_interrupt_in_closing_is_the_users():
+    with pytest.raises(KeyboardInterrupt):
+        Highway(duration=1.0).rollout(BESIDE, lambda: Program([], end=lambda: raises(KeyboardInterrupt)))
+
+
+def test_a_vehicle_class_is_not_closed():
+    class Closing(IDMVehicle):
+        def close(self):
+            raise AssertionError("a class is no ADS of its own")
+
+    assert Highway(duration=1.0).rollout(BESIDE, Closing).error is None

@@ -1,0 +1,250 @@
+"""The thread that watches all decisions of a process: it is there when it is needed, and only then."""
+
+from __future__ import annotations
+
+import bdb
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world import Highway
+from pytest_pafot.world.driving.ads import make_ads
+from pytest_pafot.world.guard import hang_guard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from tests.world.driving.test_ads import SCENARIO
+
+
+@pytest.fixture
+def watchdog(monkeypatch):
+    """A fresh one, which looks every ten milliseconds."""
+    monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 0.01)
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", fresh := hang_guard._Watchdog())
+    return fresh
+
+
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="no process can be forked")
+
+
+def fork_and_go_on():
+    pid = os.fork()
+    if pid:
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+
+
+def forks_once(fork, when):
+    """A factory of ADSs that fork in the factory, or in the first decision."""
+
+    def ads():
+        if when == "factory":
+            fork()
+        return lambda seen: (fork() if when == "decision" and seen.time == 0 else None, (0.0, 0.0))[1]
+
+    return ads
+
+
+@forks
+@pytest.mark.parametrize("when", ["factory", "decision"])
+def test_a_copy_of_the_process_that_runs_on_ends_and_is_reported(when):
+    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+        Highway(duration=2.0).rollout(SCENARIO, forks_once(fork_and_go_on, when))
+    assert Highway(duration=2.0).rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).error is None
+
+
+@forks
+@pytest.mark.parametrize("when", ["factory", "decision"])
+def test_a_process_that_the_ads_forks_and_ends_is_its_own(when):
+    def fork():
+        pid = os.fork()
+        if not pid:
+            os._exit(0)
+        assert os.waitpid(pid, 0)[1] == 0
+
+    assert Highway(duration=2.0).rollout(SCENARIO, forks_once(fork, when)).error is None
+
+
+@forks
+def test_a_copy_that_comes_later_is_waited_for(monkeypatch):
+    monkeypatch.setattr(hang_guard, "COPY_LATE", 60.0)
+    pids = []
+    with pytest.raises(AdsFactoryError, match="lets a copy of this process run on"):
+        make_ads(lambda: pids.append(os.fork()))
+    os.waitpid(pids[0], 0)
+
+
+def hang(limit):
+    """Whether a decision that never ends is interrupted."""
+    with HangGuard(limit) as watched:
+        try:
+            try:
+                watched.decision_starts()
+                while True:
+                    time.sleep(0.001)
+            finally:
+                watched.decision_ends()
+        except AdsHang:
+            watched.decision_ends()
+            return True
+
+
+def test_the_watching_thread_ends_when_no_run_is_under_way_and_comes_back_for_the_next(watchdog):
+    for _ in range(2):
+        with HangGuard(30.0):
+            thread = watchdog._thread
+            assert thread.is_alive()
+        thread.join(timeout=30)
+        assert not thread.is_alive()
+        assert watchdog._thread is None
+    assert hang(0.05)
+
+
+def test_runs_one_after_the_other_share_a_thread(monkeypatch):
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", watchdog := hang_guard._Watchdog())
+    threads = set()
+    for _ in range(50):
+        with HangGuard(30.0):
+            threads.add(watchdog._thread)
+    assert len(threads) == 1
+
+
+def test_a_short_limit_is_kept_while_a_long_one_is_watched(monkeypatch):
+    monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 60.0)
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", hang_guard._Watchdog())
+    with HangGuard(86400.0):
+        time.sleep(0.05)  # the thread has begun its long pause
+        started = time.monotonic()
+        assert hang(0.05)
+        assert time.monotonic() - started < 30
+
+
+def test_a_decision_that_ends_within_its_limit_has_nothing_to_settle():
+    """The order of :class:`HangGuard`: the watching thread reads the clock first, and then what is under way."""
+    times = iter([0.0, 5.0, 5.1])
+    watched = HangGuard(5.0, clock=lambda: next(times))
+    watched.started = watched.clock()
+    assert not watched._overdue()
+    assert watched._overdue()
+    watched.started = None
+    watched.clock = lambda: 1e9
+    assert not watched._overdue()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="elsewhere a decision cannot be asked where it is")
+def test_a_debugger_may_stand_in_a_decision_for_longer_than_its_limit(watchdog):
+    tracer = sys.gettrace()
+    try:
+        with HangGuard(0.02) as watched:
+            watched.decision_starts()
+            began = watched.started
+            bdb.Bdb().runcall(time.sleep, 0.1)
+            assert watched.started > began
+            watched.decision_ends()
+    finally:
+        sys.settrace(tracer)
+    assert hang(0.02)
+
+
+@pytest.mark.processes
+def test_a_forked_process_watches_its_own_decisions():
+    code = """
+import os, sys
+from pytest_pafot import Highway, PositionInstruction, Scenario
+world, scenario = Highway(hang_limit=0.2), Scenario(npcs=[[PositionInstruction(1, 25.0)]])
+def spin(observation):
+    while True:
+        pass
+world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))  # starts the watching thread
+child = os.fork()
+if not child:
+    os._exit(world.rollout(scenario, lambda: spin).outcome != "hang")
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)
+
+
+def swallow(seconds, limit):
+    """A decision that goes on, whatever interrupts it, until two looks have found that it has ignored that for long."""
+    found = []
+    with HangGuard(limit) as watched:
+        look = watched.look
+        watched.look = lambda: found.append(look()) or found[-1]
+        if hasattr(signal, "SIGUSR1"):
+            signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+        watched.decision_starts()
+        while sum(ignored > seconds for ignored in found) < 2:
+            with contextlib.suppress(AdsHang):
+                time.sleep(0.001)
+        with contextlib.suppress(AdsHang):
+            watched.decision_ends()
+        watched.decision_ends()
+
+
+@pytest.mark.parametrize(("grace", "is_ended"), [(0.05, True), (60.0, False)])
+def test_the_last_resort_is_for_decisions_that_ignore_their_interruption(watchdog, grace, is_ended):
+    ends = []
+    with hang_guard.last_resort(hang_guard.LastResort(end=lambda: ends.append(1), grace=grace)):
+        swallow(0.05, limit=0.02)
+        assert hang(0.02)
+    assert bool(ends) == is_ended
+    swallow(0.05, limit=0.02)
+    assert bool(ends) == is_ended, "outside there is none"
+
+
+class Timer:
+    """In the place of faulthandler's."""
+
+    def __init__(self):
+        self.seconds = []
+
+    def dump_traceback_later(self, seconds, **options):
+        assert options == {"exit": True, "file": 2}
+        self.seconds.append(seconds)
+
+    def cancel_dump_traceback_later(self):
+        self.seconds.append(None)
+
+
+def comes_true(condition):
+    """Whether it does within half a minute."""
+    deadline = time.monotonic() + 30
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return condition()
+
+
+def test_the_timer_runs_while_runs_are_under_way_and_not_between_them_for_long(watchdog, monkeypatch):
+    monkeypatch.setattr(hang_guard, "faulthandler", timer := Timer())
+    monkeypatch.setattr(hang_guard, "_is_debugged", lambda: False)
+    with hang_guard.last_resort(hang_guard.LastResort(end=lambda: None, grace=5.0, file=2)):
+        with HangGuard(10.0):
+            assert {*timer.seconds} == {15.01}  # once, and once more if a look came before this
+            with HangGuard(30.0):
+                assert timer.seconds[-1] == 35.01
+                count = len(timer.seconds)
+                assert comes_true(lambda: len(timer.seconds) > count), "put off by each look"
+        assert comes_true(lambda: timer.seconds[-1] is None)
+        with HangGuard(10.0):
+            assert timer.seconds[-1] == 15.01
+    assert timer.seconds[-1] is None
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_need_not_wait_for_the_timer_of_the_one_that_it_comes_from():
+    code = """
+import faulthandler, os, sys
+from pytest_pafot.world.guard.hang_guard import HangGuard, LastResort, last_resort
+with last_resort(LastResort(end=lambda: None, grace=5.0, file=2)), HangGuard(30.0):
+    child = os.fork()
+    if not child:
+        faulthandler.cancel_dump_traceback_later()
+        os._exit(0)
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)

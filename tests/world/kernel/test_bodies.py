@@ -1,0 +1,140 @@
+"""The contact oracle, against one of another kind: clipping one polygon with the other."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.world.kernel.bodies import Box, overlap, separation, side_hit
+
+angles = st.floats(-math.pi, math.pi)
+boxes = st.builds(Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3))
+
+
+def moved(box, x=0.0, y=0.0, heading=0.0):
+    return Box(box.x + x, box.y + y, box.heading + heading, box.length, box.width)
+
+
+def corners(box):
+    cos_h, sin_h = math.cos(box.heading), math.sin(box.heading)
+    half = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+    return [
+        (
+            box.x + (a * box.length * cos_h - b * box.width * sin_h) / 2,
+            box.y + (a * box.length * sin_h + b * box.width * cos_h) / 2,
+        )
+        for a, b in half
+    ]
+
+
+def shared_area(a, b):
+    """Area of the intersection by Sutherland and Hodgman's clipping and the shoelace formula."""
+    polygon, clip = corners(a), corners(b)
+    for (x1, y1), (x2, y2) in zip(clip, clip[1:] + clip[:1], strict=True):
+
+        def inside(p, x1=x1, y1=y1, x2=x2, y2=y2):
+            return (x2 - x1) * (p[1] - y1) - (y2 - y1) * (p[0] - x1)
+
+        clipped = []
+        for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+            d_p, d_q = inside(p), inside(q)
+            if d_p >= 0:
+                clipped.append(p)
+            if (d_p >= 0) != (d_q >= 0):
+                t = d_p / (d_p - d_q)
+                clipped.append((p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])))
+        polygon = clipped
+        if not polygon:
+            return 0.0
+    return abs(sum(p[0] * q[1] - q[0] * p[1] for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True))) / 2
+
+
+@given(boxes, boxes)
+def test_boxes_overlap_exactly_when_they_share_an_area(a, b):
+    area = shared_area(a, b)
+    if overlap(a, b):
+        assert area > 0 or max(*separation(a, b), *separation(b, a)) > -1e-6
+    else:
+        assert area < 1e-6
+
+
+def test_thousands_of_near_misses_and_grazes_are_told_apart():
+    rng = random.Random(0)
+    seen = {True: 0, False: 0}
+    for _ in range(6000):
+        a = Box(rng.uniform(-1e3, 1e3), rng.uniform(-9, 9), rng.gauss(0, 0.3), 5.0, 2.0)
+        b = Box(a.x + rng.uniform(-7, 7), a.y + rng.uniform(-4, 4), rng.gauss(0, 0.5), 5.0, 2.0)
+        area = shared_area(a, b)
+        if 0 < area < 1e-9:
+            continue
+        assert overlap(a, b) == (area > 0), (a, b)
+        seen[area > 0] += 1
+    assert min(seen.values()) > 1000
+
+
+@given(boxes, boxes)
+def test_contact_is_mutual_and_does_not_depend_on_where_or_which_way_one_looks(a, b):
+    met = overlap(a, b)
+    assert overlap(b, a) == met
+    for turned in (math.pi, -math.pi):
+        if abs(max(*separation(a, b), *separation(b, a))) > 1e-9:
+            assert overlap(moved(a, heading=turned), b) == met
+            assert overlap(moved(a, x=300.0), moved(b, x=300.0)) == met
+
+
+def test_boxes_that_share_only_a_border_do_not_touch():
+    ego = Box(0.0, 0.0, 0.0, 5.0, 2.0)
+    assert not overlap(ego, moved(ego, x=5.0))
+    assert not overlap(ego, moved(ego, y=-2.0))
+    assert not overlap(ego, moved(ego, x=5.0, y=2.0))
+    assert overlap(ego, moved(ego, x=5.0 - 1e-9))
+    assert overlap(ego, ego)
+
+
+def test_a_box_inside_another_touches_it():
+    truck = Box(0.0, 0.0, 0.7, 16.0, 3.0)
+    assert overlap(truck, Box(2.0, 2.0, 0.1, 0.5, 0.5))
+    assert overlap(Box(2.0, 2.0, 0.1, 0.5, 0.5), truck)
+
+
+@given(boxes, boxes)
+def test_separation_is_the_gap_between_projections_on_the_first_boxs_axes(a, b):
+    cos_h, sin_h = math.cos(a.heading), math.sin(a.heading)
+    for gap, axis in zip(separation(a, b), ((cos_h, sin_h), (-sin_h, cos_h)), strict=True):
+        along_a, along_b = ([x * axis[0] + y * axis[1] for x, y in corners(box)] for box in (a, b))
+        expected = max(min(along_b) - max(along_a), min(along_a) - max(along_b))
+        if expected > 0:
+            assert gap == pytest.approx(expected, abs=1e-9)
+        else:
+            assert gap <= 1e-9
+
+
+EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "side"),
+    [
+        (Box(6.0, 0.0, 0.0, 5.0, 2.0), "front"),
+        (Box(-6.0, 0.0, 0.0, 5.0, 2.0), "rear"),
+        (Box(0.0, 2.3, 0.0, 5.0, 2.0), "right"),
+        (Box(0.0, -2.3, 0.0, 5.0, 2.0), "left"),
+        (Box(6.0, 1.9, 0.0, 5.0, 2.0), "front"),  # offset, but still in the way
+        (Box(6.0, -1.9, 0.0, 5.0, 2.0), "front"),
+        (Box(4.8, 2.3, -0.2, 5.0, 2.0), "right"),  # cuts in from beside
+        (Box(-4.8, -2.3, 0.2, 5.0, 2.0), "left"),
+        (Box(-5.5, 1.0, 0.1, 5.0, 2.0), "rear"),
+        (Box(5.3, 2.1, -0.1, 5.0, 2.0), "front"),  # over the corner, further apart ahead
+    ],
+)
+@pytest.mark.parametrize("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
+def test_the_side_is_that_of_the_ego_whatever_way_it_heads(other, side, turn):
+    cos_t, sin_t = math.cos(turn), math.sin(turn)
+    ego = moved(EGO, x=300.0, y=4.0, heading=turn)
+    x, y = 300.0 + other.x * cos_t - other.y * sin_t, 4.0 + other.x * sin_t + other.y * cos_t
+    turned = Box(x, y, other.heading + turn, other.length, other.width)
+    assert side_hit(ego, turned) == side
