@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +35,7 @@ from pytest_pafot.criticality.signals import Signal
 from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, Trace, X, Y
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import checked_number
 
 __all__ = [
     "answers_cut_ins", "brakes_for_a_reason", "comfort", "keeps_up", "lane_change_gaps", "no_fault", "rss_distance",
@@ -214,8 +214,7 @@ def answers_cut_ins(run: Run) -> None:
 def _refuse_odd(name: str, **given: object) -> None:
     """Refuse what is no finite number of at least 0."""
     for each, value in given.items():
-        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) < math.inf:
-            raise ValueError(f"{name}: expected {each}= as a finite number of at least 0, received {value!r:.80}")
+        checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
 
 
 def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:

@@ -25,7 +25,7 @@ from pytest_pafot.episodes.episode import Start, Step
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.errors import WorldError, checked_number
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy, checked_action
 from pytest_pafot.world.engines.policy_engine import begin
@@ -85,8 +85,7 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
 
     def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
         _check_world(world)
-        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
-            raise ValueError(f"share: expected that of scenarios among the episodes, 0 to 1, received {share!r}")
+        share = checked_number(share, "share", "that of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
         self.trace: Trace | None = None
         self.observation_space = copy.deepcopy(world.observation_space)
         self.action_space = copy.deepcopy(world.action_space)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
@@ -17,6 +16,7 @@ from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace, sample, space_on
+from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, WorldError, protocol
 from pytest_pafot.world.driving.ads import hint_at_object
@@ -266,7 +266,8 @@ def _is_name(value: object) -> bool:
 
 
 def _is_positive(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value) and value > 0
+    number = plain_number(value)
+    return number is not None and number > 0
 
 
 def _problem_of_ads(value: object) -> str:

@@ -29,7 +29,7 @@ from pytest_pafot.model.scenario import REPAIR, SHIFTS, Gene, Scenario, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.run import ReferenceOutcome
-from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError
+from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, plain_number, plain_whole
 from pytest_pafot.support.files import open_regular
 from pytest_pafot.support.text import day_of
 
@@ -105,11 +105,11 @@ class Field:
 
     def whole(self, low: int = 0, high: int | None = None) -> int:
         """A whole number."""
-        is_whole = isinstance(self.value, int) and not isinstance(self.value, bool)
-        if not is_whole or self.value < low or (high is not None and self.value > high):
+        number = plain_whole(self.value)
+        if number is None or number < low or (high is not None and number > high):
             top = "" if high is None else f" to {high}"
             raise self.error(f"a whole number from {low}{top}", "correct it")
-        return int(self.value)
+        return number
 
     def day(self) -> date:
         """A day of the calendar, as 2027-01-31."""
@@ -126,10 +126,10 @@ class Field:
 
     def number(self, low: float = 0.0) -> float:
         """A finite number, at least so large."""
-        is_number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
-        if not is_number or not low <= self.value <= MAX_NUMBER:
+        number = plain_number(self.value)
+        if number is None or not low <= number <= MAX_NUMBER:
             raise self.error(f"a finite number, at least {low:g}", "correct it")
-        return float(self.value)
+        return float(number)
 
 
 def _one_of(options: Collection[str]) -> str:

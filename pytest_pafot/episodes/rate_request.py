@@ -14,6 +14,7 @@ from pytest_pafot.episodes.rate import EpisodeRow, Rate
 from pytest_pafot.episodes.rate_plan import driven
 from pytest_pafot.execution.pool import GRACE, WorkerPool
 from pytest_pafot.execution.scenario_pool import METHOD, ExecutionError, check_can_be_given
+from pytest_pafot.support.errors import plain_number, plain_whole
 from pytest_pafot.support.proportions import percent
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.ads import preload
@@ -153,28 +154,23 @@ def _check_names(arguments: Mapping[str, Any], positional: Sequence[object]) -> 
 def _problems(given: Mapping[str, Any]) -> Mapping[str, str]:
     """What is wrong with each argument; empty where nothing is."""
     ads, confidence = given.get("ads"), given.get("confidence")
-    is_share = _is_number(given["at_most"]) and 0 <= given["at_most"] < 1
+    share, likely = plain_number(given["at_most"]), plain_number(confidence)
+    episodes, seed = plain_whole(given.get("episodes", 1)), plain_whole(given.get("seed", 0))
     return {
-        "at_most": "" if is_share else "expected a share of the episodes, from 0 to less than 1",
+        "at_most": ""
+        if share is not None and 0 <= share < 1
+        else "expected a share of the episodes, from 0 to less than 1",
         "world": ""
         if isinstance(given["world"], World)
         else "expected an environment with traffic of its own, pafot.World(...) or its id",
         "ads": "" if isinstance(ads, str) or callable(ads) else "expected a factory, or the name of a fixture",
-        "episodes": "" if _is_whole(given.get("episodes", 1), 1) else "expected a whole number, at least 1",
-        "seed": "" if _is_whole(given.get("seed", 0), 0) else "expected a whole number, at least 0",
+        "episodes": "" if episodes is not None and episodes >= 1 else "expected a whole number, at least 1",
+        "seed": "" if seed is not None and seed >= 0 else "expected a whole number, at least 0",
         "planner": "" if isinstance(given.get("planner", False), bool) else "expected True or False",
         "confidence": ""
-        if confidence is None or (_is_number(confidence) and 0 < confidence < 1)
+        if confidence is None or (likely is not None and 0 < likely < 1)
         else "expected a number between 0 and 1, such as 0.95",
     }
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _is_whole(value: object, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
 def _error(arguments: str, problem: str) -> RequestError:

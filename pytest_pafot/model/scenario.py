@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,7 +17,7 @@ from itertools import pairwise, zip_longest
 from typing import Any, Literal, cast, get_args
 
 from pytest_pafot.model.grid import Cell, is_adjacent, repair_chains
-from pytest_pafot.support.errors import FieldError
+from pytest_pafot.support.errors import FieldError, checked_whole, plain_whole
 
 SPEED_STEPS_PER_MPS = 10
 """Target speeds are multiples of 0.1 m/s, so that a scenario reads the same in a file and in memory."""
@@ -56,7 +55,7 @@ class PositionInstruction:
 
     def __post_init__(self) -> None:
         if type(self.cell) is not Cell:
-            number = _whole(self.cell)
+            number = plain_whole(self.cell)
             if number is None or not 1 <= number <= 8:
                 expected = "a whole number from 1 (front-left) clockwise to 8 (left)"
                 raise ScenarioError(field="cell", expected=expected, received=repr(self.cell))
@@ -282,7 +281,7 @@ def _checked_speed(value: object) -> float:
 
 
 def _number(name: str, value: object) -> float:
-    whole = _whole(value)
+    whole = plain_whole(value)
     try:
         number = float(value if isinstance(value, float) else math.nan if whole is None else whole)
     except OverflowError:
@@ -292,21 +291,8 @@ def _number(name: str, value: object) -> float:
     return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
 
 
-def _whole(value: object) -> int | None:
-    """Python's int of a whole number, also of numpy's; None for everything else and for truth values."""
-    if isinstance(value, bool) or not hasattr(type(value), "__index__"):
-        return None
-    try:
-        return operator.index(value)  # type: ignore[arg-type]
-    except TypeError:  # numpy's arrays and truth values
-        return None
-
-
 def _checked_whole(name: str, value: object, top: int) -> int:
-    number = _whole(value)
-    if number is None or not 0 <= number <= top:
-        raise ScenarioError(field=name, expected=f"a whole number from 0 to {top}", received=repr(value))
-    return number
+    return checked_whole(value, name, f"a whole number from 0 to {top}", least=0, most=top, error=ScenarioError)
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Self
@@ -12,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.support.errors import FieldError
+from pytest_pafot.support.errors import FieldError, plain_number
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -166,13 +165,12 @@ def hidden(states: FloatArray) -> BoolArray:
 
 
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
-    """A checked number as Python's own, which a file can hold, whatever kind it is of, such as numpy's."""
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not 0 <= value < math.inf or value > most:  # type: ignore[operator]
+    number = plain_number(value)
+    if number is None or not 0 <= number <= most:
         of = f" [{unit}]" if unit else ""
         expected = f"a finite number from 0{of}" if most == math.inf else f"a number from 0 to {most:g}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
-    return int(value) if isinstance(value, numbers.Integral) else float(value)  # type: ignore[arg-type]
+    return number
 
 
 _PERFECT = Sight()

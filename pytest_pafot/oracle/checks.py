@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any, NoReturn
 
 import numpy as np
 
 from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.support.errors import POSITIVE, checked_number
 
 # How a test function discards a scenario.
 
@@ -229,16 +229,12 @@ def _named(name: str) -> str:
 
 
 def _bound(name: str, bound: float) -> float:
-    if isinstance(bound, bool) or not isinstance(bound, Real) or not math.isfinite(bound):
-        raise ValueError(f"check {name!r}: expected a finite bound, received {bound!r:.80}")
-    return float(bound)
+    return checked_number(bound, f"check {name!r}", "a finite bound")
 
 
 def _scale(name: str, bound: float, scale: float | None) -> float:
     divisor = abs(bound) or 1.0 if scale is None else scale
-    if not isinstance(divisor, Real) or not math.isfinite(divisor) or divisor <= 0:
-        raise ValueError(f"check {name!r}: expected a scale above 0, received {scale!r}")
-    return float(divisor)
+    return checked_number(divisor, f"check {name!r}", "a scale above 0", least=POSITIVE)
 
 
 def _unit(name: str, unit: object) -> str:
@@ -248,9 +244,7 @@ def _unit(name: str, unit: object) -> str:
 
 
 def _moment(name: str, at: object) -> float:
-    if isinstance(at, bool) or not isinstance(at, Real) or not 0 <= float(at) < math.inf:
-        raise ValueError(f"check {name!r}: expected at= as seconds since the run began, received {at!r:.100}")
-    return float(at)
+    return checked_number(at, f"check {name!r}", "at= as seconds since the run began", least=0.0)
 
 
 def _npc(name: str, npc: Any) -> int | None:

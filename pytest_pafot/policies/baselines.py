@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.policies.loading import PolicyLoader, digest_of, library, named, refused
+from pytest_pafot.support.errors import plain_whole
 
 Array = npt.NDArray[Any]
 
@@ -52,7 +53,7 @@ class Sb3Policy(PolicyLoader):
     deterministic: bool = True
 
     def __post_init__(self) -> None:
-        if not isinstance(self.frame_stack, int) or self.frame_stack < 1:
+        if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
             raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give as many as VecFrameStack had")
 
     @functools.cached_property

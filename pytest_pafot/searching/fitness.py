@@ -29,6 +29,7 @@ from pytest_pafot.criticality import Encounters, RoadFrame, execution_time, plan
 from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
+from pytest_pafot.support.errors import plain_number
 
 # ``module:name``: a class or a function of the user's own where text is all that can be given.
 
@@ -85,7 +86,7 @@ class Weights:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
+            if (number := plain_number(value)) is None or number < 0:
                 raise FitnessError(f"Weights.{field.name}: expected a finite number, at least 0, received {value!r}")
         if self.ttc + self.gap + self.shortfall + self.time == 0:
             raise FitnessError("Weights: expected at least one weight above 0, received four zeros")

@@ -26,6 +26,7 @@ from pytest_pafot.model.scenario import (
     positions_of,
 )
 from pytest_pafot.searching.patterns import chain_of_patterns
+from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
 LEAST_GENES = 3
@@ -61,17 +62,12 @@ class SearchSpace:
     patterns: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("npcs", "genes"):
-            if not isinstance(getattr(self, name), int):
-                raise ValueError(f"{name}: expected a whole number, received {getattr(self, name)!r}")
-        if not 1 <= self.npcs <= 8:
-            raise ValueError(f"npcs: expected 1 to 8 NPCs, one per cell at most, received {self.npcs!r}")
-        if self.genes < 1:
-            raise ValueError(f"genes: expected at least one Position-Instruction per NPC, received {self.genes!r}")
-        if not (isinstance(self.gene_seconds, (int, float)) and 0 < self.gene_seconds < math.inf):
-            raise ValueError(f"gene_seconds: expected seconds, more than 0, received {self.gene_seconds!r}")
-        if not (math.isfinite(self.speed_limit) and self.speed_limit >= 0):
-            raise ValueError(f"speed_limit: expected a finite speed in m/s, at least 0, received {self.speed_limit!r}")
+        npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
+        object.__setattr__(self, "npcs", npcs)
+        genes = checked_whole(self.genes, "genes", "at least one Position-Instruction per NPC", least=1)
+        object.__setattr__(self, "genes", genes)
+        checked_number(self.gene_seconds, "gene_seconds", "seconds, more than 0", least=POSITIVE)
+        checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
 
         if self.ego_speeds is not None and not 0 <= self.ego_speeds[0] <= self.ego_speeds[1] < math.inf:
             raise ValueError(f"ego_speeds: expected the lowest and the highest in m/s, received {self.ego_speeds!r}")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import operator
+from numbers import Integral, Real
 from pathlib import Path
 
 from pytest_pafot.support.text import visible
@@ -29,6 +32,71 @@ def sentence(field: str, expected: str, received: str, fix: str) -> str:
     """``field: expected this, received that; do so``, without the parts that are empty."""
     place, way_out = f"{field}: " if field else "", f"; {fix}" if fix else ""
     return f"{place}expected {expected}, received {received}{way_out}"
+
+
+POSITIVE = math.ulp(0.0)
+"""As the least that a number may be, it refuses zero."""
+
+
+def checked_number(
+    value: object,
+    field: str,
+    expected: str,
+    *,
+    least: float = -math.inf,
+    most: float = math.inf,
+    error: type[FieldError] = FieldError,
+) -> float:
+    """A finite number within bounds, as a float; numbers of other libraries, such as numpy's, are numbers too.
+
+    Raises:
+        FieldError: or the given kind of it, unless the value is such a number.
+    """
+    number = plain_number(value)
+    if number is None or not least <= number <= most:
+        raise error(field=field, expected=expected, received=f"{value!r:.100}")
+    return float(number)
+
+
+def checked_whole(
+    value: object,
+    field: str,
+    expected: str,
+    *,
+    least: int,
+    most: float = math.inf,
+    error: type[FieldError] = FieldError,
+) -> int:
+    """A whole number within bounds, as an int.
+
+    Raises:
+        FieldError: or the given kind of it, unless the value is such a number.
+    """
+    number = plain_whole(value)
+    if number is None or not least <= number <= most:
+        raise error(field=field, expected=expected, received=f"{value!r:.100}")
+    return number
+
+
+def plain_number(value: object) -> float | None:
+    """Python's own int or float of a finite number; None for everything else, and for truth values."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        number = int(value) if isinstance(value, Integral) else float(value)
+        return number if math.isfinite(number) else None
+    except OverflowError:  # An int that no float can hold.
+        return None
+
+
+def plain_whole(value: object) -> int | None:
+    """Python's own int of a whole number; None for everything else, and for truth values."""
+    if isinstance(value, bool) or not hasattr(type(value), "__index__"):
+        return None
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:  # numpy's arrays and truth values
+        return None
 
 
 class WorldError(FieldError):

@@ -23,7 +23,7 @@ from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.validation import checked_number
+from pytest_pafot.world.validation import number_within
 
 # What it takes to drive a recorded run again up to a tick, and to have a reference driver take over the ego there.
 
@@ -206,7 +206,7 @@ class BuiltInWorld(ABC):
 
     def _check_fields(self) -> None:
         for name, low, high in BOUNDS:
-            object.__setattr__(self, name, checked_number(name, getattr(self, name), low, high))
+            object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
 

@@ -24,7 +24,7 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import ParallelLanes, SearchedLanes, straight_road
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import AbstractEnv, Road, Vehicle, action, observation
-from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, checked_whole, plain_data
+from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """What environments call their random traffic, besides ``vehicles_count``."""
@@ -266,7 +266,7 @@ def _check_sizes(config: dict[str, Any], creator: Any) -> None:
     given = {name: value for name, value in config.items() if name not in REPLACED}
     for name, bounds in (("simulation_frequency", PHYSICS_HZ), ("policy_frequency", ADS_HZ)):
         if name in given:
-            checked_whole(f"config.{name}", given[name], *bounds)
+            whole_within(f"config.{name}", given[name], *bounds)
     if not str(getattr(creator, "__module__", "")).startswith("highway_env."):
         given = {name: given[name] for name in ("observation", "action", "scaling") if name in given}
     _check_size("config", given)

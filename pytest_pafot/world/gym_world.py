@@ -25,9 +25,9 @@ from pytest_pafot.world.validation import (
     PHYSICS_HZ,
     check_divides,
     check_ticks,
-    checked_number,
-    checked_whole,
+    number_within,
     plain_data,
+    whole_within,
 )
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class World(BuiltInWorld):
         object.__setattr__(self, "config", plain_data("config", self.config))
         self._check_fields()
         if self.duration is not None:
-            object.__setattr__(self, "duration", checked_number("duration", self.duration, 0.1, 3600.0))
+            object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
         if self.wrappers is None:
             return
         if not isinstance(self.wrappers, (list, tuple)):
@@ -237,8 +237,8 @@ class World(BuiltInWorld):
         """What all runs have in common."""
         env = self.environment.unwrapped
         config = env.config
-        physics_hz = checked_whole("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
-        ads_hz = checked_whole("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
+        physics_hz = whole_within("config.simulation_frequency", config["simulation_frequency"], *PHYSICS_HZ)
+        ads_hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
         check_divides(("config.simulation_frequency", physics_hz), ("config.policy_frequency", ads_hz))
         duration = self._wanted
         check_ticks(duration, physics_hz)
@@ -257,11 +257,11 @@ class World(BuiltInWorld):
         """How long a run on a straight road lasts [s]."""
         config, name = self.environment.unwrapped.config, "config.duration" if self.duration is None else "duration"
         value = config.get("duration", LONGEST_RUN) if self.duration is None else self.duration
-        return checked_number(name, value, 1 / config["simulation_frequency"], 3600.0)
+        return number_within(name, value, 1 / config["simulation_frequency"], 3600.0)
 
     @property
     def _longest(self) -> float:
         """How long a run on any other road may last [s]."""
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
-        return min(checked_number("config.duration", own, 0.0, math.inf), most)
+        return min(number_within("config.duration", own, 0.0, math.inf), most)

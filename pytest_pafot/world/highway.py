@@ -20,7 +20,7 @@ from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules, ego_start
-from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, check_ticks, checked_number, checked_whole
+from pytest_pafot.world.validation import ADS_HZ, PHYSICS_HZ, check_divides, check_ticks, number_within, whole_within
 
 LANE_WIDTH = 4.0
 """highway-env's [m]."""
@@ -64,11 +64,10 @@ class Highway(BuiltInWorld):
     engine: str = field(default="auto", compare=False)
 
     def __post_init__(self) -> None:
-        checked_whole("lanes", self.lanes, 3, 6)
-        checked_whole("physics_hz", self.physics_hz, *PHYSICS_HZ)
-        checked_whole("ads_hz", self.ads_hz, *ADS_HZ)
+        for name, bounds in (("lanes", (3, 6)), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
+            object.__setattr__(self, name, whole_within(name, getattr(self, name), *bounds))
         for name, low, high in (("speed_limit", 5.0, TOP_SPEED), ("duration", 1 / self.physics_hz, 3600.0)):
-            object.__setattr__(self, name, checked_number(name, getattr(self, name), low, high))
+            object.__setattr__(self, name, number_within(name, getattr(self, name), low, high))
         self._check_fields()
         if self.engine not in ENGINES:
             raise WorldError(field="engine", expected=f"one of {', '.join(ENGINES)}", received=repr(self.engine))

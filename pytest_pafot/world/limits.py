@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.validation import checked_number
+from pytest_pafot.world.validation import number_within
 
 TOP_SPEED = 40.0
 """highway-env vehicles do not get faster [m/s]."""
@@ -50,7 +50,7 @@ class NpcLimits:
 
     def __post_init__(self) -> None:
         for name, bounds in BOUNDS.items():
-            object.__setattr__(self, name, checked_number(f"limits.{name}", getattr(self, name), *bounds))
+            object.__setattr__(self, name, number_within(f"limits.{name}", getattr(self, name), *bounds))
 
     def top_speed(self, speed_limit: float) -> float:
         """The highest speed of NPCs on a road with a speed limit [m/s].

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
 """Fewest and most ticks and decisions per second."""
@@ -17,18 +17,16 @@ MOST_TICKS = 400_000
 """Of a run; its record takes about 0.5 KB for each tick with all NPCs."""
 
 
-def checked_number(name: str, value: object, low: float, high: float, why: str = "") -> float:
+def number_within(name: str, value: object, low: float, high: float, why: str = "") -> float:
     """A finite number within bounds, as float; ``why`` follows the bounds in the message."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise WorldError(field=name, expected=f"a number from {low:g} to {high:g}{why}", received=repr(value))
-    return float(value)
+    expected = f"a number from {low:g} to {high:g}{why}"
+    return checked_number(value, name, expected, least=low, most=high, error=WorldError)
 
 
-def checked_whole(name: str, value: object, low: int, high: int) -> int:
+def whole_within(name: str, value: object, low: int, high: int) -> int:
     """A whole number within bounds."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise WorldError(field=name, expected=f"a whole number from {low} to {high}", received=repr(value))
-    return value
+    expected = f"a whole number from {low} to {high}"
+    return checked_whole(value, name, expected, least=low, most=high, error=WorldError)
 
 
 def plain_data(name: str, value: Any) -> Any:

@@ -194,7 +194,7 @@ def test_a_wrong_argument_is_an_error_of_its_item_before_any_fixture(project):
 REFUSED = [
     ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-    ("npcs=1.5", "*npcs: expected a whole number, received 1.5*"),
+    ("npcs=1.5", "*npcs: expected 1 to 8 NPCs, one per cell at most, received 1.5*"),
     ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0, received 0*"),
     ("ego_lane='left'", "*ego_lane*"),
     ("ego_lane=7", "*ego_lane*"),
