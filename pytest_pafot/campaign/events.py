@@ -128,30 +128,23 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
-    """A finding with where it lies, or why it lies nowhere, and how it is told."""
+class FindTold:
+    """A new find, or more of one that was told before: the last telling of a find is the one that counts."""
 
     finding: Finding
     find: Find
     origin: str  # how it was found, in one line
+    exception: BaseException
+    run: Run | None = None  # of the scenario in the file; None where nobody saw how it ended
     file: Path | None = None
     content: str = ""  # of the file that could not be written, or empty
     number: int = 0  # of its run in the search, from 1; 0 where it was none of its runs
+    is_new: bool = True  # whether it is told for the first time
 
     @property
     def is_firm(self) -> bool:
         """Whether its runs are expected to repeat, so that it can be shrunk."""
         return not (self.find.is_flaky or self.find.is_timed or self.finding.expect.is_crash)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FindTold:
-    """A new find, or more of one that was told before: the last telling of a find is the one that counts."""
-
-    kept: Kept
-    exception: BaseException
-    run: Run | None = None  # of the scenario in the file; None where nobody saw how it ended
-    is_new: bool = False  # whether it is told for the first time
 
 
 SearchEvent = SearchStarted | Judged | FindTold | Progress | SearchSummary | Event

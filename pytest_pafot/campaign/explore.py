@@ -49,7 +49,7 @@ class Exploration(Shown):
     @property
     def told(self) -> tuple[FindTold, ...]:
         """The last word on each finding, in their order: its run, the exception that it ended in, and its headline."""
-        last = {event.kept.finding.id: event for event in self.events if isinstance(event, FindTold)}
+        last = {event.finding.id: event for event in self.events if isinstance(event, FindTold)}
         return tuple(last[finding.id] for finding in self.findings)
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.events import Find, FindTold, Kept, Listener
+from pytest_pafot.campaign.events import Find, FindTold, Listener
 from pytest_pafot.campaign.harness import Harness, Simulation, is_same_run
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.corpus.file_format import text_of
@@ -78,11 +78,11 @@ class Recorder:
     listener: Listener
     # Files that were there before the search; a find that comes to be kept is not what they show
     replayed: frozenset[Path] = frozenset()
-    kept: dict[str, Kept] = field(default_factory=dict)  # the finds so far, by id
+    kept: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
     unsaved: list[str] = field(default_factory=list)  # ids of those that the limit of saved scenarios left out
     first: BaseException | None = None  # the exception of the first find, for a debugger
-    # Finds not told yet, since they may turn out to be a fault of the set-up; None once finds are told at once
-    held: list[FindTold] | None = field(default_factory=list)
+    # Ids of finds not told yet, since they may turn out to be a fault of the set-up; None once finds are told at once
+    held: list[str] | None = field(default_factory=list)
 
     @property
     def count(self) -> int:
@@ -113,40 +113,38 @@ class Recorder:
             self.first = self.first or verdict.exception
             return finding.id
         origin = self._origin(generation, number)
-        kept = replace(self._saved(finding, headline(run, verdict), origin, verdict.is_timed), number=number)
+        kept = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
+        kept = replace(kept, run=run, number=number)
         differs = ""
         try:
             differs = "" if verdict.is_timed else self.confirm(run)
         finally:  # An interrupt in these runs must not keep the find from being told.
             if differs:
                 kept = self.call_flaky(kept, differs)
-            told = FindTold(kept=kept, exception=verdict.exception, run=run, is_new=True)
             if self.held is None:
-                self.tell(told)
+                self.tell(kept)
             else:
                 self.kept[kept.find.id] = kept
-                self.held.append(told)
+                self.held.append(kept.find.id)
         return kept.find.id
 
     def release(self) -> None:
         """Announce what is held, and from now on each find at once."""
         held, self.held = self.held or [], None
-        for told in held:
-            self.tell(told)
+        for find_id in held:
+            self.tell(self.kept[find_id])
 
     def withdraw(self) -> None:
         """Undo what is held: it is no finding. What cannot be removed is told after all."""
-        held, self.held = self.held or [], None
-        for told in held:
-            del self.kept[told.kept.find.id]
+        withdrawn, self.held = [self.kept.pop(find_id) for find_id in self.held or ()], None
         self.unsaved.clear()
-        for told in held:
+        for kept in withdrawn:
             try:
-                if told.kept.file is not None:
-                    told.kept.file.unlink(missing_ok=True)
+                if kept.file is not None:
+                    kept.file.unlink(missing_ok=True)
             except OSError:
-                self.tell(told)
-        if not any(told.kept.file for told in held):
+                self.tell(kept)
+        if not any(kept.file for kept in withdrawn):
             return  # The folders may lie behind a link, where nothing was saved.
         with suppress(OSError):  # They hold something else.
             for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
@@ -154,19 +152,18 @@ class Recorder:
 
     def tell(self, told: FindTold) -> None:
         """Announce a find, or tell more of it."""
-        find_id = told.kept.find.id
-        self.kept[find_id] = told.kept
-        if self.first is None or find_id == next(iter(self.kept)):
+        self.kept[told.find.id] = told
+        if self.first is None or told.find.id == next(iter(self.kept)):
             self.first = told.exception
         self.listener(told)
 
-    def call_flaky(self, kept: Kept, difference: str) -> Kept:
+    def call_flaky(self, kept: FindTold, difference: str) -> FindTold:
         """Keep a find as one that does not repeat, in its file too."""
         marked = self.rewritten(kept, replace(kept.finding, flaky=portable(difference, str(self.harness.root))))
         self.kept[kept.find.id] = replace(marked, find=replace(kept.find, difference=difference))
         return self.kept[kept.find.id]
 
-    def rewritten(self, kept: Kept, finding: Finding) -> Kept:
+    def rewritten(self, kept: FindTold, finding: Finding) -> FindTold:
         """The same with another finding, in its file too; as it was, with the reason, where that cannot be written."""
         if kept.file is None:
             return replace(kept, finding=finding, content=text_of(finding) if kept.content else "")
@@ -199,8 +196,7 @@ class Recorder:
             expect, line = expectation(again), _headline(again)
         finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
         is_timed = again is not None and again.is_hang
-        kept = self._saved(finding, line, "the record of a session that died", is_timed)
-        self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
+        self.tell(self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed))
 
     def keep_lost(self, lost: LostRun, generation: int, number: int) -> str:
         """Save a scenario whose process did not come back, and announce it; returns its id. See :meth:`keep`."""
@@ -208,8 +204,9 @@ class Recorder:
         text = f"the {lost.who} that ran this scenario {lost.how}{alone}: "
         text += cause(lost, "--pafot-workers=1 finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
-        kept = self._saved(finding, _headline(lost), self._origin(generation, number), lost.is_hang)
-        self.tell(FindTold(kept=kept, exception=PlainFailure(text), is_new=True))
+        origin = self._origin(generation, number)
+        kept = self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang)
+        self.tell(kept)
         return kept.find.id
 
     @property
@@ -242,7 +239,7 @@ class Recorder:
             perception=self._perception,
         )
 
-    def _saved(self, finding: Finding, line: str, origin: str, is_timed: bool) -> Kept:
+    def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> FindTold:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.kept:
             finding = replace(finding, id=f"{finding.id}-again")
@@ -261,7 +258,14 @@ class Recorder:
             problem, content = str(error), text_of(finding)
         node_id, told = self.harness.saved_node_id(finding.id), "" if problem else relative(path, self.harness.root)
         find = Find(id=finding.id, node_id=node_id, headline=line, path=told, problem=problem, is_timed=is_timed)
-        return Kept(finding=finding, find=find, origin=origin, file=None if problem else path, content=content)
+        return FindTold(
+            finding=finding,
+            find=find,
+            origin=origin,
+            exception=exception,
+            file=None if problem else path,
+            content=content,
+        )
 
 
 def _headline(lost: LostRun) -> str:

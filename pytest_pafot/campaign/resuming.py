@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.events import Judged, Kept, Listener, SearchEvent
+from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
@@ -288,7 +288,7 @@ def _is_there(find: EarlierFind, saved: Sequence[Saved]) -> bool:
     )
 
 
-def _found(kept: Kept) -> tuple[Scenario, int, int]:
+def _found(kept: FindTold) -> tuple[Scenario, int, int]:
     """A find as the search made it, whether it is simplified by now or not."""
     finding = kept.finding
     return finding.original or finding.scenario, finding.found.generation, kept.number

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from pytest_pafot.attribution.responsibility import is_ego_responsible
-from pytest_pafot.campaign.events import Kept, Listener, Progress, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, Simulation, refusals
 from pytest_pafot.campaign.options import BY_NAME, FULL, LOCAL, PROFILES, Settings
 from pytest_pafot.campaign.recorder import Recorder, difference
@@ -75,7 +75,7 @@ class SearchResult:
     """What came of a search."""
 
     summary: SearchSummary
-    kept: tuple[Kept, ...]
+    kept: tuple[FindTold, ...]
     count: int  # of distinct new finds, whether they were kept or only counted
     first: BaseException | None  # the exception of the first find; None without one
     fault: BaseException | None  # of the set-up, as the exception to show in the place of finds

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from pytest_pafot.campaign.events import FindTold, Kept
+from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.search_loop import SearchLoop
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -72,7 +72,7 @@ class Simplification:
                 recorder.call_flaky(kept, f"the process that ran it again {error.how}")
                 self.loop.lose(error)
 
-    def _refine(self, kept: Kept) -> None:
+    def _refine(self, kept: FindTold) -> None:
         """Shrink a find, run the result once more, try reference drivers, and tell."""
         __tracebackhide__ = True
         before = kept.finding
@@ -88,7 +88,7 @@ class Simplification:
         else:
             self._conclude(kept, scenario, shrunk, run, verdict)
 
-    def _shrunk(self, kept: Kept) -> tuple[Scenario, Shrunk]:
+    def _shrunk(self, kept: FindTold) -> tuple[Scenario, Shrunk]:
         __tracebackhide__ = True
         loop, harness = self.loop, self.loop.simulation.harness
         rollouts, top_speed = rollouts_for(harness), float(harness.world.speed_limit)
@@ -130,7 +130,7 @@ class Simplification:
         shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
         return shown is not None and (shown, shown.fault) == (found, found.fault)
 
-    def _run_again(self, scenario: Scenario, kept: Kept) -> tuple[Run, Verdict, str]:
+    def _run_again(self, scenario: Scenario, kept: FindTold) -> tuple[Run, Verdict, str]:
         """A run, its verdict, and what differs from the finding in it, or in a further run by other means."""
         __tracebackhide__ = True
         run = self.loop.simulation.run(scenario, afresh=True)
@@ -140,7 +140,7 @@ class Simplification:
             return run, verdict, "the reference failed when it ran again" if verdict.kind == "common" else otherwise
         return run, verdict, "" if scenario == kept.finding.scenario else self.loop.recorder.confirm(run)
 
-    def _conclude(self, kept: Kept, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
+    def _conclude(self, kept: FindTold, scenario: Scenario, shrunk: Shrunk, run: Run, verdict: Verdict) -> None:
         if verdict.failure is None or verdict.exception is None:
             return
         before, harness, recorder = kept.finding, self.loop.simulation.harness, self.loop.recorder
@@ -165,13 +165,14 @@ class Simplification:
         )
         if finding == before:
             return
-        kept = recorder.rewritten(kept, finding)
         line = headline(run, verdict)
         line = line if perception is None else f"{line}, {perception.sentence}"
-        kept = replace(kept, find=replace(kept.find, headline=line))
-        recorder.tell(FindTold(kept=kept, exception=verdict.exception, run=run))
+        find = replace(kept.find, headline=line)
+        recorder.tell(
+            replace(recorder.rewritten(kept, finding), find=find, exception=verdict.exception, run=run, is_new=False)
+        )
 
-    def _perceived(self, kept: Kept, scenario: Scenario) -> Perceived | None:
+    def _perceived(self, kept: FindTold, scenario: Scenario) -> Perceived | None:
         """Which imperfections of its sight a find needs; None where the ADS has none."""
         before, simulation = kept.finding.perception, self.loop.simulation
         harness, ads = simulation.harness, simulation.harness.ads

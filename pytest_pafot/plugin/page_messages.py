@@ -58,7 +58,7 @@ class PageMessages:
 
     def _find(self, told: FindTold) -> None:
         """Show a find. Telling it again, when more is known of it, replaces what was told."""
-        find, finding = told.kept.find, told.kept.finding
+        find, finding = told.find, told.finding
         view = finding_view(
             None if told.run is None else told.run.trace,
             finding,

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.events import FindTold, Kept, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import FindTold, Listener, Progress, SearchEvent, SearchStarted, SearchSummary
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.recorder import NOT_REPEATED
@@ -195,7 +195,7 @@ class SearchMessages:
     item: pytest.Function
     page: Listener | None
     settings: Settings
-    told: dict[str, Kept] = field(default_factory=dict)  # the finds so far, by id
+    told: dict[str, FindTold] = field(default_factory=dict)  # the finds so far, by id
 
     def __call__(self, event: SearchEvent) -> None:
         """Send a message, for those events that the terminal tells."""
@@ -214,13 +214,13 @@ class SearchMessages:
         if self.page is not None:
             self.page(event)
 
-    def _find(self, told: FindTold) -> None:
-        kept, config = told.kept, self.item.config
+    def _find(self, kept: FindTold) -> None:
+        config = self.item.config
         self.told[kept.find.id] = kept
         width = config.stash[SHARED].width
-        explanation = "" if told.run is None else explained(told.run, told.exception, config)
+        explanation = "" if kept.run is None else explained(kept.run, kept.exception, config)
         details = [f"against    {kept.finding.expect.against}, which passes"] if kept.finding.expect.against else []
-        details += [] if told.is_new else terminal.simplified_lines(kept.finding)
+        details += [] if kept.is_new else terminal.simplified_lines(kept.finding)
         if not is_compact(config):
             details += [f"scenario   {kept.finding.scenario!r}", f"found by   {kept.origin}"]
             details += terminal.effort_lines(kept.finding)
@@ -229,14 +229,14 @@ class SearchMessages:
             advice += DRAWS
         section = terminal.find_section(
             kept.find,
-            explanation="" if explanation.partition("\n")[0] in message_of(told.exception) else explanation,
+            explanation="" if explanation.partition("\n")[0] in message_of(kept.exception) else explanation,
             content=kept.content,
             details=details,
             advice=advice,
             width=width,
         )
-        lines = terminal.found_lines(kept.find, width) if told.is_new else []
-        report = _report(self.item, kept, told.exception, section)
+        lines = terminal.found_lines(kept.find, width) if kept.is_new else []
+        report = _report(self.item, kept, section)
         messages.send(self.item, "find", {"node_id": kept.find.node_id, "lines": lines, "report": report})
         tell_finding(
             self.item,
@@ -250,14 +250,14 @@ class SearchMessages:
         )
 
 
-def _report(item: pytest.Item, kept: Kept, exception: BaseException, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, kept: FindTold, section: str) -> dict[str, Any]:
     """The report of a find as the item that it will be next time, serialised.
 
     Made by pytest's own hooks, so that marks of the function, such as xfail, act on it.
     """
 
     def fail() -> None:
-        raise shown(exception)
+        raise shown(kept.exception)
 
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)

@@ -93,10 +93,10 @@ def _exploration(value: Exploration) -> Report:
 
 def _told_view(told: FindTold, value: Exploration) -> FindingView:
     """A find of a search without pytest, which no test replays."""
-    find = told.kept.find
+    find = told.find
     view = finding_view(
         None if told.run is None else told.run.trace,
-        told.kept.finding,
+        told.finding,
         node_id=find.path or find.node_id,
         headline=find.headline,
         check=told.exception.check if isinstance(told.exception, CheckFailed) else None,

@@ -78,7 +78,7 @@ def test_its_events_are_those_that_a_listener_hears_but_for_the_runs(exploration
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
     assert isinstance(heard[0], SearchStarted)
     assert isinstance(heard[-1], SearchSummary)
-    assert {told.kept.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
+    assert {told.finding.id for told in heard if isinstance(told, FindTold) and told.is_new} == {
         finding.id for finding in exploration.findings
     }
 
