@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,9 +17,9 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Job, expectation
 from pytest_pafot.execution.separate_runs import run_apart
-from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.replay import HAS_EVENT, Replayed, ending, replay_label
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.finding import Finding, of_failure
+from pytest_pafot.findings.replay import HAS_EVENT, ending, replay_label
+from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.model.scenario import Scenario, ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -43,20 +43,23 @@ class Replays:
     # raises ``ProcessLostError`` where that session died
     in_own_session: Callable[[Path, Job, Scenario], None]
 
-    def shown_by(self, saved: Saved) -> Replayed | None:
-        """What a saved scenario shows now, for a search that must know which failures are known.
+    def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
+        """Replay saved scenarios; return the failures that are *known*, each with the id of the first to show it.
 
-        None for a file that cannot be used, whose own test says so, and for one that the reference fails as well: what
-        was there before hides nothing that is new.
+        A saved scenario, accepted or not, covers what it shows now, whatever it was saved for, and nothing where it
+        passes: so no failure goes without an item that fails for it, or is accepted for it. Nor does a file that cannot
+        be used, whose own test says so, and one that the reference fails as well: what was there before hides nothing
+        that is new.
         """
-        owner = self.harness.saved_node_id(saved.id)
-        try:
-            world = self.world_of(saved)
-            shown = self._observed(saved, world, owner)
-            is_common = shown.observed is not None and self.passes_reference(saved, world, owner) is False
-        except RequestError:
-            return None
-        return None if is_common else shown
+        known: dict[Signature, str] = {}
+        for each in saved:
+            owner = self.harness.saved_node_id(each.id)
+            with suppress(RequestError):
+                world = self.world_of(each)
+                shown = self._observed(each, world, owner)
+                if shown is not None and self.passes_reference(each, world, owner) is not False:
+                    known.setdefault(shown, each.id)
+        return known
 
     def still_fails(self, saved: Saved) -> bool:
         """Whether the process still dies in a saved scenario that it died in, whatever the reference does."""
@@ -64,14 +67,14 @@ class Replays:
             shown = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
             return False
-        return shown.observed == _finding(saved).signature
+        return shown == _finding(saved).signature
 
-    def _observed(self, saved: Saved, world: Any, owner: str) -> Replayed:
+    def _observed(self, saved: Saved, world: Any, owner: str) -> Signature | None:
         try:
             run, verdict = self.tried(saved, world, owner)
         except ProcessLostError as error:
-            return Replayed(id=saved.id, observed=expectation(error).signature)
-        return Replayed.of(_finding(saved), run, verdict.failure if verdict.failed else None)
+            return expectation(error).signature
+        return of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
 
     def world_of(self, saved: Saved) -> Any:
         """The world that a file describes, made, with its scenario checked against it; the test's, where it is code.

@@ -306,7 +306,7 @@ class Search:
         loop = self._loop
         loop.recorder.replayed = frozenset(each.path for each in saved)
         loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
-        loop.replayed = [each for each in map(self.replays.shown_by, saved) if each is not None]
+        loop.shown = self.replays.shown_by(saved)
 
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""

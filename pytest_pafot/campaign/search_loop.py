@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pytest_pafot.attribution.mistakes import mistake_of
@@ -16,7 +16,6 @@ from pytest_pafot.campaign.verdict import worst_margins
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.replay import Replayed, covered_by
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
@@ -54,7 +53,7 @@ class SearchLoop:
     floors: Floors = field(default_factory=dict)
     is_steered_by_checks: bool = True  # whether the margins of checks are objectives beside the fitness
     fatal: set[Scenario] = field(default_factory=set)  # in which a process died, earlier or in this search; not run
-    replayed: Sequence[Replayed] = ()  # what the replays of the saved scenarios showed
+    shown: Mapping[Signature, str] = field(default_factory=dict)  # by saved scenarios now: their ids by signature
     finds: dict[Signature, str] = field(default_factory=dict)  # ids of new finds by signature
     repeats: Counter[str] = field(default_factory=Counter)  # further runs of each new find, by id
     known: Counter[str] = field(default_factory=Counter)  # failing runs by the id of the file that covers them
@@ -205,9 +204,8 @@ class SearchLoop:
 
     def _count(self, signature: Signature, keep: Callable[[], str]) -> None:
         """A failure is known, or one of this search's own again, or new."""
-        saved = covered_by(signature, self.replayed)
-        if saved is not None:
-            self.known[saved] += 1
+        if signature in self.shown:
+            self.known[self.shown[signature]] += 1
         elif signature in self.finds:
             self.repeats[self.finds[signature]] += 1
         else:

@@ -1,15 +1,14 @@
-"""What the replay of a saved finding means: its label, and which new finds it covers."""
+"""What the replay of a saved finding means."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.findings.finding import Expect, Finding, event_of, of_failure
-from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.finding import Expect, Finding, event_of
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.run import Run
 
@@ -23,28 +22,6 @@ SAME_TIME = 0.2
 
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
 """Outcomes that happen at the time of a run's event. That of any other is its most critical moment, not its end."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Replayed:
-    """What came of the replay of a saved finding: the signature ``observed`` now, None where it passes."""
-
-    id: str
-    observed: Signature | None
-
-    @classmethod
-    def of(cls, finding: Finding, run: Run, failure: Failure | None) -> Replayed:
-        """From the finding, the run of its scenario and the failure in it, None where it passes."""
-        return cls(id=finding.id, observed=None if failure is None else of_failure(run, failure))
-
-
-def covered_by(signature: Signature, replayed: Iterable[Replayed]) -> str | None:
-    """The id of the first saved finding that makes a find *known*; None for a find that is new, or new again.
-
-    A saved scenario, accepted or not, covers what it shows now, whatever it was saved for, and nothing where it passes:
-    so no failure goes without an item that fails for it, or is accepted for it.
-    """
-    return next((saved.id for saved in replayed if saved.observed == signature), None)
 
 
 def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> Label:

@@ -14,7 +14,6 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.replay import Replayed
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
@@ -97,7 +96,7 @@ def searched(
     *,
     generations=3,
     population=2,
-    replayed=(),
+    shown=(),
     fatal=(),
     run=quiet_run,
     has_reference=False,
@@ -109,7 +108,7 @@ def searched(
         recorder=recorder,
         fitness=lambda trace: 0.0,
         fatal=set(fatal),
-        replayed=replayed,
+        shown=dict(shown),
     )
     events = run_campaign(RandomSearch(SPACE, population=population), loop.evaluate, generations=generations, seed=1)
     loop.follow(events, lambda: None)
@@ -130,15 +129,9 @@ def test_each_signature_is_handed_on_once_with_its_generation():
 def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
     run = Run(quiet_trace(sample(SPACE, np.random.default_rng(0))))
     signature = of_failure(run, Failure(kind="AssertionError"))
-    covering = Replayed(id="saved", observed=signature)
-    found, finds = searched(lambda number: failed(), replayed=[covering])
+    found, finds = searched(lambda number: failed(), shown={signature: "saved"})
     assert finds == []
     assert found.known == {"saved": found.runs}
-
-
-def test_a_failure_whose_saved_scenario_passes_now_is_new_again():
-    _, finds = searched(lambda number: failed(), replayed=[Replayed(id="saved", observed=None)])
-    assert len(finds) == 1
 
 
 @pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
@@ -182,8 +175,7 @@ def test_where_a_process_dies_and_the_reference_fails_as_well_there_is_no_find()
 def test_processes_that_die_are_known_while_a_saved_scenario_says_so():
     lost_run = ProcessLostError(sample(SPACE, np.random.default_rng(0)), pid=7, how="was ended by SIGSEGV")
     signature = expectation(lost_run).signature
-    covering = Replayed(id="saved", observed=signature)
-    found, finds = searched(lambda number: failed(), run=lost, replayed=[covering])
+    found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
     assert found.known == {"saved": 6}
 

@@ -1,9 +1,7 @@
-from dataclasses import replace
-
 import pytest
 
 from pytest_pafot.findings.finding import Finding, Found, of_failure
-from pytest_pafot.findings.replay import Replayed, covered_by, replay_label
+from pytest_pafot.findings.replay import replay_label
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
@@ -43,28 +41,6 @@ REAR = of_failure(Run(HIT_STANDING), FAILS)
 """The ego stands, so that the NPC is responsible."""
 
 
-def test_a_signature_is_known_while_a_scenario_still_shows_it():
-    files = [Replayed(id="a", observed=None), Replayed(id="b", observed=FRONT)]
-    assert covered_by(FRONT, files) == "b"
-
-
-def test_a_signature_whose_files_all_pass_is_new_again():
-    assert covered_by(FRONT, [Replayed(id=name, observed=None) for name in "ab"]) is None
-
-
-def test_another_signature_is_not_covered():
-    assert covered_by(REAR, [Replayed(id="a", observed=FRONT)]) is None
-    assert covered_by(FRONT, []) is None
-
-
-@pytest.mark.parametrize("xfail", [None, "issue 12"])
-def test_a_replay_covers_what_it_shows_now_accepted_or_not_whatever_it_was_saved_for(xfail):
-    finding = replace(saved(), xfail=xfail)
-    assert Replayed.of(finding, crash(), FAILS) == Replayed(id=finding.id, observed=FRONT)
-    assert Replayed.of(finding, Run(HIT_STANDING), FAILS) == Replayed(id=finding.id, observed=REAR)
-    assert Replayed.of(finding, run_of(), None) == Replayed(id=finding.id, observed=None)
-
-
 def lane_change(gap, *, faster):
     """The ego changes lanes ahead of another at a gap [m], and answers for it."""
     trace = situations.lane_change(gap, faster=faster)
@@ -72,12 +48,11 @@ def lane_change(gap, *, faster):
     return Run(trace)
 
 
-def test_an_accepted_lane_change_does_not_cover_another_mistake_in_one():
+def test_a_lane_change_is_not_the_same_failure_as_another_mistake_in_one():
     accepted, other = lane_change(10.0, faster=8.0), Run(situations.hit(*BESIDE))
-    shown = Replayed.of(replace(saved(accepted), xfail="issue 12"), accepted, FAILS)
     assert other.attribution.fault == "entered-lane"
-    assert covered_by(of_failure(lane_change(2.0, faster=4.0), FAILS), [shown]) == shown.id
-    assert covered_by(of_failure(other, FAILS), [shown]) is None
+    assert of_failure(lane_change(2.0, faster=4.0), FAILS) == of_failure(accepted, FAILS)
+    assert of_failure(other, FAILS) != of_failure(accepted, FAILS)
 
 
 def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
