@@ -16,7 +16,7 @@ from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Opt
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world, check_names, checked_request
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.search import Search, SearchResult, time_limit
+from pytest_pafot.campaign.search import Search, SearchResult, prepared, time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding
@@ -172,14 +172,14 @@ def _searched(
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
     now = time.monotonic()
-    return Search(
-        node_id=node_id,
-        harness=harness,
-        listener=listener,
-        limit=time_limit(settings, now=now, began=now, left=1),
-        replays=Replays(harness=harness, in_own_session=_no_session),
-        progress_seconds=0.5,
-    ).run()
+    with prepared(harness, listener) as sessions:
+        return Search(
+            node_id=node_id,
+            sessions=sessions,
+            replays=Replays(harness=harness, in_own_session=_no_session),
+            limit=time_limit(settings, now=now, began=now, left=1),
+            progress_seconds=0.5,
+        ).run()
 
 
 def _no_session(file: Path, *what: object) -> NoReturn:

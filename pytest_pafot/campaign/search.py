@@ -8,8 +8,8 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -37,7 +37,6 @@ from pytest_pafot.searching import run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.campaign import CheckpointError
 from pytest_pafot.searching.fitness import FitnessError, is_built_in, resolve
-from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import WorldError, codec, protocol
 from pytest_pafot.world.driving.perception import sight_of
 from pytest_pafot.world.guard.failure import is_interruption
@@ -83,75 +82,24 @@ class SearchResult:
     is_vacuous: bool  # whether nothing was tested, or all that failed was held against a broken reference
 
 
-@dataclass(slots=True, kw_only=True)
-class Search:
-    """A search of one test."""
+@contextmanager
+def prepared(harness: Harness, listener: Listener) -> Iterator[Sessions]:
+    """Put together who runs, records and counts in a search; the end of the block ends what they have begun.
 
-    node_id: str  # under which it is told
-    harness: Harness
-    listener: Listener
-    limit: TimeLimit
-    replays: Replays
-    clock: Callable[[], float] = time.monotonic  # seconds since any moment
-    stops_at_first: bool = False  # whether it ends at its first new finding
-    progress_seconds: float = 10.0  # between two tellings of progress
-    notes: list[str] = field(default_factory=list)  # to be told once in the summary
-    _loop: SearchLoop = field(init=False)
-    _beginning: RandomBeginning = field(init=False)
-    _space: SearchSpace | None = field(init=False, default=None)  # None for replays alone
-    _shrink_runs: int = field(init=False, default=0)
-    _sessions: Sessions = field(init=False)
-    _told_at: float = field(init=False)
-
-    @property
-    def seed(self) -> int:
-        """Of this search."""
-        return search_seed(self.harness.request.settings.seed, self.harness.node_id)
-
-    def run(self) -> SearchResult:
-        """Replay what is saved, search, simplify, and tell how it went.
-
-        Raises:
-            RequestError: where the search cannot be run as it is asked for.
-        """
-        __tracebackhide__ = True
-        self._told_at = self.clock()
-        harness = self.harness
-        self._space = build_space(harness.request, harness.world) if harness.request.settings.is_search else None
-        with ExitStack() as stack:
-            self._prepare(stack)
-            speed_limit = float(harness.world.speed_limit)
-            self.listener(SearchStarted(node_id=self.node_id, seed=self.seed, speed_limit=speed_limit))
-            retried = [self._retried(leftover) for leftover in harness.left_behind()]
-            self.notes += [note for each in retried for note in each.notes]
-            pending = [each.pending for each in retried if each.pending is not None]
-            summary, fault = self._conducted(pending)
-        loop, recorder = self._loop, self._loop.recorder
-        return SearchResult(
-            summary=summary,
-            kept=tuple(recorder.kept.values()),
-            count=recorder.count,
-            first=recorder.first,
-            fault=None if fault is None else fault.shown(harness.world, harness.ads),
-            skip=loop.skip if loop.skip is not None and loop.verdicts["skipped"] == loop.runs else None,
-            is_vacuous=loop.health.vacuous or bool(loop.broken),
-        )
-
-    def _prepare(self, stack: ExitStack) -> None:
-        """Put together who runs, records and counts; the stack ends what they have begun.
-
-        Raises:
-            RequestError: for a fitness that does not exist, or a world that cannot be used.
-        """
-        harness, request = self.harness, self.harness.request
-        is_for_ego = request.blame != "any"
-        try:  # Unless blame="any" a search is steered towards what the ego is responsible for.
-            fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
-        except FitnessError as error:
-            raise request.error("fitness=...", error) from None
-        job, settings = harness.job(), request.settings
-        # What users write stays in this process, where its errors are told.
-        job = replace(job, read=partial(read_ahead, fitness if is_built_in(request.fitness) else None))
+    Raises:
+        RequestError: for a fitness that does not exist, or a world that cannot be used.
+    """
+    request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    space = build_space(request, harness.world) if request.settings.is_search else None
+    is_for_ego = request.blame != "any"
+    try:  # Unless blame="any" a search is steered towards what the ego is responsible for.
+        fitness = resolve(request.fitness, responsible=is_ego_responsible if is_for_ego else None)
+    except FitnessError as error:
+        raise request.error("fitness=...", error) from None
+    job, settings = harness.job(), request.settings
+    # What users write stays in this process, where its errors are told.
+    job = replace(job, read=partial(read_ahead, fitness if is_built_in(request.fitness) else None))
+    with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
             runner = runner_for(
@@ -168,31 +116,64 @@ class Search:
             stack.push(reference.__exit__)
         simulation = Simulation(harness, runner, record, reference)
         confirm = partial(difference, simulation=simulation)
-        self._beginning = RandomBeginning(listener=self.listener)
-        self._loop = SearchLoop(
+        beginning = RandomBeginning(listener=listener)
+        loop = SearchLoop(
             simulation=simulation,
-            recorder=Recorder(harness=harness, seed=self.seed, confirm=confirm, listener=self.listener),
+            recorder=Recorder(harness=harness, seed=seed, confirm=confirm, listener=listener),
+            space=space,
             fitness=fitness,
-            listener=self._beginning,
+            listener=beginning,
             is_steered_by_checks=request.fitness == "default",
         )
-        self._sessions = Sessions(
-            harness=harness, seed=self.seed, loop=self._loop, beginning=self._beginning, clock=self.clock
-        )
-        stack.callback(self._sessions.close)
+        sessions = Sessions(harness=harness, seed=seed, loop=loop, beginning=beginning, clock=time.monotonic)
+        stack.callback(sessions.close)
+        yield sessions
 
-    def _conducted(self, pending: Sequence[Leftover]) -> tuple[SearchSummary, SetupFaultError | None]:
-        """Search and simplify; whatever ends that, all is told that was found until then."""
+
+@dataclass(slots=True, kw_only=True)
+class Search:
+    """A search of one test."""
+
+    node_id: str  # under which it is told
+    sessions: Sessions  # what is :func:`prepared`
+    replays: Replays
+    limit: TimeLimit
+    stops_at_first: bool = False  # whether it ends at its first new finding
+    progress_seconds: float = 10.0  # between two tellings of progress
+    notes: list[str] = field(default_factory=list)  # to be told once in the summary
+    _shrink_runs: int = field(init=False, default=0)
+    _told_at: float = field(init=False, default_factory=time.monotonic)
+
+    @property
+    def harness(self) -> Harness:
+        """What it runs and judges with."""
+        return self.sessions.harness
+
+    @property
+    def loop(self) -> SearchLoop:
+        """What it has seen so far."""
+        return self.sessions.loop
+
+    def run(self) -> SearchResult:
+        """Replay what is saved, search, simplify, and tell how it went; whatever ends that, what was found is told.
+
+        Raises:
+            RequestError: where the search cannot be run as it is asked for.
+        """
         __tracebackhide__ = True
-        loop, recorder, simulation = self._loop, self._loop.recorder, self._loop.simulation
+        harness, loop, recorder, simulation = self.harness, self.loop, self.loop.recorder, self.loop.simulation
+        speed_limit = float(harness.world.speed_limit)
+        recorder.listener(SearchStarted(node_id=self.node_id, seed=self.sessions.seed, speed_limit=speed_limit))
+        retried = [self._retried(leftover) for leftover in harness.left_behind()]
+        self.notes += [note for each in retried for note in each.notes]
         reason, fault = "interrupted", None
         try:
             with simulation.runner:
-                reason = self._searched(saved_in(self.harness.folder))
+                reason = self._searched(saved_in(harness.folder))
             recorder.release()
-            self._sessions.store()
+            self.sessions.store()
             self._simplify()
-            self._sessions.store(is_simplified=True)
+            self.sessions.store(is_simplified=True)
         except SetupFaultError as error:
             reason, fault = "error", error
             recorder.withdraw()
@@ -203,15 +184,24 @@ class Search:
             raise
         finally:
             recorder.release()
-            for leftover in pending:
-                leftover.discard()
+            for each in retried:
+                if each.pending is not None:
+                    each.pending.discard()
             self.notes += simulation.runner.notes
             if simulation.record.error:
                 self.notes += [str(simulation.record.error)]
-            self.notes += self._sessions.notes
+            self.notes += self.sessions.notes
             summary = self._summary(reason)
-            self.listener(summary)
-        return summary, fault
+            recorder.listener(summary)
+        return SearchResult(
+            summary=summary,
+            kept=tuple(recorder.kept.values()),
+            count=recorder.count,
+            first=recorder.first,
+            fault=None if fault is None else fault.shown(harness.world, harness.ads),
+            skip=loop.skip if loop.skip is not None and loop.verdicts["skipped"] == loop.runs else None,
+            is_vacuous=loop.health.vacuous or bool(loop.broken),
+        )
 
     def _retried(self, leftover: Leftover) -> Retried:
         """What came of the record of a process that died: what it ran runs again, in the world that it ran in.
@@ -235,8 +225,8 @@ class Search:
             harness.job(world),
             partial(harness.judge_trace, world),
             isolate=harness.request.settings.isolate,
-            keep=self._loop.recorder.keep_crash,
-            run_here=self._loop.simulation.rerun_one_by_one,
+            keep=self.loop.recorder.keep_crash,
+            run_here=self.loop.simulation.rerun_one_by_one,
         )
 
     def _searched(self, saved: Sequence[Saved]) -> str:
@@ -246,9 +236,9 @@ class Search:
             RequestError: where the algorithm does not take the settings or the road, or the fitness cannot be used.
         """
         __tracebackhide__ = True
-        if self._space is None:
+        if self.loop.space is None:
             return "replay only"
-        space, loop, runner = self._space, self._loop, self._loop.simulation.runner
+        space, loop, runner = self.loop.space, self.loop, self.loop.simulation.runner
         request, settings = self.harness.request, self.harness.request.settings
         limit = 1 if self.stops_at_first else settings.stop_after
         try:
@@ -259,16 +249,16 @@ class Search:
             request.algorithm.check_road(is_straight=protocol.road_start(self.harness.world) is None)
         except ValueError as error:
             raise RequestError(str(error)) from None
-        self._beginning.most = getattr(algorithm, "random_at_first", 0.0)
-        resumed = self._sessions.resume(algorithm, space, saved)
-        self._know([each for each in saved if not self._sessions.is_own(each)])
-        self._sessions.find_again(saved)
+        self.sessions.beginning.most = getattr(algorithm, "random_at_first", 0.0)
+        resumed = self.sessions.resume(algorithm, space, saved)
+        self._know([each for each in saved if not self.sessions.is_own(each)])
+        self.sessions.find_again(saved)
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
         def adapted(algorithm: Algorithm[Any], state: Any) -> Algorithm[Any]:
             if reads_near_misses:
                 loop.floors = floors_of(algorithm, state)
-            return for_batches if state.generation and self._sessions.decides_for_many else algorithm
+            return for_batches if state.generation and self.sessions.decides_for_many else algorithm
 
         def foresee(scenarios: Iterable[Scenario]) -> None:
             runner.announce((each for each in scenarios if each not in loop.fatal), loop.floors)
@@ -280,19 +270,19 @@ class Search:
                 loop.evaluate,
                 generations=settings.generations,
                 runs=settings.runs,
-                seed=self.seed,
-                max_seconds=max(0.0, self.limit.until - self.clock()),
-                clock=self.clock,
+                seed=self.sessions.seed,
+                max_seconds=max(0.0, self.limit.until - time.monotonic()),
+                clock=time.monotonic,
                 stop=lambda: limit is not None and loop.recorder.count >= limit,
                 seeds_matter=(sight_of(self.harness.ads) or Sight()).is_drawn,
                 foresee=foresee,
                 adapted=adapted,
                 resumed=resumed,
-                border=self._sessions.at_border,
+                border=self.sessions.at_border,
             )
             loop.follow(events, self._tell_progress)
         except CheckpointError as error:
-            raise self._sessions.refused(error) from None
+            raise self.sessions.refused(error) from None
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
@@ -303,7 +293,7 @@ class Search:
     def _know(self, saved: Sequence[Saved]) -> None:
         """Replay saved scenarios, whose failures are not new then."""
         __tracebackhide__ = True
-        loop = self._loop
+        loop = self.loop
         loop.recorder.replayed = frozenset(each.path for each in saved)
         loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         loop.shown = self.replays.shown_by(saved)
@@ -311,18 +301,18 @@ class Search:
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
         __tracebackhide__ = True
-        plain = None if self._space is None else (self._space.ego_lane, self._space.ego_speed)
-        work = Simplification(loop=self._loop, tell=self._tell_progress, plain=plain)
+        plain = None if self.loop.space is None else (self.loop.space.ego_lane, self.loop.space.ego_speed)
+        work = Simplification(loop=self.loop, tell=self._tell_progress, plain=plain)
         work.run_all()
         self._shrink_runs = work.runs
 
     def _tell_progress(self, phase: str = "") -> None:
-        now, loop = self.clock(), self._loop
+        now, loop = time.monotonic(), self.loop
         if now - self._told_at < self.progress_seconds:
             return
         self._told_at = now
-        budget, generations = self._sessions.budget
-        self.listener(
+        budget, generations = self.sessions.budget
+        loop.recorder.listener(
             Progress(
                 node_id=self.node_id,
                 generation=min(loop.generation + 1, generations or loop.generation + 1),
@@ -331,30 +321,30 @@ class Search:
                 budget=budget,
                 failing=loop.verdicts["failed"],
                 finds=loop.recorder.count,
-                seconds=self._sessions.seconds,
+                seconds=self.sessions.seconds,
                 phase=phase,
             )
         )
 
     def _summary(self, reason: str) -> SearchSummary:
-        settings, loop, health = self.harness.request.settings, self._loop, self._loop.health
-        budget, generations = self._sessions.budget
-        is_cut = reason == self.limit.flag and not self._sessions.go_on
+        settings, loop, health = self.harness.request.settings, self.loop, self.loop.health
+        budget, generations = self.sessions.budget
+        is_cut = reason == self.limit.flag and not self.sessions.go_on
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         finds = [kept.find for kept in loop.recorder.kept.values()]
         # An error says nothing of the ego, and random scenarios that end with the first failure say too much.
-        is_cut_short = reason == "error" or (reason == "enough findings" and not self._beginning.is_whole)
+        is_cut_short = reason == "error" or (reason == "enough findings" and not self.sessions.beginning.is_whole)
         return SearchSummary(
             node_id=self.node_id,
             algorithm=self.harness.request.algorithm.name,
             profile=settings.profile,
             base_seed=settings.seed,
-            seed=self.seed,
+            seed=self.sessions.seed,
             generations=loop.generation if loop.finished is None else loop.finished.generations,
             asked=generations,
             budget=budget,
             reason=reason,
-            seconds=self._sessions.seconds,
+            seconds=self.sessions.seconds,
             runs=loop.runs,
             known_runs=health.reused,
             **{
@@ -367,25 +357,25 @@ class Search:
             finds=tuple(replace(find, repeats=loop.repeats[find.id]) for find in finds),
             unsaved={id_: 1 + loop.repeats[id_] for id_ in loop.recorder.unsaved},
             shrink_runs=self._shrink_runs,
-            known=dict(loop.known + self._sessions.found_before),
+            known=dict(loop.known + self.sessions.found_before),
             warnings=loop.warnings if reason in (DONE, ALL_RUN, self.limit.flag) else (),
             notes=(*self.notes, *filter(None, [loop.doubt]), *cut, *self._left_undone(reason)),
             against="" if self.harness.against is None else self.harness.against.shown,
-            random=(0, 0) if is_cut_short else (self._beginning.failing, self._beginning.runs),
-            drawn="" if self._space is None else self._space.described,
+            random=(0, 0) if is_cut_short else (self.sessions.beginning.failing, self.sessions.beginning.runs),
+            drawn="" if self.loop.space is None else self.loop.space.described,
             coverage=health.coverage.describe(float(self.harness.world.speed_limit)) if loop.runs else "",
         )
 
     def _left_undone(self, reason: str) -> Iterator[str]:
         """What a longer search would do besides, and how to have it."""
-        settings, recorder = self.harness.request.settings, self._loop.recorder
+        settings, recorder = self.harness.request.settings, self.loop.recorder
         left = [kept for kept in recorder.kept.values() if kept.is_firm and kept.finding.shrunk is None]
-        if left and not self._sessions.go_on and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
+        if left and not self.sessions.go_on and settings.shrink_rollouts != 0 and reason in ("interrupted", "error"):
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete what is saved of it and " if any(kept.file for kept in left) else ""
             yield f"ended before {what} shrunk: {first}search again with --pafot-seed={settings.seed}"
         is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
-        if is_default and reason == ALL_RUN and not self._loop.verdicts["failed"] and not recorder.count:
+        if is_default and reason == ALL_RUN and not self.loop.verdicts["failed"] and not recorder.count:
             yield f"{settings.runs} runs are a short search: --pafot-runs={PROFILES[FULL]['runs']} looks further"
 
 

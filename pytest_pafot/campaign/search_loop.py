@@ -23,6 +23,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import events
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of
 from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.space import SearchSpace
 
 # What a search reads from every run, read in the process that has made it, so that this one need not.
 
@@ -48,6 +49,7 @@ class SearchLoop:
     simulation: Simulation
     recorder: Recorder
     fitness: Callable[[Trace], float]  # of a trace, higher is worse for the ego
+    space: SearchSpace | None = None  # from which scenarios are drawn; None for replays alone
     listener: Listener = lambda event: None
     # Of the near-misses that matter to the algorithm now; empty where it does not read them
     floors: Floors = field(default_factory=dict)

@@ -22,7 +22,7 @@ from pytest_pafot.campaign.recorder import NOT_REPEATED
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, RequestError, build_world
 from pytest_pafot.campaign.resuming import check_states
-from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, time_limit
+from pytest_pafot.campaign.search import AFTER_A_DEATH, Search, isolated_after_a_death, prepared, time_limit
 from pytest_pafot.campaign.verdict import PlainFailure, Test
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -133,18 +133,19 @@ def run_search(item: pytest.Function, request: Request) -> None:
     harness = harness_of(item, request)
     replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item))
     chosen = isolated_after_a_death(harness, replays)
-    search = Search(
-        node_id=item.nodeid,
-        harness=chosen,
-        listener=SearchMessages(item, page_messages_of(item, settings), settings),
-        limit=time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item)),
-        replays=replace(replays, harness=chosen),
-        # The session ends at the first failure then, which a loop inside of an item must do by itself.
-        stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
-        progress_seconds=shared.progress_seconds,
-        notes=[] if chosen is harness else [AFTER_A_DEATH],
-    )
-    result = search.run()
+    listener = SearchMessages(item, page_messages_of(item, settings), settings)
+    limit = time_limit(settings, now=time.monotonic(), began=shared.began, left=searches_left(item))
+    with prepared(chosen, listener) as sessions:
+        result = Search(
+            node_id=item.nodeid,
+            sessions=sessions,
+            replays=replace(replays, harness=chosen),
+            limit=limit,
+            # The session ends at the first failure then, which a loop inside of an item must do by itself.
+            stops_at_first=bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1,
+            progress_seconds=shared.progress_seconds,
+            notes=[] if chosen is harness else [AFTER_A_DEATH],
+        ).run()
     summary = result.summary
     if result.fault is not None:
         raise shown(result.fault)
