@@ -111,11 +111,8 @@ def explore(  # noqa: PLR0913  (what most searches differ in)
         result = _searched(request, holds, name, Path(scratch), listen, executor)
     if result.fault is not None:
         raise result.fault
-    findings = tuple(kept.finding for kept in result.kept)
-    exploration = Exploration(findings=findings, summary=result.summary, events=tuple(events))
-    traces = (None if told.run is None else told.run.trace for told in exploration.told)
-    seen = (replace(finding, trace=trace) for finding, trace in zip(findings, traces, strict=True))
-    return replace(exploration, findings=tuple(seen))
+    findings = tuple(replace(kept.finding, trace=None if kept.run is None else kept.run.trace) for kept in result.kept)
+    return Exploration(findings=findings, summary=result.summary, events=tuple(events))
 
 
 def _request(given: dict[str, Any]) -> Request:
