@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
+from pytest_pafot.attribution.sentences import last_chance_sentence
 from pytest_pafot.model.trace import ACCELERATION, STEERING, Collision, FloatArray, Outcome, Trace
 
 DRIVER = "careful-human"
@@ -46,10 +47,7 @@ class LastChance:
     @property
     def sentence(self) -> str:
         """When, and what the driver and the ego did then."""
-        return (
-            f"last chance {self.time:.1f} s: {self.driver} {_doing(*self.action)}, "
-            f"this policy {_doing(*self.ego_action)}"
-        )
+        return last_chance_sentence(self.time, self.driver, self.action[0], self.ego_action[0])
 
 
 def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastChance | None:
@@ -97,9 +95,3 @@ def _action(trace: Trace, tick: int) -> tuple[float, float]:
     """What the ego does from a tick to the next."""
     acceleration, steering = trace.ego[tick + 1, [ACCELERATION, STEERING]].round(3).tolist()
     return acceleration + 0.0, steering + 0.0  # never -0.0
-
-
-def _doing(acceleration: float, _steering: float) -> str:
-    if abs(acceleration) < 0.05:
-        return "keeps its speed"
-    return f"{'brakes' if acceleration < 0 else 'accelerates'} with {abs(acceleration):.1f} m/s^2"

@@ -7,7 +7,7 @@ clause by clause, with their sources.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Literal
 
@@ -28,6 +28,7 @@ from pytest_pafot.attribution.needless_braking import (
     long_stop,
     reasons,
 )
+from pytest_pafot.attribution.sentences import Fact, Reason, What, sentence
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.model.trace import FloatArray, Trace
 
@@ -87,7 +88,7 @@ CRAWLING = 3.0
 DROVE_ON = 1.0
 """An NPC that gained more speed towards an ego that had braked for nothing made it dangerous itself [m/s]."""
 BRAKES = 0.5
-"""What the sentences call braking, at least [m/s^2]."""
+"""What reasons call braking, at least [m/s^2]."""
 SPED_UP = 0.3
 """What they call speeding up, or slowing down in a lane change, at least [m/s]."""
 
@@ -102,6 +103,7 @@ class Attribution:
             a collision.
         reason: the end of a sentence that begins with "because".
         fault: of the ego; None where it does not answer for the collision.
+        facts: that the reason tells.
     """
 
     responsibility: Responsibility
@@ -109,6 +111,7 @@ class Attribution:
     time: float | None
     reason: str
     fault: Fault | None = None
+    facts: Reason = field(default=(), repr=False, compare=False)
 
 
 def rss_rule(trace: Trace) -> Attribution:
@@ -127,7 +130,7 @@ def rss_rule(trace: Trace) -> Attribution:
     (numbers of a careful driver); Vienna Convention on Road Traffic, Art. 17 (braking for nothing).
     """
     if trace.collision is None:
-        return Attribution(responsibility="none", tick=None, time=None, reason="there was no collision")
+        return Attribution(responsibility="none", tick=None, time=None, reason=sentence(()))
     return trace.reading("attribution", lambda trace: dangers_of(trace).impact)
 
 
@@ -198,7 +201,6 @@ class Conflict:
     def __init__(self, dangers: Dangers, npc: int, start: int, end: int) -> None:
         self._dangers, self._npc, self._start, self._end = dangers, npc, start, end
         self._frame, self._trace, self._hz = dangers.frame, dangers.trace, dangers.trace.physics_hz
-        self._name = f"NPC {npc}"
         self._before = max(start - 1, 0)  # the last safe tick, from which on a response counts
         apart = np.flatnonzero(dangers.across[:end, npc] > 0)
         self._onset = int(apart[-1]) + 1 if apart.size else 0  # from which on they were in one track, up to the end
@@ -261,17 +263,15 @@ class Conflict:
         passed = self._duty_passed(first, max(ego.tick, npc.tick), self._pursuit(by_ego=by_ego))
         if passed is not None:
             return passed
-        when = f"at {self._at(ego.tick)} the ego and at {self._at(npc.tick)} {self._name} crossed a lane line"
-        reason = f"{when} towards each other ({ego.drift:.1f} and {npc.drift:.1f} m/s sideways)"
-        return self._attributed("both", ego.tick, reason, "entered-lane")
+        return self._attributed("both", ego.tick, (self._crossed(ego), self._crossed(npc)), "entered-lane")
 
     def _ego_changed(self, change: LaneChange) -> Attribution:
         crossed, tick = self._crossed(change), change.tick
         if not self._leads(tick):
-            return self._attributed("ego", tick, crossed, "entered-lane")
+            return self._attributed("ego", tick, (crossed,), "entered-lane")
         if self._gives_way(change):
             return self._gave_way(change)
-        crossed, pursuit = self._without_room(change), self._pursuit(by_ego=False)
+        reason, pursuit = (crossed, *self._without_room(change)), self._pursuit(by_ego=False)
         passed = self._duty_passed(change, tick, pursuit)
         if passed is not None:
             return passed
@@ -279,29 +279,23 @@ class Conflict:
         if self._gap(tick) >= self._room(tick, float(self._frame.speed[0, tick])) and self._gap(entered) > 0:
             since = pursuit.avoided_from(max(tick, self._before), FOLLOWING)  # there was room at first
             if since is not None:
-                reason = f"{crossed}; {self._name}'s {self._would(since)}"
-                return self._attributed("both", tick, reason, "entered-lane")
+                helps = self._braking_helps(self._npc + 1, since)
+                return self._attributed("both", tick, (*reason, helps), "entered-lane")
         kept = self._lanes.kept_since(0, tick, self._end)
-        late = f", and {self._name} could not avoid it any more when the ego kept the lane" if kept is not None else ""
+        if kept is not None:
+            reason += (Fact(What.NOTHING_HELPS_ANY_MORE, self._npc + 1, self._at(kept[1])),)
         chance = self._second_chance(tick, pursuit, by_ego=False)
-        if chance is not None:
-            return self._attributed("both", tick, f"{crossed}{late}; but {chance}", "entered-lane")
-        return self._attributed("ego", tick, f"{crossed}{late}", "entered-lane")
+        return self._attributed("both" if chance else "ego", tick, reason + chance, "entered-lane")
 
-    def _without_room(self, change: LaneChange) -> str:
+    def _without_room(self, change: LaneChange) -> Reason:
         """How the ego's lane change left too little room."""
-        tick, lowest, crossed = change.tick, self._lowest(change), self._crossed(change)
-        room = self._room(tick, lowest)
+        tick, lowest, at = change.tick, self._lowest(change), self._at(change.tick)
+        room, entered = self._room(tick, lowest), max(self._onset, tick)
         if self._gap(tick) >= room:
-            entered = max(self._onset, tick)
-            gap = f"{max(self._gap(entered), 0.0):.1f} m"
-            return f"{crossed}, and came into its track only {gap} ahead at {self._at(entered)}"
-        slowed = (
-            f", as it slowed down to {round(lowest, 1) + 0.0:.1f} m/s"
-            if lowest < self._frame.speed[0, tick] - SPED_UP
-            else ""
-        )
-        return f"{crossed}, where giving way takes {room:.1f} m{slowed}"
+            return (Fact(What.CAME_CLOSE, 0, self._at(entered), gap_m=max(self._gap(entered), 0.0)),)
+        is_slower = lowest < self._frame.speed[0, tick] - SPED_UP
+        slowed = (Fact(What.SLOWED_DOWN, 0, at, speed_m_per_s=lowest),) if is_slower else ()
+        return Fact(What.LEFT_TOO_LITTLE, 0, at, asked_m=room), *slowed
 
     def _duty_passed(self, change: LaneChange, tick: int, pursuit: Pursuit) -> Attribution | None:
         """To the one behind, who could still have avoided it when the one ahead had kept the lane since a tick.
@@ -312,35 +306,33 @@ class Conflict:
         since = None if kept is None else pursuit.avoided_from(max(kept[1], self._before), FOLLOWING)
         if kept is None or since is None:
             return None
-        who = self._name if change.vehicle else "the ego"
-        reason = f"from {self._at(kept[0])} on {who} kept the lane ahead"
+        lane = Fact(What.KEPT_LANE, change.vehicle, self._at(kept[0]))
         if change.vehicle == 0:
-            return self._npc_followed(kept[1], kept[0], f"{reason}, and {self._name}'s {self._would(since)}")
-        would = f"{self._would(since)}; {self._answer(since)}"
-        return self._unanswered(kept[0], (reason, would), "leader-unanswered", change)
+            return self._npc_followed(kept[1], kept[0], (lane, self._braking_helps(self._npc + 1, since)))
+        answered = self._braking_helps(0, since), self._answer(since)
+        return self._unanswered(kept[0], lane, answered, "leader-unanswered", change)
 
     def _gave_way(self, change: LaneChange) -> Attribution:
         room = self._room(change.tick, self._lowest(change))
-        gave = f"{self._crossed(change)}, more than the {room:.1f} m that giving way takes"
-        return self._npc_followed(change.tick, change.tick, gave)
+        gave = Fact(What.GAVE_WAY, 0, self._at(change.tick), asked_m=room)
+        return self._npc_followed(change.tick, change.tick, (self._crossed(change), gave))
 
     def _npc_changed(self, change: LaneChange) -> Attribution:
         crossed, tick = self._crossed(change), change.tick
         if self._gap(tick) > 0 and self._leads(tick):
-            return self._npc_followed(tick, tick, crossed, moved_in=tick)
+            return self._npc_followed(tick, tick, (crossed,), moved_in=tick)
         seen, pursuit = change.seen, self._pursuit(by_ego=True, goes_on=self._end - tick <= SOON * self._hz)
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
-            return self._excused_behind(tick, crossed, pursuit, change)
+            return self._excused_behind(tick, (crossed,), pursuit, change)
+        late = crossed, Fact(What.CUT_IN_TOO_LATE, self._npc + 1, self._at(tick))
         if self._is_blocked(tick):
-            return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
+            return self._excused_behind(tick, late, pursuit, change)
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY)
         if since is not None:
-            would = f"{self._demanded(since)}; {self._answer(since)}"
-            return self._unanswered(tick, (crossed, would), "cut-in-unanswered", change)
+            answered = self._calm_braking_helps(0, since), self._answer(since)
+            return self._unanswered(tick, crossed, answered, "cut-in-unanswered", change)
         passed = self._duty_passed(change, tick, pursuit)
-        if passed is not None:
-            return passed
-        return self._excused_behind(tick, f"{crossed}, too late to avoid it", pursuit, change)
+        return self._excused_behind(tick, late, pursuit, change) if passed is None else passed
 
     def _pushed_in(self, change: LaneChange | None) -> bool:
         """Whether an NPC changed lanes ahead of a driving ego, not long ago, and did not give way."""
@@ -371,9 +363,9 @@ class Conflict:
         if ego == npc:
             ego = towards[0] >= towards[1] + DRIFTING
         if not ego:
-            return self._excused(tick, f"at {self._at(tick)} {self._name} came sideways into the ego, side by side")
-        reason = f"at {self._at(tick)} the ego came sideways into {self._name}, side by side"
-        return self._blamed_unless_standing(tick, reason, "entered-lane")
+            return self._excused(tick, (Fact(What.CAME_SIDEWAYS, self._npc + 1, self._at(tick)),))
+        sideways = Fact(What.CAME_SIDEWAYS, 0, self._at(tick), other=self._npc + 1)
+        return self._blamed_unless_standing(tick, (sideways,), "entered-lane")
 
     def _gives_way(self, change: LaneChange) -> bool:
         """Whether the ego's lane change leaves the NPC room, and still does when they have come into one track."""
@@ -402,82 +394,76 @@ class Conflict:
 
     def _in_one_lane(self) -> Attribution:
         if self._leads(self._start):
-            reason = self._close_behind(self._name, "the ego")
-            return self._npc_followed(0, self._start, reason)
-        close, pursuit = self._close_behind("the ego", self._name), self._pursuit(by_ego=True)
+            return self._npc_followed(0, self._start, (self._too_close(self._npc + 1, 0),))
+        close, pursuit = self._too_close(0, self._npc + 1), self._pursuit(by_ego=True)
         since = pursuit.avoided_from(self._before, FOLLOWING)
         if since is not None:
-            would = f"{self._would(since)}; {self._answer(since)}"
-            return self._unanswered(self._start, (close, would), "leader-unanswered")
-        began = " as the run began" if self._start == 0 else ""
-        return self._excused_behind(self._start, f"{close}{began}, and no response could avoid it", pursuit)
+            answered = self._braking_helps(0, since), self._answer(since)
+            return self._unanswered(self._start, close, answered, "leader-unanswered")
+        began = () if self._start else (Fact(What.AS_THE_RUN_BEGAN, 0, 0.0),)
+        hopeless = Fact(What.NOTHING_HELPS, 0, self._at(self._start))
+        return self._excused_behind(self._start, (close, *began, hopeless), pursuit)
 
     def _unanswered(
-        self, tick: int, reason: tuple[str, str], fault: Fault, change: LaneChange | None = None
+        self, tick: int, danger: Fact, answered: Reason, fault: Fault, change: LaneChange | None = None
     ) -> Attribution:
         """The ego's, behind; shared with an NPC that braked hard after it had pushed in, or with nothing in its way."""
         npc = self._npc + 1
         stop = None if self._stands else self._needless_braking(npc)
         if stop is not None and self._gap(stop.begin) <= AMPLE * self._frame.speed[0, stop.begin]:
-            began, peak = self._at(stop.begin), braking(self._trace, npc)[stop.begin : stop.end + 1].max()
-            braked = f"from {began} {self._name} braked with up to {peak:.1f} m/s^2 with nothing in its way"
-            return self._attributed("both", tick, f"{reason[0]}; {braked}; {reason[1]}", fault)
+            return self._attributed("both", tick, (danger, self._braked_for_nothing(npc, stop), *answered), fault)
         peak = self._npc_braked_hard(change.tick, self._end) if change and self._pushed_in(change) else 0.0
-        if peak:
-            braked = f", and braked with up to {peak:.1f} m/s^2"
-            return self._attributed("both", tick, f"{reason[0]}{braked}; {reason[1]}", fault)
-        return self._blamed_unless_standing(tick, "; ".join(reason), fault)
+        if change and peak:
+            braked = Fact(What.BRAKED_HARD, npc, self._at(change.tick), braking_m_per_s2=peak)
+            return self._attributed("both", tick, (danger, braked, *answered), fault)
+        return self._blamed_unless_standing(tick, (danger, *answered), fault)
 
     def _excused_behind(
-        self, tick: int, reason: str, pursuit: Pursuit, change: LaneChange | None = None
+        self, tick: int, reason: Reason, pursuit: Pursuit, change: LaneChange | None = None
     ) -> Attribution:
         """The NPC's, ahead; but not where the ego had mastered it, and ran into the NPC nevertheless."""
         chance = self._second_chance(tick, pursuit, by_ego=True)
-        if chance is None:
+        if not chance:
             return self._excused(tick, reason)
-        reason = f"{reason}; but {chance}"
         if self._pushed_in(change):
-            return self._attributed("both", tick, reason, "leader-unanswered")
-        return self._blamed_unless_standing(tick, reason, "leader-unanswered")
+            return self._attributed("both", tick, reason + chance, "leader-unanswered")
+        return self._blamed_unless_standing(tick, reason + chance, "leader-unanswered")
 
-    def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> str | None:
-        """How the one behind gave away what it had gained since a tick; None where it did not."""
+    def _second_chance(self, tick: int, pursuit: Pursuit, *, by_ego: bool) -> Reason:
+        """How the one behind gave away what it had gained since a tick; nothing where it did not."""
         behind, ahead = (0, self._npc + 1) if by_ego else (self._npc + 1, 0)
-        who, speed = self._name if behind else "the ego", self._frame.speed
-        closing = speed[behind] - speed[ahead]
+        closing = self._frame.speed[behind] - self._frame.speed[ahead]
         first = max(tick, self._before) + round(FOLLOWING.delay * self._hz)
         ticks = [at for at in range(first, self._end) if self._gap(at) > 0 and self._leads(at) != by_ego]
         over = max((at for at in ticks if closing[at] <= 0), default=None)
         since = None if over is None else pursuit.avoided_from(over, CUT_OFF, EMERGENCY)
         if over is not None and since is not None:
-            answer = f"; {self._answer(since)}" if by_ego else ""
-            return f"until {self._at(over)} {who} was no faster, and {self._demanded(since)}{answer}"
+            answer = (self._answer(since),) if by_ego else ()
+            was_slow = Fact(What.WAS_NO_FASTER, behind, self._at(over))
+            return was_slow, self._calm_braking_helps(behind, since), *answer
         pause, slowed = math.ceil(LET_GO * self._hz), braking(self._trace, behind)
         for at in (each for each in ticks if closing[each] > 0 and each + pause <= self._end):
             has_let_go = slowed[at] >= BRAKES and (slowed[at + 1 : at + 1 + pause] < BRAKES).all()
             if has_let_go and pursuit.avoided_from(at, HELD) is not None:
-                held = f"braking on with {HELD.deceleration:.0f} m/s^2 would have avoided it"
-                return f"{who} let the brakes go at {self._at(at)}, where {held}"
-        return None
+                return (Fact(What.LET_BRAKES_GO, behind, self._at(at), braking_m_per_s2=HELD.deceleration),)
+        return ()
 
-    def _npc_followed(self, duty: int, tick: int, reason: str, moved_in: int = 0) -> Attribution:
+    def _npc_followed(self, duty: int, tick: int, reason: Reason, moved_in: int = 0) -> Attribution:
         """The ego led: the NPC owes an answer, not before a tick, unless the ego braked, or stopped, for nothing.
 
         One that moved in behind an ego that did so is responsible, too.
         """
         stop = self._needless_braking(0, moved_in)
         if stop is not None and stop.end >= duty:
-            peak = float(braking(self._trace)[stop.begin : stop.end + 1].max())
-            braked = f"from {self._at(stop.begin)} the ego braked with up to {peak:.1f} m/s^2 with nothing in its way"
             since = max(duty, min(self._before, stop.begin))  # hard braking is something to answer, however far away
-            return self._needless(stop, since, braked, "braked-for-nothing", moved_in=moved_in > 0)
+            braked = self._braked_for_nothing(0, stop)
+            return self._needless(stop, since, braked, "braked-for-nothing", moved_in)
         stop = long_stop(self._trace, self._end)
         is_slow = self._frame.speed[self._npc + 1, self._start] <= CRAWLING
         if stop is not None and not is_slow and self._is_needless(stop, slice(stop.begin, stop.end + 1), moved_in):
-            stood = (self._end - stop.end) / self._hz
-            stopped = f"from {self._at(stop.begin)} the ego braked to a standstill with nothing in its way"
-            stopped = f"{stopped} and stood for {stood:.1f} s"
-            return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in=moved_in > 0)
+            standing = self._at(self._end - stop.end)
+            stopped = Fact(What.STOPPED_FOR_NOTHING, 0, self._at(stop.begin), lasting_s=standing)
+            return self._needless(stop, max(duty, self._before), stopped, "stopped-for-nothing", moved_in)
         return self._excused(tick, reason)
 
     def _needless_braking(self, leader: int, moved_in: int = 0) -> Stop | None:
@@ -511,83 +497,83 @@ class Conflict:
         ticks = slice(max(ticks.start - round(REASON_SECONDS * self._hz), 0), ticks.stop)
         return not reasons(self._trace, self._frame, DISTANCES, leader, ticks).any()
 
-    def _needless(self, stop: Stop, since: int, reason: str, fault: Fault, *, moved_in: bool) -> Attribution:
+    def _needless(self, stop: Stop, since: int, braked: Fact, fault: Fault, moved_in: int) -> Attribution:
+        npc = self._npc + 1
         if moved_in:
-            return self._attributed("both", stop.begin, f"{reason}, and {self._name} moved in behind it", fault)
+            moved = Fact(What.MOVED_IN_BEHIND, npc, self._at(moved_in))
+            return self._attributed("both", stop.begin, (braked, moved), fault)
         answer = self._pursuit(by_ego=False).avoided_from(since, FOLLOWING)
         if answer is not None:
-            return self._attributed("both", stop.begin, f"{reason}; {self._name}'s {self._would(answer)}", fault)
-        return self._attributed("ego", stop.begin, f"{reason}, and {self._name} behind could not avoid it", fault)
+            return self._attributed("both", stop.begin, (braked, self._braking_helps(npc, answer)), fault)
+        hopeless = Fact(What.NOTHING_HELPS_BEHIND, npc, self._at(since))
+        return self._attributed("ego", stop.begin, (braked, hopeless), fault)
 
-    # What the sentences are made of.
+    # What reasons are made of.
 
     def _attributed(
-        self, responsibility: Responsibility, tick: int, reason: str, fault: Fault | None = None
+        self, responsibility: Responsibility, tick: int, facts: Reason, fault: Fault | None = None
     ) -> Attribution:
-        return Attribution(responsibility=responsibility, tick=tick, time=tick / self._hz, reason=reason, fault=fault)
+        time, reason = self._at(tick), sentence(facts)
+        return Attribution(responsibility=responsibility, tick=tick, time=time, reason=reason, fault=fault, facts=facts)
 
-    def _blamed_unless_standing(self, tick: int, reason: str, fault: Fault) -> Attribution:
+    def _blamed_unless_standing(self, tick: int, reason: Reason, fault: Fault) -> Attribution:
         """An ego that rolls until it touches does not stand."""
         rolled = self._frame.speed[0, max(self._end - round(ROLLED * self._hz), 0) : self._end]
         if self._stands and not (rolled > STANDING_SPEED).any():
             return self._excused(tick, reason)
         return self._attributed("ego", tick, reason, fault)
 
-    def _excused(self, tick: int, reason: str) -> Attribution:
+    def _excused(self, tick: int, reason: Reason) -> Attribution:
         if self._stands:
-            speed = float(self._frame.speed[0, self._end])
-            return self._attributed("npc", tick, f"the ego was standing ({abs(speed):.1f} m/s) at the impact")
+            speed = abs(float(self._frame.speed[0, self._end]))
+            reason = (Fact(What.STOOD, 0, self._at(self._end), speed_m_per_s=speed),)
         return self._attributed("npc", tick, reason)
 
     @property
     def _stands(self) -> bool:
         return bool(abs(self._frame.speed[0, self._end]) <= STANDING_SPEED)
 
-    def _crossed(self, change: LaneChange) -> str:
-        """That a vehicle changed lanes, and where the other was then."""
-        mover, other = ("the ego", self._name) if change.vehicle == 0 else (self._name, "the ego")
-        tick, gap = change.tick, self._gap(change.tick)
-        place = "side by side"
-        if gap > 0:
-            is_ahead = self._leads(tick) == (change.vehicle == 0)
-            faster = float(self._frame.speed[0, tick] - self._frame.speed[self._npc + 1, tick])
-            faster = faster if change.vehicle == 0 else -faster
-            pace = f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}"
-            pace = "as fast" if abs(faster) < 0.05 else pace
-            place = f"{gap:.1f} m {'ahead' if is_ahead else 'behind'}, {pace}"
-        crossed = f"at {self._at(tick)} {mover} crossed the lane line towards {other}"
-        return f"{crossed} ({change.drift:.1f} m/s sideways), {place}"
+    def _crossed(self, change: LaneChange) -> Fact:
+        """That a vehicle changed lanes, and where it was then."""
+        mover, other = (0, self._npc + 1) if change.vehicle == 0 else (self._npc + 1, 0)
+        tick, gap = change.tick, max(self._gap(change.tick), 0.0)
+        ahead = gap if self._leads(tick) == (mover == 0) else -gap
+        faster = float(self._frame.speed[mover, tick] - self._frame.speed[other, tick])
+        what, at, drift = What.CROSSED_LINE, self._at(tick), change.drift
+        return Fact(what, mover, at, other, gap_m=ahead, sideways_m_per_s=drift, faster_m_per_s=faster)
 
-    def _close_behind(self, follower: str, leader: str) -> str:
-        gap, safe = max(self._gap(self._start), 0.0), self._dangers.safe_along[self._start, self._npc]
-        when, place = self._at(self._start), f"{gap:.1f} m behind {leader}"
-        return f"from {when} on {follower} was {place}, closer than the {safe:.1f} m that RSS demands"
+    def _too_close(self, follower: int, leader: int) -> Fact:
+        gap, safe = max(self._gap(self._start), 0.0), float(self._dangers.safe_along[self._start, self._npc])
+        return Fact(What.CAME_TOO_CLOSE, follower, self._at(self._start), other=leader, gap_m=gap, asked_m=safe)
 
-    def _would(self, since: int) -> str:
+    def _braked_for_nothing(self, vehicle: int, stop: Stop) -> Fact:
+        peak = float(braking(self._trace, vehicle)[stop.begin : stop.end + 1].max())
+        return Fact(What.BRAKED_FOR_NOTHING, vehicle, self._at(stop.begin), braking_m_per_s2=peak)
+
+    def _braking_helps(self, vehicle: int, since: int) -> Fact:
+        """That the proper response to one ahead avoids it, since a tick."""
         due = self._at(since + round(FOLLOWING.delay * self._hz))
-        return f"braking with {FOLLOWING.deceleration:.0f} m/s^2 from {due} on would have avoided it"
+        return Fact(What.BRAKING_HELPS, vehicle, due, braking_m_per_s2=FOLLOWING.deceleration)
 
-    def _demanded(self, since: int) -> str:
-        """As :meth:`_would`, of a cut-in."""
-        due = self._at(since + round(CUT_OFF.delay * self._hz))
-        demanded = f"{CUT_OFF.deceleration:.0f} to {EMERGENCY.braking.deceleration:.0f} m/s^2"
-        return f"braking with {demanded} from {due} on would have avoided it"
+    def _calm_braking_helps(self, vehicle: int, since: int) -> Fact:
+        due, hard = self._at(since + round(CUT_OFF.delay * self._hz)), EMERGENCY.braking.deceleration
+        calm = CUT_OFF.deceleration
+        return Fact(What.CALM_BRAKING_HELPS, vehicle, due, braking_m_per_s2=hard, calm_m_per_s2=calm)
 
-    def _answer(self, since: int) -> str:
-        """What the ego did since a tick, in words."""
+    def _answer(self, since: int) -> Fact:
+        """What the ego did since a tick."""
         slowed = braking(self._trace)[since + 1 : self._end + 1]
         braked = np.flatnonzero(slowed >= BRAKES)
         if braked.size:
-            return (
-                f"the ego braked from {self._at(since + int(braked[0]))} on with up to {float(slowed.max()):.1f} m/s^2"
-            )
+            return Fact(What.BRAKED, 0, self._at(since + int(braked[0])), braking_m_per_s2=float(slowed.max()))
         speed = self._frame.speed[0, since : self._end + 1]
         if float(speed.max()) > float(speed[0]) + SPED_UP:
-            return f"the ego sped up to {float(speed.max()):.1f} m/s"
-        return "the ego did not brake"
+            return Fact(What.SPED_UP, 0, self._at(since), speed_m_per_s=float(speed.max()))
+        return Fact(What.DID_NOT_BRAKE, 0, self._at(since))
 
-    def _at(self, tick: int) -> str:
-        return f"{tick / self._hz:.1f} s"
+    def _at(self, tick: int) -> float:
+        """Time of a tick [s]."""
+        return tick / self._hz
 
     def _gap(self, tick: int) -> float:
         """Between the boxes along the road [m], negative side by side."""

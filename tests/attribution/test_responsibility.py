@@ -6,6 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.responsibility import DISTANCES, position_rule, rss_rule
+from pytest_pafot.attribution.sentences import Fact, What, sentence
 from pytest_pafot.criticality import rss_longitudinal
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
@@ -285,6 +286,12 @@ def test_any_run_has_a_verdict_with_a_reason_and_a_moment(seed, ticks, vehicles)
     assert found.time == found.tick / 15
     assert len(found.reason) < 230
     assert found.reason.isascii()
+
+
+def test_every_fact_is_told_in_words():
+    told = [sentence((Fact(what, 1, 2.0),)) for what in What]
+    assert len({*told}) == len(What)
+    assert not any({*text} & {*"{}"} for text in told)
 
 
 @pytest.mark.parametrize("angle", [0.7, np.pi / 2, np.pi])
