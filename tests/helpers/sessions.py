@@ -2,6 +2,7 @@
 
 import faulthandler
 import functools
+import inspect
 import json
 import os
 import re
@@ -14,9 +15,11 @@ import types
 import warnings
 
 import _pytest._code.code
+import _pytest.assertion.rewrite
+import _pytest.fixtures
+import pluggy._manager
 import pytest
 from _pytest._code.source import Source, getstatementrange_ast
-from _pytest.fixtures import FixtureManager
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -69,22 +72,80 @@ def in_a_copy(pytester, *args):
 
 FIXTURE = type(pytest.fixture(lambda: None))
 
-BARE = set()
-"""Plugins in which a session of this process has looked for fixtures and found none."""
+
+def quick_sessions(monkeypatch):
+    """Let sessions of this process look up once what is the same in all of them: else it is half of a short one."""
+    monkeypatch.setattr(pluggy._manager, "dir", _names_of_hooks, raising=False)
+    monkeypatch.setattr(pluggy._manager, "_static_hook_attr", _hook, raising=False)
+    monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
+    monkeypatch.setattr(inspect, "getmodule", _module_of)
+    monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
+    monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
+    monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
 
-def known_to_have_no_fixtures(monkeypatch):
-    """Let sessions look for fixtures only in plugins that have some: else it is a third of a short session."""
-    look = FixtureManager.pytest_plugin_registered
+def _names_of_hooks(plugin):
+    source = _source(plugin)
+    return _hooks_in(source) if _is_shared(source) else dir(plugin)
 
-    def look_once(self, plugin, plugin_name):
-        source = plugin if isinstance(plugin, types.ModuleType) else type(plugin)
-        if source not in BARE:
-            look(self, plugin, plugin_name)
-            if _is_shared(source) and not any(isinstance(each, FIXTURE) for each in vars(source).values()):
-                BARE.add(source)
 
-    monkeypatch.setattr(FixtureManager, "pytest_plugin_registered", look_once)
+def _names_of_fixtures(plugin):
+    source = _source(plugin)
+    return _fixtures_in(source) if _is_shared(source) else dir(plugin)
+
+
+def _source(plugin):
+    return plugin if isinstance(plugin, types.ModuleType) else type(plugin)
+
+
+@functools.cache
+def _hooks_in(source):
+    return [name for name in dir(source) if name.startswith("pytest_")]
+
+
+@functools.cache
+def _fixtures_in(source):
+    return [name for name in dir(source) if isinstance(inspect.getattr_static(source, name), FIXTURE)]
+
+
+HOOK = getattr(pluggy._manager, "_static_hook_attr", None)
+
+
+def _hook(plugin, name):
+    """A function in a module or a class, which is nearly every hook, as pluggy finds it."""
+    source = _source(plugin)
+    found = vars(source).get(name)
+    if not isinstance(found, types.FunctionType) or isinstance(plugin, type) or not _is_shared(source):
+        return HOOK(plugin, name)
+    return found, found if plugin is source else types.MethodType(found, plugin)
+
+
+GET_MODULE = inspect.getmodule
+
+
+def _module_of(thing, _filename=None):
+    """No module of a frame or its code, for which all modules would be looked at; its file is read without."""
+    return None if isinstance(thing, types.FrameType | types.CodeType) else GET_MODULE(thing, _filename)
+
+
+KNOWN_CODE = {}
+REWRITE = _pytest.assertion.rewrite._rewrite_test
+
+
+def _rewritten(path, config):
+    """What assertion rewriting makes of a file; of the same text in another folder it is the same."""
+    key = path.name, path.read_bytes()
+    if key not in KNOWN_CODE:
+        KNOWN_CODE[key] = REWRITE(path, config)
+    source_hash, code = KNOWN_CODE[key]
+    return source_hash, _in_file(code, str(path))
+
+
+def _in_file(code, name):
+    """The code, and all code in it, as if it had been read from a file of this name."""
+    constants = tuple(_in_file(each, name) if isinstance(each, types.CodeType) else each for each in code.co_consts)
+    return code.replace(co_filename=name, co_consts=constants)
 
 
 @functools.cache
@@ -93,17 +154,9 @@ def _statement_at(line, source):
     return None, *getstatementrange_ast(line, Source(source))[1:]
 
 
-def known_statements(monkeypatch):
-    """Let sessions look for a statement of a traceback only once.
-
-    A session that is interrupted shows all frames, down to those of the session that runs it, and looks for the
-    statement of each in the syntax tree of its source, which takes nine tenths of such a session.
-    """
-
-    def look_once(line, source, **_):
-        return _statement_at(line, str(source))
-
-    monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", look_once)
+def _statement_range(line, source, **_):
+    """The lines of a statement of a traceback, of which a session that is interrupted shows those of all frames."""
+    return _statement_at(line, str(source))
 
 
 def _is_shared(source):

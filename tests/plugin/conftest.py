@@ -13,11 +13,12 @@ import pytest
 import pytest_pafot
 import pytest_pafot.strategies
 from pytest_pafot.campaign import recorder
+from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway
-from tests.helpers.sessions import in_a_copy, in_process, known_statements, known_to_have_no_fixtures
+from tests.helpers.sessions import in_a_copy, in_process, quick_sessions
 
 # pytester forgets the modules that a session imports; those of the package stay, as reading them takes a while.
 ROOMS = (
@@ -30,6 +31,7 @@ for room in ROOMS:
         importlib.import_module(module.name)
 
 DIFFERENCE_IN_GYM = recorder._difference_in_gym
+REFERENCE_OUTCOMES = Harness.reference_outcomes
 
 CONFTEST = """
 import pytest
@@ -66,6 +68,7 @@ NOT_NAMED = (
     "doctest",
     "junitxml",
     "legacypath",
+    "logging",
     "pastebin",
     "setuponly",
     "setupplan",
@@ -118,8 +121,8 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
-        confirms = recorder._difference_in_gym is DIFFERENCE_IN_GYM
-        key = repr((before, settings, confirms, [str(arg).replace(str(self.path), "") for arg in args], options))
+        whole = recorder._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
+        key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
             changed = {name: text for name, text in self._tree.items() if before.get(name, ...) != text}
@@ -214,14 +217,14 @@ def found():
 def project(request, pytester, monkeypatch, distributions, found):
     """A project in which sessions do what takes long only for a test that asks for it.
 
-    Finds are saved as they were found, and are not run again in highway-env's own environment. Tests of several
-    processes have whole sessions: what one process does, the others must do as well.
+    Finds are saved as they were found, without reference drivers, and are not run again in highway-env's own
+    environment. Tests of several processes have whole sessions: what one process does, the others must do as well.
     """
     monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
-    known_to_have_no_fixtures(monkeypatch)
-    known_statements(monkeypatch)
+    quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
         monkeypatch.setattr(recorder, "_difference_in_gym", lambda run, simulation: "")
+        monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: {})
         monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     for name in (
         "CI",
@@ -249,8 +252,9 @@ def in_highway_env(project, monkeypatch):
 
 @pytest.fixture
 def shrinking(project, monkeypatch):
-    """Let sessions shrink their finds, as users' sessions do."""
+    """Let sessions shrink their finds and try reference drivers in them, as users' sessions do."""
     monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS", raising=False)
+    monkeypatch.setattr(Harness, "reference_outcomes", REFERENCE_OUTCOMES)
 
 
 FAILING = """
