@@ -1,9 +1,12 @@
 """How failures are shown: one compact block each, lines that fit, and a summary that says what failed."""
 
 import re
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
+
+from pytest_pafot.plugin.session import SHARED, Controller, Shared, shared_by_controller
 
 EXPLAINED = """
 @pafot.search(SHORT, blame="ego", stop_after=1)
@@ -132,6 +135,16 @@ def test_junit_has_the_summary_as_message_and_names_the_file(explained):
     assert named["pafot_file"] == explained.files[0]
 
 
+def test_a_worker_is_given_the_columns_of_the_session(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    controller = SimpleNamespace(stash={SHARED: Shared()})
+    node = SimpleNamespace(config=controller, workerinput={})
+    Controller().pytest_configure_node(node)
+    monkeypatch.setenv("COLUMNS", "90")
+    assert shared_by_controller(node).width == 60
+
+
+@pytest.mark.processes
 def test_workers_fit_their_lines_to_the_terminal_of_the_session(explained, monkeypatch):
     pytest.importorskip("xdist")
     monkeypatch.setenv("COLUMNS", "60")

@@ -13,6 +13,7 @@ import pytest
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
 from tests.helpers.hostile import WORST, obeyed
+from tests.plugin.conftest import CONFTEST
 
 TEST = """
 import pathlib
@@ -82,20 +83,36 @@ def test_no_output_of_a_session_with_hostile_files_is_obeyed(saved, monkeypatch)
     assert len(records) == count
     assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
     assert any(record["xfail"] == {"reason": WORST, "until": None} for record in records)
+    for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):  # in which nothing differs by style
+        next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
         options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]
         assert obeyed(saved.run(*options, "-l", "--color=no", generations=0).stdout.str()) == []
 
 
+SENDS = """
+import execnet
+
+def pytest_runtest_logreport(report):
+    execnet.dumps(CONFIG.hook.pytest_report_to_serializable(config=CONFIG, report=report))
+
+def pytest_configure(config):
+    global CONFIG
+    CONFIG = config
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
-def test_workers_end_with_names_whose_bytes_are_no_characters(saved):
+@pytest.mark.parametrize("workers", [[], pytest.param(["-n1"], marks=pytest.mark.processes)], ids=["alone", "a worker"])
+def test_workers_end_with_names_whose_bytes_are_no_characters(saved, workers):
     """An item's file, an orphan and a stray: a worker that could not send such a name was replaced without end."""
+    saved.pytester.makeconftest(CONFTEST + SENDS)
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     (test,) = saved.path.glob("pafot_corpus/*/*")
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone")), saved.path):
         folder.mkdir(exist_ok=True)
         (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 2\n")
-    result = saved.run("-n1", "--pafot-json=session.json", generations=0, apart=True)
+    result = saved.run(*workers, "--pafot-json=session.json", generations=0, apart=bool(workers))
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines(
         [r"orphaned: 1 saved scenario of no test in *\udcffgone", r"not run: \udcff.pafot.yaml, *"]

@@ -10,6 +10,7 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import prevention_text
 from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.plugin.conftest import FAILING
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
@@ -116,6 +117,9 @@ def test_a_crash_that_nobody_saw_is_listed_without_a_picture(project, page):
 
 
 def test_a_folder_gets_the_page_and_a_moving_picture_of_each_finding(failing):
+    failing.write(
+        FAILING.replace("SHORT", "genes=1, gene_seconds=1, npcs=1, ego_lane=1, ego_speed=22").replace("< 1", "< 0")
+    )
     result = failing.run("--pafot-report=out/report/")
     folder = failing.path / "out" / "report"
     names = {path.name for path in folder.iterdir()}

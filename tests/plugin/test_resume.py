@@ -47,13 +47,13 @@ def forget(project):
 
 def test_a_night_cut_into_four_leaves_the_files_of_a_long_one(project):
     project.write(SOURCE)
-    project.run("--pafot-runs=24", generations=None)
+    project.run("--pafot-runs=16", generations=None)
     whole = forget(project)
     assert whole
     for _ in range(4):
-        result = night(project, runs=6)
+        result = night(project, runs=4)
     assert project.contents == whole
-    result.stdout.fnmatch_lines(["*went on after 18 runs of earlier sessions*"])
+    result.stdout.fnmatch_lines(["*went on after 12 runs of earlier sessions*"])
     (state,) = project.path.glob("states/*.json")
     assert state.name.startswith("test_it.py.test_it~")
 
@@ -83,8 +83,8 @@ def test_a_find_that_is_not_to_be_saved_is_told_once_and_saved_by_a_session_that
 def test_the_base_seed_is_the_same_in_each_session_unless_one_is_given(project):
     project.write(SOURCE)
     for _ in range(2):
-        night(project, ONLY, runs=5, seed=None).stdout.fnmatch_lines(["*base seed 0*"])
-    refused = night(project, ONLY, runs=5, seed=4)
+        night(project, ONLY, runs=1, seed=None).stdout.fnmatch_lines(["*base seed 0*"])
+    refused = night(project, ONLY, runs=1, seed=4)
     refused.assert_outcomes(failed=1)
     refused.stdout.fnmatch_lines(["*seed 0 in the file, 4 now*"])
 
