@@ -14,12 +14,11 @@ import traceback
 import types
 import warnings
 
-import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pluggy._manager
 import pytest
-from _pytest._code.source import Source, getstatementrange_ast
+from _pytest.terminal import TerminalReporter
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -80,7 +79,7 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
     monkeypatch.setattr(inspect, "getmodule", _module_of)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
-    monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
+    monkeypatch.setattr(TerminalReporter, "pytest_keyboard_interrupt", _interrupted)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
@@ -148,15 +147,14 @@ def _in_file(code, name):
     return code.replace(co_filename=name, co_consts=constants)
 
 
-@functools.cache
-def _statement_at(line, source):
-    """The first and the last line of a statement, without the syntax tree, of which all together take much memory."""
-    return None, *getstatementrange_ast(line, Source(source))[1:]
+def _interrupted(reporter, excinfo):
+    """Remember the end of the traceback alone; all of it leads down to the session that runs the tests."""
+    own = pytest.ExceptionInfo.from_exception(excinfo.value)
+    own.traceback = own.traceback[-1:]
+    INTERRUPTED(reporter, own)
 
 
-def _statement_range(line, source, **_):
-    """The lines of a statement of a traceback, of which a session that is interrupted shows those of all frames."""
-    return _statement_at(line, str(source))
+INTERRUPTED = TerminalReporter.pytest_keyboard_interrupt
 
 
 def _is_shared(source):

@@ -44,6 +44,7 @@ def test_drives_well(run):
 def buggy(project, monkeypatch, shrinking):
     """A project whose planner has both bugs."""
     monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "20")
     project.pytester.makeconftest(BUGGY)
     project.write(PROPERTY)
     return project
@@ -65,6 +66,6 @@ def test_a_planner_without_these_bugs_keeps_what_was_found_as_a_guard(buggy):
     buggy.run_once(generations=12, seed=4)
     buggy.run(generations=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
     buggy.pytester.makeconftest(FIXED)
-    result = buggy.run(generations=4, seed=4)
+    result = buggy.run(generations=1, seed=4)
     result.assert_outcomes(passed=3)
     result.stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 fixed"])

@@ -32,7 +32,7 @@ def block(result, name):
 
 
 def search(project, *args, **kwargs):
-    return project.run_once(*args, **{"generations": 10, **kwargs})
+    return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
 
 
 def summary(result):

@@ -43,7 +43,7 @@ def test_calls():
 def searched(project, ads, source=PLANNERS + SEARCH, **more):
     """The finds of a search, and the line of calls."""
     project.write(source.replace("ADS", ads))
-    output = project.run_once("-s", generations=3, **more).stdout.str()
+    output = project.run_once("-s", generations=2, **more).stdout.str()
     finds = {
         name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
         for name, text in project.contents.items()
@@ -99,7 +99,7 @@ class Mixing(Planner):
         return [(0.3 + 0.1 * len(observations), 0.0) for observation in observations]
 """
     project.write((PLANNERS + mixing + SEARCH).replace("ADS", "Mixing"))
-    assert " 3 3" in project.run("-s", generations=3).stdout.str(), "some runs should take place together"
+    assert " 3 3" in project.run("-s", generations=2).stdout.str(), "some runs should take place together"
     found = len(project.files)
     result = project.run(generations=0)
     result.stdout.fnmatch_lines([f"replayed {found} saved scenarios: {found} still failing"])

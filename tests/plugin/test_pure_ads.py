@@ -25,7 +25,7 @@ calls = []
 """
 
 SEARCH = """
-@pafot.search(genes=4, gene_seconds=3, npcs=2, ego_lane=1, ego_speed=22, ads=ADS, shrink_rollouts=12)
+@pafot.search(genes=4, gene_seconds=2, npcs=2, ego_lane=1, ego_speed=22, ads=ADS, shrink_rollouts=8)
 def test_keeps_its_distance(run):
     pafot.check(run.min_distance, name=f"cell {run.event_cell}", at_least=1.0)
 
@@ -37,7 +37,7 @@ def test_calls():
 def searched(project, ads, source=PLANNERS + SEARCH, args=()):
     """The finds of a search as saved, the number of decisions, and what was printed."""
     project.write(source.replace("ads=ADS", f"ads={ads}"))
-    output = project.run_once("-s", *args, generations=3).stdout.str()
+    output = project.run_once("-s", *args, generations=2).stdout.str()
     finds = {
         name: "".join(line for line in text.splitlines(True) if "slowest" not in line)
         for name, text in project.contents.items()
