@@ -49,6 +49,9 @@ def pytest_collection() -> Generator[None, object, object]:
     gc.disable()
     collected = yield
     gc.freeze()
+    gc.set_threshold(
+        50_000
+    )  # what a session in a test leaves is looked for after some sessions, not in each all the time
     gc.enable()
     return collected
 

@@ -9,6 +9,8 @@ import pymoo.operators.survival.rank_and_crowding  # noqa: F401
 import pytest
 import ribs.archives  # noqa: F401
 
+from tests.helpers.sessions import section
+
 TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
 
 
@@ -28,11 +30,12 @@ def test_a_find_without_cells_is_saved_confirmed_shrunk_and_replayed(project, al
     again.stdout.fnmatch_lines(["*still failing*"])
 
 
-@pytest.mark.parametrize("algorithm", ["nsga2", "map-elites", "cma-es"])
-def test_the_algorithms_of_libraries_search_too(project, algorithm):
-    project.write(TEST.format(algorithm))
-    project.run(generations=8).assert_outcomes(failed=2)
-    assert f"algorithm: {algorithm}" in project.only_file.read_text()
+def test_the_algorithms_of_libraries_search_too(project):
+    algorithms = ("nsga2", "map-elites", "cma-es")
+    project.write("\n".join(TEST.format(each).replace("test_it", f"test_{n}") for n, each in enumerate(algorithms)))
+    project.run(generations=8).assert_outcomes(failed=2 * len(algorithms))
+    for text, algorithm in zip(project.contents.values(), algorithms, strict=True):
+        assert f"algorithm: {algorithm}" in text
 
 
 def test_a_find_without_cells_is_on_the_page(project):
@@ -64,28 +67,22 @@ def test_a_library_that_is_not_installed_fails_the_item_with_the_command_that_in
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
 
 
-@pytest.mark.parametrize("algorithm", ["av-fuzzer", "random-manoeuvre"])
-def test_searches_that_know_no_grid_are_refused_where_a_road_is_not_straight(project, algorithm):
+def test_an_algorithm_that_does_not_exist_or_fit_is_answered_with_those_that_do(project):
     road = "ads=lambda: lambda observation: 1, world=pafot.World('merge-v1')"
-    project.write(f"@pafot.search(algorithm={algorithm!r}, {road})\ndef test_it(run):\n    pass\n")
+    told = {
+        f"algorithm='av-fuzzer', {road}": "*algorithm: expected one of distinct, * on a road that is not straight, "
+        "received 'av-fuzzer', *",
+        f"algorithm='random-manoeuvre', {road}": "*algorithm: expected one of distinct, * on a road that is not "
+        "straight, received 'random-manoeuvre', *",
+        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give a class of "
+        "your own*",
+        "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",
+    }
+    project.write("\n".join(f"@pafot.search({given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(told)))
     result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(
-        [f"*algorithm: expected one of distinct, * on a road that is not straight, received '{algorithm}', *"]
-    )
-
-
-def test_an_unknown_algorithm_is_answered_with_those_that_exist(project):
-    project.write("@pafot.search(SHORT, algorithm='genetic')\ndef test_it(run):\n    pass\n")
-    result = project.run()
-    result.stdout.fnmatch_lines(
-        ["*expected distinct, pafot, *or cma-es, received 'genetic'; or give a class of your own*"]
-    )
-
-
-def test_an_algorithm_that_nearly_exists_is_answered_with_the_near_one(project):
-    project.write("@pafot.search(SHORT, algorithm='randm')\ndef test_it(run):\n    pass\n")
-    project.run().stdout.fnmatch_lines(["*or cma-es, received 'randm'; did you mean 'random'[?]"])
+    result.assert_outcomes(failed=2, errors=2)
+    for n, line in enumerate(told.values()):
+        pytest.LineMatcher(section(result, f"test_{n}").splitlines()).fnmatch_lines([line])
 
 
 OWN = (

@@ -12,9 +12,12 @@ def settings(project, *args, ini="", marker=None, environ=None):
     """The settings of a config that is made from these sources."""
     if ini:
         project.pytester.makeini(f"[pytest]\n{ini}")
-    # unraisableexception collects all garbage when a config ends, which is slow and shows nothing here.
-    config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
-    return resolve(config, marker or {}, fresh_seed=77, environ=environ or {})
+    # One config of the same lines serves all tests, as nothing writes to it.
+    if (ini, args) not in project.found:
+        # unraisableexception collects all garbage when a config ends, which is slow and shows nothing here.
+        config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
+        project.found[ini, args] = config
+    return resolve(project.found[ini, args], marker or {}, fresh_seed=77, environ=environ or {})
 
 
 def test_a_variable_that_nothing_reads_is_named_with_the_one_that_was_meant(failing, monkeypatch):
@@ -127,7 +130,7 @@ def test_native_toml_takes_native_types(project):
     project.pytester.makefile(
         ".toml", pytest="[pytest]\npafot_generations = 3\npafot_max_time = 60\npafot_strict_drift = true\n"
     )
-    found = settings(project)
+    found = settings(project, "-c", "pytest.toml")
     assert (found.generations, found.max_time, found.strict_drift) == (3, 60.0, True)
 
 
