@@ -10,7 +10,7 @@ import os
 
 SESSION = os.getpid()
 
-@pafot.search(SHORT)
+@pafot.search(SHORT, population=2)
 def test_dies(run):
     if os.environ.get("DIE") or (os.getpid() != SESSION and not os.environ.get("MENDED")):
         os._exit(9)

@@ -235,7 +235,7 @@ def test_an_ads_with_batch_decides_one_by_one_in_wrappers_and_the_summary_does_n
 
             FLAT = pafot.World("highway-v0", duration=2.0, wrappers=[FlattenObservation])
 
-            @pafot.search(genes=2, gene_seconds=1, npcs=2, ads=Policy, world=FLAT)
+            @pafot.search(genes=2, gene_seconds=1, npcs=2, population=2, ads=Policy, world=FLAT)
             def test_holds(run):
                 assert run.ads_error is None, run.explain()
             """

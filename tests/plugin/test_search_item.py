@@ -261,10 +261,11 @@ def test_a_fresh_base_seed_is_printed_so_that_it_can_be_repeated(project):
     assert project.contents == first
 
 
-@pytest.mark.parametrize("fitness", ["'paper'", "pafot.Weights(ttc=2.0)", "lambda trace: -trace.duration"])
-def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project, fitness):
-    project.write(f"@pafot.search(fitness={fitness})\ndef test_drive(run):\n    pass\n")
-    project.run().assert_outcomes(passed=1)
+def test_a_fitness_is_a_name_or_weights_or_a_function_of_a_trace(project):
+    each = ["'paper'", "pafot.Weights(ttc=2.0)", "lambda trace: -trace.duration"]
+    tests = (f"@pafot.search(SHORT, fitness={given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(each))
+    project.write("\n".join(tests))
+    project.run(generations=2).assert_outcomes(passed=len(each))
 
 
 SHORT_SEARCH = "*note: 40 runs are a short search: --pafot-runs=400 looks further"
