@@ -1,6 +1,7 @@
 """The rooms of the package and the direction in which imports go."""
 
 import ast
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -50,10 +51,23 @@ def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Statements right inside of one, and what has some in its turn; expressions are most of a module, and left out."""
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+        inner = getattr(node, name, ())
+        yield from inner if isinstance(inner, list) else ()
+
+
+def walked(node: ast.AST) -> Iterator[ast.AST]:
+    for inner in statements(node):
+        yield inner
+        yield from walked(inner)
+
+
 @cache
 def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef]:
     """Imports, functions and classes of a module, also those inside of functions."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    nodes = walked(ast.parse(path.read_text(encoding="utf-8")))
     return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef)]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_layers import MODULES, ROOMS, nodes_of
+from tests.test_layers import MODULES, ROOMS, nodes_of, statements
 
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
@@ -53,7 +53,7 @@ def repeated(names):
 def nesting(node, depth=0):
     """How many blocks stand inside of each other at most; ``elif`` is no block inside of ``if``."""
     deepest = depth
-    for child in ast.iter_child_nodes(node):
+    for child in statements(node):
         is_elif = isinstance(node, ast.If) and isinstance(child, ast.If) and node.orelse == [child]
         deepest = max(deepest, nesting(child, depth + (isinstance(child, BLOCKS) and not is_elif)))
     return deepest

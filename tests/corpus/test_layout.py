@@ -20,6 +20,7 @@ from pytest_pafot.corpus.layout import (
     module_of_file,
     safe_name,
 )
+from tests.helpers.hostile import CHARACTERS
 
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
@@ -74,10 +75,10 @@ def test_names_that_look_alike_stay_apart(one, other):
 
 
 texts = st.one_of(
-    st.text(max_size=120),
+    st.text(CHARACTERS, max_size=120),
     st.text("aAb@[]~.:/-_ \\", max_size=12),
     st.sampled_from(sorted(RESERVED)).map(str.upper),
-    st.builds("{}[{}]".format, st.sampled_from(["test_a", "TEST_A", "con"]), st.text(max_size=40)),
+    st.builds("{}[{}]".format, st.sampled_from(["test_a", "TEST_A", "con"]), st.text(CHARACTERS, max_size=40)),
 )
 
 
@@ -196,7 +197,7 @@ def test_the_test_file_of_a_folder_is_the_one_whose_name_gives_it(tmp_path):
 IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True) | st.sampled_from(["con", "_", "test_\u00e9", "test_a"])
 
 
-@given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(max_size=20))
+@given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(CHARACTERS, max_size=20))
 def test_each_folder_of_a_test_can_be_of_it(test, parameters):
     assert may_be_of(safe_name(test), test)
     assert may_be_of(safe_name(f"{test}[{parameters}]"), test)

@@ -16,6 +16,7 @@ from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.world import Highway
+from tests.helpers.hostile import CHARACTERS
 
 VERSIONS = {"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"}
 
@@ -54,7 +55,7 @@ def plain_finding(**changes):
 @cache  # hypothesis looks through a strategy once
 def texts(min_size=0):
     nasty = st.sampled_from([text for text in NASTY_TEXTS if len(text) >= min_size])
-    printable = st.text(st.characters(codec="utf-8"), min_size=min_size, max_size=60)
+    printable = st.text(CHARACTERS, min_size=min_size, max_size=60)
     return st.one_of(nasty, printable, st.text("ab :#-'\"\n\t{[,]}&*!|>%@", min_size=min_size, max_size=30))
 
 

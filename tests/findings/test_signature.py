@@ -11,6 +11,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
+from tests.helpers.hostile import CHARACTERS
 from tests.helpers.situations import SITUATIONS
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
@@ -178,7 +179,7 @@ def test_source_that_cannot_be_parsed_is_normalised_as_text():
     assert normalised("assert run.min_ttc > 1.0 and (") == "assert run.min_ttc > N and ("
 
 
-@given(st.text(max_size=400), st.text(max_size=400))
+@given(st.text(CHARACTERS, max_size=400), st.text(CHARACTERS, max_size=400))
 def test_any_text_gives_one_printable_line_of_limited_length(assertion, message):
     text = normalised(assertion, message)
     assert len(text) <= 200
@@ -237,7 +238,7 @@ def test_a_slug_has_no_cell_where_nothing_approached():
     assert slug("assert run.hardest_brake < 3", run=run) == "hardest-brake"
 
 
-@given(st.text(max_size=80), st.text(max_size=80))
+@given(st.text(CHARACTERS, max_size=80), st.text(CHARACTERS, max_size=80))
 def test_a_slug_is_short_and_safe_in_file_names(assertion, kind):
     text = slug(assertion, kind)
     assert 0 < len(text) <= 40

@@ -9,6 +9,7 @@ from pytest_pafot import criticality
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import NoReferenceDriversError, Run
+from tests.helpers.hostile import CHARACTERS
 from tests.helpers.reference_runs import Drivers, closing, rammed
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
@@ -167,7 +168,9 @@ def test_an_explanation_of_a_safe_run_names_its_worst_moment():
 
 
 @pytest.mark.parametrize("outcome", mostly_oracle(Outcome, Outcome.SAFE, Outcome.COLLISION, Outcome.ADS_ERROR))
-@given(npcs=st.integers(1, 8), genes=st.integers(1, 30), message=st.text(max_size=200), seed=st.integers(0, 99))
+@given(
+    npcs=st.integers(1, 8), genes=st.integers(1, 30), message=st.text(CHARACTERS, max_size=200), seed=st.integers(0, 99)
+)
 def test_every_explanation_is_short_plain_ascii(outcome, npcs, genes, message, seed):
     rng = np.random.default_rng(seed)
     states = random_states(rng, 31, npcs + 1)

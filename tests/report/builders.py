@@ -19,6 +19,7 @@ from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.campaign import run_campaign
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.fitness import resolve
+from tests.helpers.hostile import CHARACTERS
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 
@@ -114,7 +115,7 @@ def bend_report():
 
 
 def texts():
-    return st.one_of(st.sampled_from(HOSTILE), st.text(max_size=20))
+    return st.one_of(st.sampled_from(HOSTILE), st.text(CHARACTERS, max_size=20))
 
 
 def values_of(kind, leaves=None):

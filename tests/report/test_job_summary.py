@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.report.job_summary import MAX_LISTED, code, markdown, plain
 from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
+from tests.helpers.hostile import CHARACTERS
 
 
 def finding(id_="a", status="new", **changes):
@@ -142,7 +143,7 @@ def test_code_is_fenced_by_more_backticks_than_it_has(text, expected):
     assert code(text) == expected
 
 
-@given(st.text(max_size=400))
+@given(st.text(CHARACTERS, max_size=400))
 def test_no_text_ends_its_line_or_opens_a_tag(text):
     for shown in (plain(text), code(text)):
         assert len(shown.splitlines()) <= 1

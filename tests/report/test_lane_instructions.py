@@ -39,6 +39,7 @@ def test_the_table_says_where_to_in_words(view):
     assert "<td>keep lane</td><td>8.0</td><td>not reached</td>" in table
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
 def test_the_page_tells_lanes_and_draws_no_line_to_a_cell(view, tmp_path):
     path = tmp_path / "report.html"

@@ -20,9 +20,10 @@ from pytest_pafot.report.session_record import (
     worst,
 )
 from tests.findings.builders import findings, plain_finding
+from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
 
-TEXTS = st.text(max_size=20)
+TEXTS = st.text(CHARACTERS, max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
 SUMMARIES = st.builds(
     SearchSummary,

@@ -23,8 +23,9 @@ from pytest_pafot.searching.health import CELLS, STEPS, Coverage, Health, speed_
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
+from tests.helpers.hostile import CHARACTERS
 
-texts, counts = st.text(max_size=8), st.integers(0, 2**40)
+texts, counts = st.text(CHARACTERS, max_size=8), st.integers(0, 2**40)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
