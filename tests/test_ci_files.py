@@ -5,6 +5,7 @@ import re
 import pytest
 
 from tests.helpers.actions import EXPRESSION, OWN, ROOT, SCRIPT, WORKFLOWS, action, loaded, steps_of
+from tests.helpers.tables import table
 
 COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
 """That ``test_ci_script.py`` runs."""
@@ -82,7 +83,7 @@ def test_a_workflow_has_no_commands_of_its_own_and_gives_the_action_what_it_take
     assert all(given["task"] in TASKS for given in own)
 
 
-@pytest.mark.parametrize("name", WORKFLOWS)
+@table("name", WORKFLOWS)
 def test_a_job_has_an_end_and_no_more_rights_than_its_branch_needs(name):
     workflow = loaded(WORKFLOWS[name])
     for job in workflow["jobs"].values():
@@ -93,7 +94,7 @@ def test_a_job_has_an_end_and_no_more_rights_than_its_branch_needs(name):
         assert set(job.get("needs", "").split()) <= workflow["jobs"].keys()
 
 
-@pytest.mark.parametrize("name", WORKFLOWS)
+@table("name", WORKFLOWS)
 def test_a_job_that_looks_at_other_commits_has_them(name):
     for job in loaded(WORKFLOWS[name])["jobs"].values():
         first, *others = job["steps"]

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pytest_pafot
+from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -94,7 +95,7 @@ def test_ci_and_nox_run_every_stage_that_the_readme_command_leaves_out():
     assert f'STAGES = "{stages}"' in NOX
 
 
-@pytest.mark.parametrize("command", ["ruff check", "ruff format", "mypy"])
+@table("command", ["ruff check", "ruff format", "mypy"])
 def test_the_same_linters_run_by_hand_before_a_commit_in_nox_and_in_ci(command):
     words = command.split()
     assert any(each[: len(words)] == words for each in commands())

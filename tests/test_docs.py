@@ -49,6 +49,7 @@ from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
 from tests.helpers.sessions import in_process
+from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
@@ -303,7 +304,7 @@ def test_a_sample_ends_where_what_is_printed_does():
         check_output(block, PRINTED + "and more\n")
 
 
-@pytest.mark.parametrize(
+@table(
     ("rest", "code", "holds"),
     [
         ("...\n2 passed in 0.1s\n", 0, True),

@@ -13,6 +13,7 @@ from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.drives import HZ, bent
 from tests.helpers.situations import FAR, LEFT, OWN, RIGHT, SITUATIONS, at_ramp, driven, hit, in_bend
+from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, straight_lanes, trace_of, vehicle
 
 FARTHER = 500.0
@@ -51,7 +52,7 @@ def is_property(name, each):
 # No fault.
 
 
-@pytest.mark.parametrize("situation", COLLISIONS[::9], ids=lambda each: each.name)
+@table("situation", COLLISIONS[::9])
 def test_a_collision_breaks_it_where_the_ego_answers_for_it(situation):
     run = pafot.Run(situation.trace())
     if situation.responsibility == "npc":
@@ -68,8 +69,8 @@ def test_without_a_collision_nobody_is_at_fault_and_there_is_no_margin():
 # The distance of RSS.
 
 
-@pytest.mark.parametrize(("speed", "leader", "safe"), [(20.0, 20.0, 85 / 3), (20.0, 10.0, 565 / 12), (0.0, 8.0, 0.0)])
-@pytest.mark.parametrize("beyond", [-0.5, 0.5])
+@table(("speed", "leader", "safe"), [(20.0, 20.0, 85 / 3), (20.0, 10.0, 565 / 12), (0.0, 8.0, 0.0)])
+@table("beyond", [-0.5, 0.5])
 def test_behind_another_it_is_the_gap_less_one_second_of_driving_and_the_difference_of_the_stopping_ways(
     speed, leader, safe, beyond
 ):
@@ -124,7 +125,7 @@ def test_every_collision_is_below_it_when_it_happens():
 # Comfort.
 
 
-@pytest.mark.parametrize(("seconds", "mean"), [(1.0, 2.0), (1.6, 3.2), (2.0, 4.0), (3.0, 4.0)])
+@table(("seconds", "mean"), [(1.0, 2.0), (1.6, 3.2), (2.0, 4.0), (3.0, 4.0)])
 def test_braking_is_the_mean_of_two_seconds(seconds, mean):
     trace = trace_of(driven(0.0, brakes=[(5.0, 4.0, 20.0 - 4.0 * seconds)]), driven(FARTHER))
     made = only(properties.comfort, trace, jerk=None)
@@ -133,7 +134,7 @@ def test_braking_is_the_mean_of_two_seconds(seconds, mean):
     assert made.holds == (mean <= 3.5)
 
 
-@pytest.mark.parametrize(("step", "holds"), [(-2.4, True), (-2.5, True), (-2.6, False), (2.6, False)])
+@table(("step", "holds"), [(-2.4, True), (-2.5, True), (-2.6, False), (2.6, False)])
 def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
     ego = driven(0.0)
     ego[60:90, ACCELERATION] = step
@@ -152,10 +153,8 @@ def test_a_jerk_that_is_over_at_once_does_not_count_in_full():
 # The road.
 
 
-@pytest.mark.parametrize("heading", [0.0, 0.7])
-@pytest.mark.parametrize(
-    ("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)]
-)
+@table("heading", [0.0, 0.7])
+@table(("y", "to_edge"), [(4.0, 6.0), (0.0, 2.0), (-1.9, 0.1), (-2.5, -0.5), (13.0, 1.0), (15.0, -1.0)])
 def test_it_is_the_way_of_the_centre_to_the_nearer_edge(y, to_edge, heading):
     x, across = -y * np.sin(heading), y * np.cos(heading)
     ego = vehicle(x, across, heading=heading, speed=20.0, lane=1)
@@ -214,7 +213,7 @@ def test_another_speed_than_the_limit_may_be_asked_for_at_each_tick():
 # Lane changes.
 
 
-@pytest.mark.parametrize(
+@table(
     ("npc", "side", "seconds"),
     [
         (driven(60.0), "ahead", 55.0 / 20),
@@ -253,9 +252,7 @@ def braked(deceleration, seconds, *npcs):
     return trace_of(driven(0.0, brakes=[(5.0, deceleration, 20.0 - deceleration * seconds)]), *npcs)
 
 
-@pytest.mark.parametrize(
-    ("deceleration", "seconds", "value"), [(6.0, 1.0, 6.0), (4.9, 2.0, 4.9), (7.5, 0.4, 7.5), (8.0, 0.2, 0.0)]
-)
+@table(("deceleration", "seconds", "value"), [(6.0, 1.0, 6.0), (4.9, 2.0, 4.9), (7.5, 0.4, 7.5), (8.0, 0.2, 0.0)])
 def test_it_is_the_deceleration_that_lasts_with_nothing_in_the_way(deceleration, seconds, value):
     made = only(properties.brakes_for_a_reason, braked(deceleration, seconds, driven(FARTHER)))
     assert made.value == pytest.approx(value)
@@ -329,7 +326,7 @@ def test_whoever_brakes_for_it_has_the_least_gap_until_it_is_no_faster_as_its_ma
     assert made.time == pytest.approx((slow - 1) / HZ)
 
 
-@pytest.mark.parametrize(
+@table(
     ("why", "vehicles"),
     [
         ("too near", cut_in(LEAST - 1.0)),
@@ -401,7 +398,7 @@ ODD = {
 }
 
 
-@pytest.mark.parametrize("odd", ODD)
+@table("odd", ODD)
 def test_odd_runs_are_judged_without_an_error(odd):
     trace = ODD[odd]()
     for name in properties.__all__:
@@ -431,13 +428,13 @@ def test_keeping_up_with_traffic_that_stands_asks_for_nothing():
     assert only(properties.keeps_up, trace, speed=10.0).value == 0.0
 
 
-@pytest.mark.parametrize("speed", [[1.0, 2.0], -1.0, np.nan, np.inf, "2", True])
+@table("speed", [[1.0, 2.0], -1.0, np.nan, np.inf, "2", True])
 def test_keeping_up_with_what_is_no_speed_is_refused(speed):
     with pytest.raises(ValueError, match=r"expected a finite speed of at least 0 as a number or one a tick, received"):
         properties.keeps_up(pafot.Run(trace_of(driven(0.0), driven(-FARTHER))), speed=speed)
 
 
-@pytest.mark.parametrize(
+@table(
     ("holds", "argument"),
     [
         (properties.comfort, "jerk"),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pytest_pafot import strategies
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
+from tests.helpers.tables import table
 
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # which parts matter is nobody's question
 
@@ -75,7 +76,7 @@ def test_one_npc_may_follow_another_round_the_ring_in_either_direction():
         assert find(pairs, follows(step), settings=many, random=random.Random(seed))
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "message"),
     [
         ({"cells": []}, "at least one cell"),

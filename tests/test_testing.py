@@ -10,6 +10,7 @@ from pytest_pafot import Highway, NpcLimits, Outcome, PositionInstruction, Scena
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, X
 from pytest_pafot.testing import check_world
 from tests.helpers.stopped_clock import StoppedClock
+from tests.helpers.tables import table
 
 SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
 ROAD = Highway(duration=4.0, hang_limit=0.3)
@@ -199,13 +200,13 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("broken", "promise"), BROKEN, ids=[broken.__name__ for broken, _ in BROKEN])
+@table(("broken", "promise"), BROKEN)
 def test_a_world_that_breaks_a_promise_is_refused_with_the_promise(broken, promise):
     with pytest.raises(AssertionError, match=f"^expected that {promise}"):
         check_world(broken(), runs=3, **SHORT)
 
 
-@pytest.mark.parametrize("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
+@table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
 def test_a_world_without_what_a_search_needs_is_refused(name):
     parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
     with pytest.raises(AssertionError, match=f"^expected that a world has what a search needs, received no {name}$"):

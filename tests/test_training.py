@@ -16,6 +16,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioE
 from pytest_pafot.support.errors import BadAction, CorpusError
 from tests.findings.builders import plain_finding
 from tests.helpers.stages import oracle
+from tests.helpers.tables import table
 
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 12, "duration": 10}, duration=15)
 BRAKING = Scenario(npcs=[[PositionInstruction(2, 5.0)]])
@@ -151,7 +152,7 @@ def test_environments_of_one_world_do_not_disturb_each_other():
 NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "error", "message"),
     [
         ({"world": pafot.Highway()}, pafot.WorldError, "whose reward there is to learn from"),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.avoidance import ALIKE, HORIZON, Braking, Emergency, Pursuit
 from tests.helpers.polygons import corners, polygon_distance
+from tests.helpers.tables import table
 
 HZ = 15
 SIZE = (5.0, 2.0)
@@ -45,7 +46,7 @@ def stopping_gap(speed, response):
     return speed * response.delay + speed**2 / (2 * response.deceleration)
 
 
-@pytest.mark.parametrize("speed", [5.0, 15.0, 25.0])
+@table("speed", [5.0, 15.0, 25.0])
 def test_standing_leaders_are_avoided_from_the_stopping_distance_on(speed):
     needed = stopping_gap(speed, CALM)
     assert is_avoided(pursuit(needed, speed, 0.0), 0, CALM)

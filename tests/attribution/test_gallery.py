@@ -7,12 +7,13 @@ import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from tests.helpers.situations import SITUATIONS
+from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[2]
 ALL = [situation for group in SITUATIONS.values() for situation in group]
 
 
-@pytest.mark.parametrize("situation", ALL, ids=lambda each: each.name)
+@table("situation", ALL)
 def test_the_verdict_is_the_one_that_an_expert_expects(situation):
     found = rss_rule(situation.trace())
     assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.reason

@@ -11,6 +11,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, STEERING, Outcome, X
 from pytest_pafot.world import Highway
 from pytest_pafot.world.reference_drivers import HARD_BRAKING
+from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
 
 
@@ -80,11 +81,7 @@ def test_a_run_in_which_two_npcs_touch_tells_nothing():
     assert scanned(trace, chances={27}, survived=replace(trace, outcome=Outcome.INVALID, collision=None))[0] is None
 
 
-@pytest.mark.parametrize(
-    ("trace", "fault"),
-    [(crash(), None), (crash(), "entered-lane"), (crash(outcome=Outcome.SAFE), None)],
-    ids=["the other's fault", "entered a lane", "no collision"],
-)
+@table(("trace", "fault"), [(crash(), None), (crash(), "entered-lane"), (crash(outcome=Outcome.SAFE), None)])
 def test_where_it_would_say_nothing_nothing_is_simulated(trace, fault):
     assert scanned(trace, chances={27}, fault=fault) == (None, [])
 

@@ -1,13 +1,13 @@
 """What a vehicle did before an event: it changed lanes, or it did not."""
 
 import numpy as np
-import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.attribution.mistakes import manoeuvre_before
 from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
+from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -21,16 +21,14 @@ def sideways(displacement, *, until, ticks=150):
     return states
 
 
-@pytest.mark.parametrize(("until", "expected"), [(150, "lane-change"), (100, "lane-change"), (80, "lane-keeping")])
+@table(("until", "expected"), [(150, "lane-change"), (100, "lane-change"), (80, "lane-keeping")])
 def test_a_lane_change_counts_while_it_is_less_than_four_seconds_ago(until, expected):
     trace = trace_of(STILL, sideways(4.0, until=until))
     assert manoeuvre_before(trace, 1, 150) == expected
     assert manoeuvre_before(trace, 0, 150) == "lane-keeping"
 
 
-@pytest.mark.parametrize(
-    ("displacement", "expected"), [(0.9, "lane-keeping"), (-0.9, "lane-keeping"), (1.1, "lane-change")]
-)
+@table(("displacement", "expected"), [(0.9, "lane-keeping"), (-0.9, "lane-keeping"), (1.1, "lane-change")])
 def test_swaying_inside_the_lane_is_no_lane_change(displacement, expected):
     assert manoeuvre_before(trace_of(STILL, sideways(displacement, until=150)), 1, 150) == expected
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 from itertools import chain
 from typing import get_args
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from pytest_pafot.attribution.mistakes import BY_FAULT, CLOSE_AHEAD, mistake
 from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
 from pytest_pafot.model.trace import Outcome, X
 from tests.helpers.situations import LEFT, OWN, SITUATIONS, driven, hit
+from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, trace_of, vehicle
 
 TRACES = {each.name: each.trace for each in chain(*SITUATIONS.values())}
@@ -34,7 +34,7 @@ def made(trace):
     return mistake(trace, rss_rule(trace))
 
 
-@pytest.mark.parametrize("name", MADE)
+@table("name", MADE)
 def test_each_situation_shows_its_mistake(name):
     assert made(TRACES[name]()) == MADE[name]
 
@@ -51,7 +51,7 @@ def test_every_fault_but_an_entered_lane_tells_the_mistake():
     assert {*BY_FAULT, "entered-lane"} == set(get_args(Fault))
 
 
-@pytest.mark.parametrize(
+@table(
     ("gap", "expected"),
     [
         (CLOSE_AHEAD + 0.1, "kept-no-distance"),
@@ -77,7 +77,7 @@ def test_where_on_the_road_it_happens_does_not_matter(name, shift):
     assert made(trace) == MADE[name]
 
 
-@pytest.mark.parametrize("along", [-30.0, -15.0, 1.0, 40.0])
+@table("along", [-30.0, -15.0, 1.0, 40.0])
 def test_left_and_right_are_alike(along):
     """The ego comes from either side into the lane of another, as far away and as fast."""
     speed = 20.0 - along / 5

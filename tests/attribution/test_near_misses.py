@@ -18,6 +18,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.drives import crash, driven
 from tests.helpers.stages import oracle
+from tests.helpers.tables import table
 from tests.helpers.traces import random_states, trace_of
 
 LEFT, OWN, RIGHT = 0.0, 4.0, 8.0
@@ -45,7 +46,7 @@ def mistakes(trace):
     return [near_miss.mistake for near_miss in near_misses(trace)]
 
 
-@pytest.mark.parametrize("fault", ["leader-unanswered", "cut-in-unanswered", "entered-lane"])
+@table("fault", ["leader-unanswered", "cut-in-unanswered", "entered-lane"])
 def test_what_almost_was_a_collision_of_the_ego_is_a_near_miss_of_the_same_mistake(fault):
     trace = COLLISIONS[fault]()
     assert rss_rule(trace).fault == fault
@@ -56,7 +57,7 @@ def test_what_almost_was_a_collision_of_an_npc_is_none():
     assert mistakes(before(COLLISIONS["npc"]())) == []
 
 
-@pytest.mark.parametrize("name", COLLISIONS)
+@table("name", COLLISIONS)
 def test_the_danger_that_ended_in_the_impact_is_none(name):
     assert near_misses(COLLISIONS[name]()) == ()
 
@@ -98,7 +99,7 @@ def test_any_run_has_at_most_one_of_each_mistake_within_its_time(seed, ticks, ve
         assert 0 < each.severity <= 1
 
 
-@pytest.mark.parametrize("to", [1.0, 1.5, OWN])
+@table("to", [1.0, 1.5, OWN])
 def test_a_cut_in_that_nobody_could_answer_is_none_whether_or_not_the_tracks_came_to_overlap(to):
     npc = driven(28.0, LEFT, speed=10.0, shifts=[(2.0, to, 0.6)])
     whole = crash(driven(0.0), driven(28.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 0.6)]))

@@ -11,6 +11,7 @@ from pytest_pafot.criticality import rss_longitudinal
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
 from tests.helpers.drives import HZ, crash, driven
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
 from tests.helpers.work import calls_in
 
@@ -112,7 +113,7 @@ class TestInOneLane:
         assume((npc[:, X] - ego[:, X] <= 5.0).any())
         assert rss_rule(crash(ego, npc)).responsibility == "npc"
 
-    @pytest.mark.parametrize("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
+    @table("speed", [1.0, 10.0, 22.0, 26.8, 36.0])
     def test_two_seconds_behind_a_leader_of_equal_speed_are_safe_at_any_speed(self, speed):
         trace = trace_of(vehicle(0.0, speed=speed, ticks=2), vehicle(2 * speed + 5.0, speed=speed, ticks=2))
         assert (rss_longitudinal(trace, DISTANCES) < 2 * speed).all()
@@ -294,7 +295,7 @@ def test_every_fact_is_told_in_words():
     assert not any({*text} & {*"{}"} for text in told)
 
 
-@pytest.mark.parametrize("angle", [0.7, np.pi / 2, np.pi])
+@table("angle", [0.7, np.pi / 2, np.pi])
 def test_the_direction_of_the_road_makes_no_difference(angle):
     trace = crash(driven(0.0), driven(8.0, LEFT, brakes=[(3.5, 8.0, 0.0)], shifts=[(2.0, OWN, 2.0)]))
     states = trace.states.copy()
@@ -328,16 +329,16 @@ class TestPositionRule:
             collision=collision_at(30, cell=cell, ego_speed=ego_speed),
         )
 
-    @pytest.mark.parametrize("cell", [Cell.FRONT_LEFT, Cell.FRONT, Cell.FRONT_RIGHT])
+    @table("cell", [Cell.FRONT_LEFT, Cell.FRONT, Cell.FRONT_RIGHT])
     def test_the_ego_is_responsible_for_hitting_what_is_ahead(self, cell):
         assert position_rule(self.crash(cell)) == "ego"
 
-    @pytest.mark.parametrize("cell", [Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR, Cell.REAR_LEFT, Cell.LEFT])
+    @table("cell", [Cell.RIGHT, Cell.REAR_RIGHT, Cell.REAR, Cell.REAR_LEFT, Cell.LEFT])
     def test_an_npc_beside_or_behind_is_responsible_itself(self, cell):
         assert position_rule(self.crash(cell)) == "npc"
 
-    @pytest.mark.parametrize("cell", list(Cell))
-    @pytest.mark.parametrize("speed", [0.0, 0.1])
+    @table("cell", list(Cell))
+    @table("speed", [0.0, 0.1])
     def test_a_standing_ego_is_never_responsible(self, cell, speed):
         assert position_rule(self.crash(cell, ego_speed=speed)) == "npc"
 

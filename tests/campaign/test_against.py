@@ -9,6 +9,7 @@ from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.helpers.tables import table
 
 SHORT = {"generations": 4, "genes": 2, "gene_seconds": 5, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
 ROAD = pafot.Highway(duration=10.0)
@@ -95,12 +96,12 @@ def test_a_reference_that_fails_when_it_runs_again_makes_the_find_flaky():
     assert [find.difference for find in summary.finds] == ["the reference failed when it ran again"]
 
 
-@pytest.mark.parametrize("kind", ["passed", "npc", "unpreventable"])
+@table("kind", ["passed", "npc", "unpreventable"])
 def test_a_reference_passes_where_a_test_by_the_same_blame_would(kind):
     assert Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind)).failed
 
 
-@pytest.mark.parametrize("kind", ["failed", "rejected", "skipped", "invalid"])
+@table("kind", ["failed", "rejected", "skipped", "invalid"])
 def test_where_it_fails_or_its_run_says_nothing_the_failure_is_common(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
     assert (verdict.kind, verdict.failed) == ("common", False)
@@ -122,7 +123,7 @@ def test_an_error_of_the_test_function_is_raised_though_it_is_common():
         pafot.explore(constant_speed.make, against=CAREFUL, holds=misspelt, **SHORT)
 
 
-@pytest.mark.parametrize(
+@table(
     ("against", "message"),
     [
         ("no_module:make", r"against: expected a module that can be imported, received 'no_module:make'"),

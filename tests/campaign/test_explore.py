@@ -19,6 +19,7 @@ from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
+from tests.helpers.tables import table
 
 SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
 
@@ -196,7 +197,7 @@ def test_of_an_ads_that_fails_no_file_tells_what_reference_drivers_do():
     assert finding.expect.reference_drivers == {}
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "message"),
     [
         ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),

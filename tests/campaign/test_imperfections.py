@@ -7,6 +7,7 @@ from pytest_pafot.campaign.simplification import needed_imperfections
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.sight import Sight
 from tests.helpers.perceiving import Careful, Debouncing, GhostFiltering, Oblivious
+from tests.helpers.tables import table
 
 ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5}, dropout=0.1, occlusion=True)
 
@@ -30,7 +31,7 @@ def test_a_single_imperfection_is_needed_where_perfect_sight_passes():
     assert needed(Sight(latency=0.3), ("latency",)) == (("latency",), 1)
 
 
-@pytest.mark.parametrize(
+@table(
     ("enough", "expected"),
     [
         ([("latency",)], ("latency",)),

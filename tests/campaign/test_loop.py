@@ -6,7 +6,6 @@ from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from pytest_pafot.campaign.search import search_seed
 from pytest_pafot.campaign.search_loop import SearchLoop
@@ -20,6 +19,7 @@ from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, run_campaign, sample
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
+from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
 
@@ -134,7 +134,7 @@ def test_a_failure_that_a_saved_scenario_covers_is_counted_as_known():
     assert found.known == {"saved": found.runs}
 
 
-@pytest.mark.parametrize("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
+@table("kind", ["passed", "rejected", "skipped", "npc", "common", "invalid"])
 def test_other_verdicts_are_counted_by_kind(kind):
     found, finds = searched(lambda number: Verdict(kind=kind))
     assert finds == []

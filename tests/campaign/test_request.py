@@ -9,6 +9,7 @@ from pytest_pafot.campaign.explore import _request
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import sample
+from tests.helpers.tables import table
 
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 
@@ -18,7 +19,7 @@ def space_of(world, **given):
     return build_space(_request({"ads": IDMVehicle, **given}), world)
 
 
-@pytest.mark.parametrize(
+@table(
     ("world", "given", "drawn"),
     [
         (Highway(), {}, (4, ANY_LANE, ANY_SPEED, True)),
@@ -35,7 +36,6 @@ def space_of(world, **given):
         (World("highway-v0", config={"lanes_count": 1}), {"npcs": 1, "ego_lane": 0}, (1, 0, 22.0, True)),
         (World("roundabout-v0"), {}, (2, 1, 8.0, False)),
     ],
-    ids=str,
 )
 def test_what_is_drawn_depends_on_the_world_the_algorithm_and_what_is_fixed(world, given, drawn):
     space = space_of(world, **given)

@@ -1,12 +1,11 @@
 """The verdict of the user's function on a run, and on reference drivers in the ego's place."""
 
-import pytest
-
 from pytest_pafot.campaign.verdict import judge, reference_outcomes
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.checks import Rejected
 from pytest_pafot.oracle.run import Run
 from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
+from tests.helpers.tables import table
 
 DRIVERS = {"far": closing(ticks=3), "near": closing(), "unlucky": rammed(), "blind": running_into()}
 
@@ -25,7 +24,7 @@ def judged(trace, test, blame, **drivers):
     return judge(Run(trace, world=world), test, blame=blame, test_file="").kind, world.asked
 
 
-@pytest.mark.parametrize("blame", ["any", "ego", "preventable"])
+@table("blame", ["any", "ego", "preventable"])
 def test_reference_drivers_are_judged_by_the_function_as_the_ego_is(blame):
     run = Run(closing(), world=Drivers(**DRIVERS, cut=closing(outcome=Outcome.INVALID)))
     told = dict(reference_outcomes(run, keeps_apart, blame=blame, test_file=""))

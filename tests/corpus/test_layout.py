@@ -21,6 +21,7 @@ from pytest_pafot.corpus.layout import (
     safe_name,
 )
 from tests.helpers.hostile import CHARACTERS
+from tests.helpers.tables import table
 
 RESERVED = {"con", "prn", "aux", "nul"} | {f"{port}{n}" for port in ("com", "lpt") for n in range(10)}
 
@@ -30,7 +31,7 @@ def test_a_corpus_lies_beside_the_file_of_its_test():
     assert folder == Path("tests/deep/pafot_corpus/test_safety/test_it@4-slow")
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "name"),
     [
         ("test_it", "test_it"),
@@ -55,7 +56,7 @@ def test_names_stay_readable(text, name):
     assert ("~" in safe_name(text)) == ("~" in name)
 
 
-@pytest.mark.parametrize(
+@table(
     ("one", "other"),
     [
         ("test_a", "Test_a"),
@@ -138,7 +139,7 @@ ROOT = Path("/projects/project")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@pytest.mark.parametrize(
+@table(
     ("corpus", "root"),
     [
         ("pafot_corpus", "/projects/project/tests/deep/pafot_corpus"),
@@ -160,7 +161,7 @@ def test_a_test_file_outside_of_the_rootdir_has_the_top_of_a_corpus_for_all():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@pytest.mark.parametrize(
+@table(
     ("file", "corpus"),
     [
         ("/projects/project/a.pafot.yaml", "pafot_corpus"),
@@ -174,7 +175,7 @@ def test_a_file_outside_of_any_corpus_belongs_to_no_test_file(file, corpus):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@pytest.mark.parametrize(
+@table(
     ("path", "corpus", "holds"),
     [
         ("/projects/tests/pafot_corpus", "pafot_corpus", True),

@@ -13,6 +13,7 @@ from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.support.errors import CorpusError
 from tests.helpers.mutations import MUTATIONS, UnclearError, misread, says
+from tests.helpers.tables import table
 
 GOLDEN = sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))
 TEXTS = [path.read_text(encoding="utf-8") for path in GOLDEN]
@@ -86,7 +87,7 @@ def test_the_judge_sees_a_difference(text, wrong):
     assert misread(damaged, finding) != []
 
 
-@pytest.mark.parametrize("value", ["010", "1_0", "yes", "1:30", "~", "1e3", "&a 1", "!!int 1", "{a: 1, a: 2}"])
+@table("value", ["010", "1_0", "yes", "1:30", "~", "1e3", "&a 1", "!!int 1", "{a: 1, a: 2}"])
 def test_the_judge_does_not_guess(value):
     with pytest.raises(UnclearError):
         says(f"a: {value}\n")

@@ -17,6 +17,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import WorldError
 from tests.findings.builders import plain_finding
+from tests.helpers.tables import table
 from tests.helpers.work import calls_in
 
 NAME = "front-2-1f3a9c.pafot.yaml"
@@ -64,8 +65,8 @@ def swapped(old, new):
     return TEXT.replace(old, new)
 
 
-@pytest.mark.parametrize("ends", ["\n", "\r\n"])
-@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@table("ends", ["\n", "\r\n"])
+@table("mark", ["", "\ufeff"])
 def test_line_ends_and_byte_order_marks_of_any_editor_are_accepted(path, ends, mark):
     path.write_bytes((mark + TEXT.replace("\n", ends)).encode())
     assert load(path) == plain_finding()
@@ -83,7 +84,7 @@ def test_the_name_of_the_file_is_the_id(path):
     assert load(renamed).id == "cut-in_at.night"
 
 
-@pytest.mark.parametrize("name", ["my case.pafot.yaml", "a[1].pafot.yaml", ".pafot.yaml", "-x.pafot.yaml", "a.yaml"])
+@table("name", ["my case.pafot.yaml", "a[1].pafot.yaml", ".pafot.yaml", "-x.pafot.yaml", "a.yaml"])
 def test_a_name_that_cannot_be_part_of_a_node_id_is_refused(path, name):
     error = fault(path.with_name(name), TEXT)
     assert (error.received, error.fix) == (name, "rename the file")
@@ -98,7 +99,7 @@ def test_an_error_says_where_what_and_the_way_out(path):
     )
 
 
-@pytest.mark.parametrize(
+@table(
     ("old", "new", "line", "field"),
     [
         ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
@@ -177,7 +178,7 @@ def test_each_broken_rule_is_one_error_at_its_line_and_field(path, old, new, lin
     assert (error.line, error.field) == (line, field)
 
 
-@pytest.mark.parametrize(
+@table(
     ("chance", "field"),
     [
         ("none", ""),
@@ -193,9 +194,7 @@ def test_a_last_chance_has_a_time_a_driver_and_two_actions(path, chance, field):
     assert (error.line, error.field) == (14, f"expect.last_chance{field}")
 
 
-@pytest.mark.parametrize(
-    "number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"]
-)
+@table("number", ["07", "+7", "0x7", "0o7", "0b111", "7_", "1:30", "7.", ".7e+1", "7e0", "7E+0", "\uff17"])
 def test_a_number_that_can_be_read_in_two_ways_is_refused(path, number):
     error = fault(path, swapped("seed: 7", f"seed: {number}"))
     assert error.line == 8
@@ -207,7 +206,7 @@ def test_a_word_that_can_be_read_in_two_ways_is_no_truth_value(path, word):
     assert fault(path, text).line == text[: text.index("is_minimal")].count("\n") + 1
 
 
-@pytest.mark.parametrize("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
+@table("day", ["2027-01-31", "'2027-01-31'", '"2027-01-31"'])
 def test_the_last_day_of_xfail_is_read_with_quotes_and_without(path, day):
     path.write_text(swapped('# xfail: "reason"', f"xfail: {{reason: issue 12, until: {day}}}"))
     finding = load(path)
@@ -248,7 +247,7 @@ def test_a_newer_version_is_refused_before_anything_else_is_judged(path):
     assert "install the pytest-pafot that wrote it" in error.fix
 
 
-@pytest.mark.parametrize(
+@table(
     ("content", "line", "expected"),
     [
         (b"", None, "a saved scenario"),
@@ -280,7 +279,7 @@ def test_what_is_no_plain_document_is_refused(path, content, line, expected):
         assert error.line == line
 
 
-@pytest.mark.parametrize(
+@table(
     ("value", "expected"),
     [
         ("&a 1", "plain values"),
@@ -314,7 +313,7 @@ def test_nesting_without_end_is_refused(path, opening):
     assert errors[0].expected in ("at most 20 levels of nesting", "valid YAML", "keys of text")
 
 
-@pytest.mark.parametrize("levels", range(14, 20))
+@table("levels", range(14, 20))
 def test_a_world_is_read_or_refused_at_its_line_however_deep_it_is(path, levels):
     text = text_of(plain_finding(world={"kind": "own", "data": "x"})).replace(
         "data: x", f"data: {'[' * levels}{']' * levels}"
@@ -394,7 +393,7 @@ SECRETS = {
 }
 
 
-@pytest.mark.parametrize("secret", SECRETS.values(), ids=list(SECRETS))
+@table("secret", SECRETS.values())
 def test_nothing_of_a_file_that_is_no_saved_scenario_is_shown(path, secret):
     error = fault(path, secret)
     text = str(error).replace(str(path), "")
@@ -552,7 +551,7 @@ def test_a_fault_in_what_came_after_the_find_is_one_error_at_its_field(path, old
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 
 
-@pytest.mark.parametrize(
+@table(
     ("part", "error", "line", "field", "told"),
     [
         ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 9, "scenario.ego.speed",

@@ -11,6 +11,7 @@ from pytest_pafot import criticality
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from tests.helpers.polygons import corners, distance_after, polygon_distance
+from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 ARRAYS = [
@@ -158,7 +159,7 @@ class TestEttc:
             expected = ways[0] / abs(ego[0, SPEED]) if (ways > 0).all() else math.inf
         assert_same(of_one_npc(criticality.ettc, ego, npc), expected)
 
-    @pytest.mark.parametrize(("heading", "other"), [(0.3, 1.2), (0.2, -0.7), (-0.4, 0.9), (1.4, 0.1), (2.5, 1.0)])
+    @table(("heading", "other"), [(0.3, 1.2), (0.2, -0.7), (-0.4, 0.9), (1.4, 0.1), (2.5, 1.0)])
     def test_is_the_paper_s_formula_where_that_is_defined(self, heading, other):
         crossing = np.array([7.0, -2.0])
         x1, y1 = crossing - 30 * np.array([math.cos(heading), math.sin(heading)])
@@ -278,7 +279,7 @@ class TestRequiredDeceleration:
             criticality.required_deceleration, vehicle(25, speed=10), vehicle(0, speed=20)
         ) == pytest.approx(2.5)
 
-    @pytest.mark.parametrize("npc", [vehicle(25, speed=20), vehicle(25, speed=30), vehicle(25, 4, speed=10)])
+    @table("npc", [vehicle(25, speed=20), vehicle(25, speed=30), vehicle(25, 4, speed=10)])
     def test_is_zero_when_nothing_closes_in_the_same_lane(self, npc):
         assert of_one_npc(criticality.required_deceleration, vehicle(0, speed=20), npc) == 0
 
@@ -315,7 +316,7 @@ class TestRss:
         ego, leader = vehicle(0, speed=20), vehicle(80, speed=15)
         assert of_one_npc(criticality.rss_longitudinal, ego, leader) == pytest.approx(76.71875)
 
-    @pytest.mark.parametrize(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
+    @table(("follower", "leader"), [(20, 15), (26.8, 0), (5, 8), (0, 0)])
     def test_longitudinal_distance_is_what_the_worst_case_uses_up(self, follower, leader):
         expected = stopping_way(follower, 0.5, 3, 4) - stopping_way(leader, 0, 0, 9)
         trace = trace_of(vehicle(0, speed=follower), vehicle(99, speed=leader))
@@ -361,7 +362,7 @@ class TestRss:
         assert of_one_npc(criticality.longitudinal_gap, vehicle(0), vehicle(3, 4)) == 0
         assert of_one_npc(criticality.lateral_gap, vehicle(0), vehicle(30, 1)) == 0
 
-    @pytest.mark.parametrize("field", ["least_braking", "hardest_braking", "lateral_braking"])
+    @table("field", ["least_braking", "hardest_braking", "lateral_braking"])
     def test_rules_refuse_brakes_that_never_stop_a_car(self, field):
         with pytest.raises(ValueError, match=f"{field}: expected a finite number, more than 0, received 0"):
             RssRules(**{field: 0})
@@ -455,7 +456,7 @@ class TestEveryArray:
         trace = random_trace(0, rows=12, vehicles=4)
         assert {measure(trace).shape for measure in ARRAYS} == {(12, 3)}
 
-    @pytest.mark.parametrize("measure", ARRAYS, ids=lambda measure: measure.__name__)
+    @table("measure", ARRAYS)
     def test_never_hides_a_nan(self, measure):
         states = random_trace(0, rows=1).states.copy()
         states[..., LANE] = 1

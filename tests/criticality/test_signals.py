@@ -15,6 +15,7 @@ from pytest_pafot.criticality.signals import MEASURES, EgoSignals, Measure, NpcS
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
+from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
 
 SPEED_OF_ALL = Signal([1.0, 2.0, 4.0], hz=10, start=5, name="ego.speed", unit="m/s")
@@ -46,7 +47,7 @@ class TestSignal:
         with pytest.raises(ValueError, match="read-only"):
             signal[0] = 3.0
 
-    @pytest.mark.parametrize(
+    @table(
         "changed",
         [
             SPEED_OF_ALL * 3.6,
@@ -64,7 +65,7 @@ class TestSignal:
         assert isinstance(changed, Signal)
         assert described(changed) == (10, 5, "", "")
 
-    @pytest.mark.parametrize("changed", [-SPEED_OF_ALL, abs(SPEED_OF_ALL), np.fabs(SPEED_OF_ALL)])
+    @table("changed", [-SPEED_OF_ALL, abs(SPEED_OF_ALL), np.fabs(SPEED_OF_ALL)])
     def test_a_size_or_a_sign_leaves_the_unit(self, changed):
         assert described(changed) == (10, 5, "", "m/s")
 
@@ -73,7 +74,7 @@ class TestSignal:
         assert described(SPEED_OF_ALL[-1:]) == (10, 7, "ego.speed", "m/s")
         assert described(np.diff(SPEED_OF_ALL)) == (10, 6, "", "")
 
-    @pytest.mark.parametrize("key", [slice(None, None, 2), slice(None, None, -1), [0, 2], SPEED_OF_ALL > 1.0])
+    @table("key", [slice(None, None, 2), slice(None, None, -1), [0, 2], SPEED_OF_ALL > 1.0])
     def test_any_other_selection_is_over_no_known_ticks(self, key):
         assert described(SPEED_OF_ALL[key])[:2] == (None, 0)
 
@@ -88,7 +89,7 @@ class TestSignal:
         speed *= 3.6
         assert described(speed) == (10, 5, "", "")
 
-    @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+    @table("again", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
     def test_a_copy_is_the_same_signal(self, again):
         there = again(SPEED_OF_ALL)
         assert there.tolist() == SPEED_OF_ALL.tolist()
@@ -267,7 +268,7 @@ def test_every_measure_is_a_number_a_tick_of_a_run_that_collides_too():
         assert pickle.loads(pickle.dumps(measure)).values(run.trace).tolist() == measure.values(run.trace).tolist()
 
 
-@pytest.mark.parametrize("reordered", [np.flip(SPEED_OF_ALL), np.sort(SPEED_OF_ALL), np.roll(SPEED_OF_ALL, 1)])
+@table("reordered", [np.flip(SPEED_OF_ALL), np.sort(SPEED_OF_ALL), np.roll(SPEED_OF_ALL, 1)])
 def test_what_leaves_no_value_at_its_tick_is_no_signal(reordered):
     assert not isinstance(reordered, Signal)
 

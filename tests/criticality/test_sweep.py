@@ -18,6 +18,7 @@ from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, X, Y
 from pytest_pafot.searching import SearchSpace, interaction, sample
 from pytest_pafot.searching.evaluation import FAR_BEHIND, INTERACTION_GAP, INTERACTION_HEADWAY, interacted, outran
+from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 EXTREMES = ("min_ttc", "min_gap", "max_safety_shortfall")
@@ -182,8 +183,8 @@ class TestInteraction:
         assert kept(module, trace) == (interacted(trace), outran(trace)) == (False, False)
 
 
-@pytest.mark.parametrize("sizes", [(1, 2), (2, 3), (2,)])
-@pytest.mark.parametrize("make", [sweep.Sweep, interaction.InteractionSweep])
+@table("sizes", [(1, 2), (2, 3), (2,)])
+@table("make", [sweep.Sweep, interaction.InteractionSweep])
 def test_arrays_that_do_not_belong_together_are_refused(make, sizes):
     rest = ((1.0, 0.0), 3.0) if make is sweep.Sweep else (1.5, 2.0, 100.0)
     with pytest.raises(ValueError, match="expected the shapes"):

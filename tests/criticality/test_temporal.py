@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.criticality.temporal import Margin
+from tests.helpers.tables import table
 from tests.helpers.traces import random_states, trace_of
 
 HZ = 4
@@ -159,7 +160,7 @@ class TestWindow:
         assert pafot.always(margin, within=(1e9, 2e9)).tolist() == [math.inf] * 3
         assert pafot.eventually(margin, within=(1.5, 2)).tolist() == [-math.inf] * 3
 
-    @pytest.mark.parametrize("within", [(1, 0), (-1, 2), 5, (math.nan, 1), (math.inf, math.inf)])
+    @table("within", [(1, 0), (-1, 2), 5, (math.nan, 1), (math.inf, math.inf)])
     def test_what_is_no_window_is_refused(self, within):
         with pytest.raises(ValueError, match=r"expected seconds \(from, to\) with 0 <= from <= to, received"):
             pafot.always(pafot.above(SPEED, 2.0), within=within)
@@ -176,14 +177,14 @@ class TestWindow:
 
 
 class TestMistakes:
-    @pytest.mark.parametrize("wrong", [SPEED > 2.0, SPEED, 1.0])
+    @table("wrong", [SPEED > 2.0, SPEED, 1.0])
     def test_a_comparison_of_arrays_is_no_margin(self, wrong):
         margin = pafot.above(SPEED, 2.0)
         for use in (pafot.always, lambda each: margin & each, lambda each: pafot.until(margin, each)):
             with pytest.raises(TypeError, match="does not say by how much it holds"):
                 use(wrong)
 
-    @pytest.mark.parametrize("other", [np.diff(SPEED), pafot.Signal(SPEED, hz=3, start=4), pafot.Signal(SPEED, hz=2)])
+    @table("other", [np.diff(SPEED), pafot.Signal(SPEED, hz=3, start=4), pafot.Signal(SPEED, hz=2)])
     def test_margins_over_different_ticks_do_not_go_together(self, other):
         with pytest.raises(ValueError, match="expected margins over the same ticks, received 3 from tick 4 on at 2"):
             pafot.above(SPEED, 2.0) & pafot.above(other, 0.0)
@@ -221,9 +222,7 @@ FORMULA = pafot.eventually(pafot.above(pafot.Signal([1.0, 2.0, 5.0, 3.0, 4.0], h
 
 
 class TestDeciders:
-    @pytest.mark.parametrize(
-        "same", [-FORMULA, 2 * FORMULA, FORMULA / 10, abs(FORMULA), np.minimum(FORMULA, 4.0), FORMULA[:], ~~FORMULA]
-    )
+    @table("same", [-FORMULA, 2 * FORMULA, FORMULA / 10, abs(FORMULA), np.minimum(FORMULA, 4.0), FORMULA[:], ~~FORMULA])
     def test_what_is_made_of_a_formula_and_numbers_is_decided_by_the_same_ticks(self, same):
         assert FORMULA.deciders.tolist() == same.deciders.tolist() == [2, 2, 2, 4, 4]
 
@@ -231,7 +230,7 @@ class TestDeciders:
         assert FORMULA[1:4].deciders.tolist() == [1, 1, 3]
         assert FORMULA[1:][1:].deciders.tolist() == [0, 2, 2]
 
-    @pytest.mark.parametrize(
+    @table(
         "other",
         [
             FORMULA + FORMULA,

@@ -7,6 +7,7 @@ import pytest
 from example_ads import blind_lane_change
 from example_ads.blind_lane_change import SECONDS_PER_LANE
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from tests.helpers.tables import table
 
 
 def vehicle(*, x=100.0, lane=1, speed=22.0, y=None):
@@ -62,7 +63,7 @@ def test_at_the_edge_of_the_road_it_turns_round():
     assert lanes == [1, 2, 3, 2, 1, 0]
 
 
-@pytest.mark.parametrize("lanes", [3, 4, 5, 6])
+@table("lanes", [3, 4, 5, 6])
 def test_it_settles_in_the_middle_of_each_lane_and_never_leaves_the_road(lanes):
     track = drive(60, lanes=lanes)
     assert all(-1.0 < y < (lanes - 1) * 4.0 + 1.0 for y, _ in track)
@@ -76,7 +77,7 @@ def test_alone_it_reaches_the_speed_limit_and_keeps_to_it():
     assert max(speeds) <= 26.81
 
 
-@pytest.mark.parametrize(("gap", "speed"), [(15.0, 10.0), (40.0, 5.0), (60.0, 0.0)])
+@table(("gap", "speed"), [(15.0, 10.0), (40.0, 5.0), (60.0, 0.0)])
 def test_it_brakes_for_a_slower_vehicle_ahead_in_its_lane(gap, speed):
     leader = vehicle(x=105.0 + gap, speed=speed)
     assert -8.0 <= blind_lane_change.make()(view(leader))[0] < -1.0

@@ -1,12 +1,11 @@
 """The constant-speed policy does nothing, whatever it sees."""
 
-import pytest
-
 from example_ads import constant_speed
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from tests.helpers.tables import table
 
 
-@pytest.mark.parametrize("gap", [0.5, 20.0, 200.0])
+@table("gap", [0.5, 20.0, 200.0])
 def test_it_neither_accelerates_nor_steers_whatever_is_ahead(gap):
     ego = VehicleState(x=100.0, y=4.0, heading=0.0, speed=22.0, lane=1, length=5.0, width=2.0)
     parked = ego._replace(x=ego.x + 5.0 + gap, speed=0.0)

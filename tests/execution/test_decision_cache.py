@@ -14,6 +14,7 @@ from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world import WorldError
+from tests.helpers.tables import table
 
 PI = PositionInstruction
 WORLDS = {engine: Highway(duration=30.0, engine=engine) for engine in ("kernel", "highway-env")}
@@ -129,8 +130,8 @@ def changed(npc, gene, *instead):
     return replace(PARENT, npcs=tuple(chains))
 
 
-@pytest.mark.parametrize(("gene", "other"), [(1, PI(1, 24.1)), (2, PI(2, 20.1)), (2, PI(1, 20.0))])
-@pytest.mark.parametrize("npc", [0, 1])
+@table(("gene", "other"), [(1, PI(1, 24.1)), (2, PI(2, 20.1)), (2, PI(1, 20.0))])
+@table("npc", [0, 1])
 def test_decisions_are_shared_up_to_the_first_gene_that_differs_and_at_its_first_tick(npc, gene, other):
     instead = other if npc == 0 else PI({1: 7, 2: 6}[int(other.cell)], other.speed)
     assert shared_decisions(changed(npc, gene, instead)) == EVERY_GENE * gene + 1

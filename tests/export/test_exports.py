@@ -14,6 +14,7 @@ import pytest
 
 from pytest_pafot.export.exporter import centre_line, exporter
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
+from tests.helpers.tables import table
 
 # What CommonRoad's library imports is older than the rules that it is told about.
 pytestmark = pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")
@@ -188,7 +189,7 @@ def test_of_a_lane_that_is_driven_for_several_laps_one_is_told():
     assert distance(np.array(circle(2.5)) * (1, -1), np.concatenate([line, line[:1]])) < 0.02
 
 
-@pytest.mark.parametrize(
+@table(
     "points",
     [circle(0.99), ((0.0, 0.0), (9.0, 0.0)), ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (5.0, 9.0), (0.0, 1.0), (0.0, -9.0))],
 )

@@ -12,6 +12,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import Run
 from tests.findings.builders import plain_finding
+from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 
 FOUND = Found(seed=1, generation=0, algorithm="pafot", versions={"numpy": "2.4.6"})
@@ -62,7 +63,7 @@ def test_the_message_is_kept_where_no_assertion_says_it():
     assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "kept"),
     [
         ("<Car object at 0x7f12ab34cd56>", "<Car object at ADDRESS>"),
@@ -122,7 +123,7 @@ def test_an_ads_that_decides_too_slowly_fails_where_there_is_a_limit():
     assert failure == Failure(kind="SlowDecision", message="a decision took 0.250 s, allowed are 0.1 s")
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])
+@table("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])
 def test_an_id_must_fit_into_file_names_and_node_ids(name):
     with pytest.raises(ValueError, match="id: expected"):
         plain_finding(id=name)
@@ -144,7 +145,7 @@ def test_a_failure_is_accepted_up_to_its_last_day_and_not_without_a_reason():
         plain_finding(xfail_until=day)
 
 
-@pytest.mark.parametrize(
+@table(
     ("value", "place"),
     [
         (float("nan"), "world.a"),

@@ -8,6 +8,7 @@ from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 from tests.helpers import situations
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
 VERSIONS = {"pytest-pafot": "0.1.0", "numpy": "2.4.6"}
@@ -59,7 +60,7 @@ def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
     return replay_label(finding or saved(), run, failure, versions)
 
 
-@pytest.mark.parametrize("tick", [27, 30, 33])
+@table("tick", [27, 30, 33])
 def test_the_same_event_within_a_fifth_of_a_second_is_still_failing(tick):
     assert label(crash(tick)) == "still failing"
 
@@ -69,9 +70,7 @@ def test_the_same_event_is_still_failing_under_other_versions_and_other_words():
     assert label(crash(), Failure(kind="AssertionError", assertion="assert run.collision is None")) == "still failing"
 
 
-@pytest.mark.parametrize(
-    "run", [crash(26), crash(34), crash(npc=1), crash(cell=Cell.LEFT), crash(side="left"), run_of()]
-)
+@table("run", [crash(26), crash(34), crash(npc=1), crash(cell=Cell.LEFT), crash(side="left"), run_of()])
 def test_another_event_is_a_drift(run):
     assert label(run) == "drifted"
 
@@ -106,8 +105,8 @@ def jerk(time=1.0, name="jerk"):
     return Failure(kind="CheckFailed", message=str(check), assertion=name, check=check)
 
 
-@pytest.mark.parametrize("run", [run_of(), crash()])
-@pytest.mark.parametrize(
+@table("run", [run_of(), crash()])
+@table(
     ("now", "expected"),
     [
         (jerk(1.2), "still failing"),

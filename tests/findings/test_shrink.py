@@ -8,6 +8,7 @@ from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, si
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
+from tests.helpers.tables import table
 
 
 def scenario(*chains, **fields):
@@ -202,7 +203,7 @@ def test_a_small_scenario_may_begin_as_the_run_was_found():
     assert (written(simplest), simplest.ego_lane, simplest.ego_speed) == (("6@25",), 2, 17.0)
 
 
-@pytest.mark.parametrize(
+@table(
     ("fails", "start"),
     [
         (lambda each: True, (1, 22.0)),
@@ -210,7 +211,6 @@ def test_a_small_scenario_may_begin_as_the_run_was_found():
         (lambda each: each.ego_speed < 14, (1, 10.0)),
         (lambda each: 11 < each.ego_speed < 14, (1, 13.0)),
     ],
-    ids=["neither matters", "the lane matters", "the speed matters", "a narrow range of speeds matters"],
 )
 def test_the_ego_starts_as_plainly_as_the_failure_allows(fails, start):
     given = scenario("4@20 3@20 2@5", ego_lane=3, ego_speed=13.7)
@@ -276,7 +276,7 @@ def test_sizes_read_as_words():
     assert size_of(scenario("2@0", gene_seconds=2.5)) == "1 NPC, 1 instruction, 2.5 s"
 
 
-@pytest.mark.parametrize(
+@table(
     ("simpler", "other"),
     [
         (scenario("4@22 3@20 2@10"), scenario("2@0", "4@0")),
@@ -290,19 +290,6 @@ def test_sizes_read_as_words():
         (scenario("4@19"), scenario("4@18.5")),
         (scenario("4@15"), scenario("4@20")),
         (scenario("4@15"), scenario("4@15", seed=1)),
-    ],
-    ids=[
-        "NPCs",
-        "instructions",
-        "moves",
-        "length",
-        "plain lane",
-        "plain speed",
-        "round start",
-        "multiples of five",
-        "whole",
-        "slower",
-        "seed",
     ],
 )
 def test_the_order_of_simpler(simpler, other):

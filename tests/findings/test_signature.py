@@ -13,6 +13,7 @@ from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.situations import SITUATIONS
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
 COLLIDES = Failure(kind="AssertionError", assertion="assert not run.collision, run.explain()")
@@ -85,7 +86,7 @@ def test_a_failed_check_is_told_by_its_name_however_the_run_ended():
     assert (signature.assertion, signature.slug) == ("jerk", "jerk")
 
 
-@pytest.mark.parametrize(
+@table(
     "source",
     [
         "is_fine(run)",
@@ -117,20 +118,20 @@ def test_the_fault_names_a_failure_and_tells_none_from_another():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SITUATIONS_BY_SLUG)
+@table("name", SITUATIONS_BY_SLUG)
 def test_a_lane_change_is_named_by_where_the_other_was(name):
     trace = next(each for each in chain(*SITUATIONS.values()) if each.name == name).trace()
     assert Run(trace).attribution.fault == "entered-lane"
     assert of_failure(Run(trace), COLLIDES).slug == SITUATIONS_BY_SLUG[name]
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Signature) if field.compare])
+@table("name", [field.name for field in fields(Signature) if field.compare])
 def test_every_field_matters(name):
     signature = of_failure(crash(**STANDING), COLLIDES)
     assert replace(signature, **{name: "other"}) != signature
 
 
-@pytest.mark.parametrize(
+@table(
     "source",
     [
         "assert run.min_ttc > 1.0",
@@ -150,7 +151,7 @@ def test_an_assertion_keeps_what_tells_it_from_another():
     assert len({normalised(source) for source in sources}) == len(sources)
 
 
-@pytest.mark.parametrize(
+@table(
     ("one", "other"),
     [
         ("gap 0.31 m at <Run 0x7f01>", "gap 12 m at <Run 0xAB99>"),

@@ -18,6 +18,7 @@ from pytest_pafot.model.grid import (
     repair_gene,
     toss,
 )
+from tests.helpers.tables import table
 from tests.helpers.traces import ring_distance
 
 LENGTH, LANE = 5.0, 4.0
@@ -71,8 +72,8 @@ def test_adjacent_are_a_cell_itself_and_its_two_neighbours(a, b):
     assert abs(a.row - b.row) + abs(a.column - b.column) <= 1 or not is_adjacent(a, b)
 
 
-@pytest.mark.parametrize("clearance", [0.0, 3.0])
-@pytest.mark.parametrize("cell", Cell)
+@table("clearance", [0.0, 3.0])
+@table("cell", Cell)
 def test_the_centre_of_a_cell_lies_in_that_cell(cell, clearance):
     longitudinal = longitudinal_target(cell, LENGTH, clearance)
     assert longitudinal == cell.row * (LENGTH + clearance)

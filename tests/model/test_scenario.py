@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import MAX_SEED, LaneInstruction, PositionInstruction, Scenario, ScenarioError
+from tests.helpers.tables import table
 
 instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))
 raw_chains = st.lists(st.lists(instructions, min_size=1, max_size=6), min_size=1, max_size=8)
@@ -51,27 +52,25 @@ def test_speeds_are_exact_tenths_however_they_were_computed(tenths):
     assert one(speed=sum([0.1] * min(tenths, 300))).speed == float(Fraction(min(tenths, 300), 10))
 
 
-@pytest.mark.parametrize("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
+@table("cell", [0, 9, -1, 2.0, "2", None, True, np.bool_(True), np.array([1, 2]), 10**30])
 def test_a_cell_that_is_no_cell_is_refused_with_the_range(cell):
     with pytest.raises(ScenarioError, match=r"cell: expected a whole number from 1 .* to 8 .*, received"):
         PositionInstruction(cell, 10.0)
 
 
-@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, "10", None, True, 10**400, np.array([1.0]), 1j])
+@table("speed", [math.nan, math.inf, -math.inf, "10", None, True, 10**400, np.array([1.0]), 1j])
 def test_a_speed_that_is_no_number_is_refused(speed):
     with pytest.raises(ScenarioError, match="speed: expected a finite number, received"):
         PositionInstruction(2, speed)
 
 
-@pytest.mark.parametrize(
-    ("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")]
-)
+@table(("speed", "nearest"), [(-0.1, "0"), (-5.0, "0"), (-1.7e308, "0"), (12.34, "12.3"), (0.05001, "0.1")])
 def test_a_speed_off_the_steps_is_refused_with_the_nearest_valid_one(speed, nearest):
     with pytest.raises(ScenarioError, match=re.escape(f"received {speed!r}; the nearest valid speed is {nearest}")):
         PositionInstruction(2, speed)
 
 
-@pytest.mark.parametrize("speed", [1e4, 1e300, 1.7e308, 10**300])
+@table("speed", [1e4, 1e300, 1.7e308, 10**300])
 def test_an_absurd_speed_is_refused_with_the_bound(speed):
     with pytest.raises(ScenarioError, match="speed: expected m/s, at most 1000, received"):
         PositionInstruction(2, speed)
@@ -161,7 +160,7 @@ def test_the_repr_shows_the_chains_on_one_line():
     assert repr(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
 
 
-@pytest.mark.parametrize(
+@table(
     ("fields", "message"),
     [
         ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
@@ -183,7 +182,7 @@ def test_the_repr_shows_the_chains_on_one_line():
         ({"gene_seconds": math.inf}, "gene_seconds: expected a finite number, received inf"),
     ],
 )
-@pytest.mark.parametrize("make", [Scenario, Scenario.repaired])
+@table("make", [Scenario, Scenario.repaired])
 def test_a_broken_field_is_refused_by_name_with_what_was_expected(make, fields, message):
     with pytest.raises(ScenarioError, match=re.escape(message)):
         make(**{"npcs": [[one()]], **fields})
@@ -232,7 +231,7 @@ class TestLaneInstructions:
         assert LaneInstruction("left", 12).speed == 12.0
         assert [LaneInstruction(lane, 1.0).column for lane in ("keep", "left", "right")] == [0, -1, 1]
 
-    @pytest.mark.parametrize("lane", ["up", "", None, 1, "Left"])
+    @table("lane", ["up", "", None, 1, "Left"])
     def test_another_lane_is_refused_with_those_that_exist(self, lane):
         with pytest.raises(ScenarioError, match="lane: expected one of keep, left, right, received"):
             LaneInstruction(lane, 10.0)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.sight import Sight, hidden
 from pytest_pafot.support.errors import FieldError
 from tests.helpers.polygons import corners
+from tests.helpers.tables import table
 
 LENGTH, WIDTH = 5.0, 2.0
 
@@ -103,7 +104,7 @@ def test_another_imperfection_leaves_the_noise_as_it_is():
         assert set(Sight(noise={"position": 1.0}, **others).glimpses(places, 5, 3)) <= set(alone)
 
 
-@pytest.mark.parametrize(("latency", "ticks"), [(0.0, 0), (0.2, 3), (0.3, 5), (1 / 15, 1), (0.01, 1), (1.4, 21)])
+@table(("latency", "ticks"), [(0.0, 0), (0.2, 3), (0.3, 5), (1 / 15, 1), (0.01, 1), (1.4, 21)])
 def test_a_latency_lasts_to_the_next_whole_tick(latency, ticks):
     assert Sight(latency=latency).delay(15) == ticks
 
@@ -111,7 +112,7 @@ def test_a_latency_lasts_to_the_next_whole_tick(latency, ticks):
 ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5, "speed": 1.0}, dropout=0.1, occlusion=True)
 
 
-@pytest.mark.parametrize(
+@table(
     ("sight", "text"),
     [
         (Sight(), "perfect sight"),
@@ -138,7 +139,7 @@ def test_numbers_of_any_kind_become_pythons_own():
     assert [type(each) for each in told] == [int, float, float, float]
 
 
-@pytest.mark.parametrize(
+@table(
     ("values", "message"),
     [
         ({"latency": -0.1}, r"^latency: expected a finite number from 0 \[s\], received -0.1$"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, Trace, X, Y
+from tests.helpers.tables import table
 from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 
 
@@ -48,7 +49,7 @@ def test_the_callers_array_stays_writeable_and_no_change_to_it_reaches_the_trace
     assert trace.sizes.max() == 5.0
 
 
-@pytest.mark.parametrize("copied", [lambda trace: pickle.loads(pickle.dumps(trace)), copy.deepcopy, copy.copy])
+@table("copied", [lambda trace: pickle.loads(pickle.dumps(trace)), copy.deepcopy, copy.copy])
 def test_a_trace_from_another_process_is_read_only_too(copied):
     trace = trace_of(vehicle(0.0, speed=10.0, ticks=4), vehicle(30.0, ticks=4))
     twin = copied(trace)
@@ -58,7 +59,7 @@ def test_a_trace_from_another_process_is_read_only_too(copied):
     assert (twin.scenario, twin.outcome, twin.lanes) == (trace.scenario, trace.outcome, trace.lanes)
 
 
-@pytest.mark.parametrize("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
+@table("shape", [(3, 2), (3, 2, 6), (3, 14), (1, 3, 2, 7)])
 def test_states_of_another_shape_are_refused_with_both_shapes(shape):
     with pytest.raises(ValueError, match=r"states: expected shape \[ticks \+ 1, vehicles, 7\], received \("):
         made(np.zeros(shape), np.zeros((2, 2)))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.oracle.checks import Check, CheckFailed, Recording, recorded
+from tests.helpers.tables import table
 
 JERK = np.array([0.0, 3.0, -1.0, 35.1, 12.0])
 
@@ -43,7 +44,7 @@ def test_a_value_never_reads_as_its_bound():
 GAP = pafot.above(pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m"), 1.5)
 
 
-@pytest.mark.parametrize(
+@table(
     ("formula", "says"),
     [
         (pafot.always(GAP), "-0.5 < 0 m at 0.5 s"),
@@ -122,7 +123,7 @@ def test_a_failure_travels_between_processes():
     assert pickle.loads(pickle.dumps(CheckFailed(check))).check == check
 
 
-@pytest.mark.parametrize(
+@table(
     ("value", "arguments", "says"),
     [
         (1.0, {}, "expected at_most=, at_least= or both"),
@@ -150,7 +151,7 @@ def test_a_check_that_cannot_be_made_says_why(value, arguments, says):
     assert says in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["", " ", "a\nb", "x" * 61, None])
+@table("name", ["", " ", "a\nb", "x" * 61, None])
 def test_a_check_needs_a_name(name):
     with pytest.raises(ValueError, match="printable text"):
         pafot.check(1.0, name=name, at_most=2.0)

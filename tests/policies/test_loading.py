@@ -16,6 +16,7 @@ import pytest_pafot as pafot
 from pytest_pafot.policies.baselines import BaselineModel, BatchingBaselineAds, pushed, stacking_axis
 from pytest_pafot.policies.loading import PolicyLoader, digest_of
 from pytest_pafot.searching import SearchSpace, sample
+from tests.helpers.tables import table
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
 CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
@@ -68,7 +69,7 @@ def test_a_policy_is_loaded_once_in_a_process_and_its_factory_is_a_value():
     assert Loader.loads == [first]
 
 
-@pytest.mark.parametrize("shape", [(5, 5), (3,), (4, 6, 2)])
+@table("shape", [(5, 5), (3,), (4, 6, 2)])
 def test_frames_are_the_last_observations_with_zeros_before_the_first(shape):
     rng = np.random.default_rng(0)
     seen = [rng.normal(size=shape).astype(np.float32) for _ in range(6)]
@@ -107,7 +108,7 @@ def test_only_a_policy_that_remembers_nothing_is_pure():
     assert not Loader(frames=3)().pure
 
 
-@pytest.mark.parametrize(
+@table(
     "world",
     [
         pafot.Highway(),

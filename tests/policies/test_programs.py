@@ -18,6 +18,7 @@ import pytest_pafot as pafot
 from pytest_pafot.policies import programs
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world import Observation, VehicleState
+from tests.helpers.tables import table
 
 CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
 ROAD = pafot.Highway(duration=4.0)
@@ -230,7 +231,7 @@ def test_a_program_that_writes_much_to_its_stderr_costs_neither_answers_nor_page
     assert len(said) < 2 * programs.WORDS + 100
 
 
-@pytest.mark.parametrize(
+@table(
     "line",
     [
         b"[" * 100_000,
@@ -261,7 +262,7 @@ def test_a_program_that_cannot_be_started_is_an_error_of_the_set_up():
         ROAD.rollout(CUT_IN, pafot.policies.process(["./no-such-program"]))
 
 
-@pytest.mark.parametrize(
+@table(
     ("command", "timeout", "message"),
     [
         (

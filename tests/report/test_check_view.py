@@ -15,6 +15,7 @@ from pytest_pafot.report.finding_view import finding_view
 from pytest_pafot.report.markup import finding_article, finding_list
 from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, render_frame
 from pytest_pafot.report.page_data import Report
+from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import finding_of
 
@@ -65,7 +66,7 @@ def test_it_tells_from_when_to_when_the_bound_was_broken():
     assert view.check.broken == ((2.0, 2.133), (4.0, 4.0), (20.0, 20.0))
 
 
-@pytest.mark.parametrize(
+@table(
     ("values", "bounds", "axis", "is_cut"),
     [
         (peaks(t9=35), {"at_most": 20}, (0, 40), (False, False)),

@@ -13,6 +13,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.report.finding_view import finding_view, frame_ticks, shrink_view
 from pytest_pafot.report.page_data import ChanceView
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
 
@@ -24,7 +25,7 @@ def braking_ahead(**more):
     return trace_of(vehicle(0.0, 4.0, speed=20.0, ticks=ticks), npc, outcome=Outcome.COLLISION, **more)
 
 
-@pytest.mark.parametrize("physics_hz", [5, 10, 15, 20, 50, 100])
+@table("physics_hz", [5, 10, 15, 20, 50, 100])
 def test_frames_are_about_seven_a_second_at_any_frequency(physics_hz):
     ticks = 20 * physics_hz
     trace = trace_of(
@@ -69,7 +70,7 @@ def test_the_gap_ends_at_zero_in_a_collision():
     assert view_of(cut_in_trace()).vehicles[1].gap[-1] == 0.0
 
 
-@pytest.mark.parametrize("heading", [0.5, -2.0, np.pi / 2])
+@table("heading", [0.5, -2.0, np.pi / 2])
 def test_a_road_in_any_direction_gives_the_picture_of_a_straight_one(heading):
     def driving(offset, lane, speed):
         x = offset * np.cos(heading) - lane * 4.0 * np.sin(heading)

@@ -2,13 +2,13 @@
 
 import re
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.report.job_summary import MAX_LISTED, code, markdown, plain
 from pytest_pafot.report.session_record import FindingRecord, SearchRecord, SessionRecord
 from tests.helpers.hostile import CHARACTERS
+from tests.helpers.tables import table
 
 
 def finding(id_="a", status="new", **changes):
@@ -118,7 +118,7 @@ def test_a_search_that_failed_by_itself_problems_rates_and_merges_are_told():
     ]
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "expected"),
     [
         ("a *b* _c_ `d`", r"a \*b\* \_c\_ \`d\`"),
@@ -138,7 +138,7 @@ def test_texts_of_others_are_no_markup(text, expected):
     assert plain(text) == expected
 
 
-@pytest.mark.parametrize(("text", "expected"), [("a", "`a`"), ("a`b", "``a`b``"), ("`", "`` ` ``"), ("", "` `")])
+@table(("text", "expected"), [("a", "`a`"), ("a`b", "``a`b``"), ("`", "`` ` ``"), ("", "` `")])
 def test_code_is_fenced_by_more_backticks_than_it_has(text, expected):
     assert code(text) == expected
 

@@ -12,6 +12,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.report.animation import AnimationError
+from tests.helpers.tables import table
 from tests.report.builders import HOSTILE, cut_in_trace, finding_of, rear_trace
 
 
@@ -104,7 +105,7 @@ def test_a_moving_picture_is_that_of_a_report(tmp_path):
     assert moving.n_frames == 9
 
 
-@pytest.mark.parametrize(
+@table(
     ("draw", "said"),
     [
         (lambda run: run.plot(times=[99.0]), r"times: expected seconds from 0 to [\d.]+, received 99.0"),

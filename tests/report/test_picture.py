@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.report.picture import instruction_at, picture_at, vehicle_at
+from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import cut_in_trace, scenario, view_of
 
@@ -40,7 +41,7 @@ def test_cells_beyond_the_road_do_not_exist():
     assert {cell.cell for cell in picture_at(view, 0.0).cells if not cell.exists} == {1, 7, 8}
 
 
-@pytest.mark.parametrize(("across", "lane"), [(5.9, 4.0), (6.0, 4.0), (6.1, 8.0)])
+@table(("across", "lane"), [(5.9, 4.0), (6.0, 4.0), (6.1, 8.0)])
 def test_the_grid_belongs_to_the_lane_whose_centre_is_nearest(across, lane):
     view = view_of(trace_of(vehicle(0.0, across, speed=20.0, ticks=15), vehicle(30.0, 0.0, speed=20.0, ticks=15)))
     assert {cell.cell: cell.across for cell in picture_at(view, 0.0).cells}[2] == lane

@@ -5,7 +5,6 @@ import re
 from dataclasses import fields
 from datetime import date
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +21,7 @@ from pytest_pafot.report.session_record import (
 from tests.findings.builders import findings, plain_finding
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
+from tests.helpers.tables import table
 
 TEXTS = st.text(CHARACTERS, max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
@@ -78,7 +78,7 @@ def test_no_duration_is_in_it():
     assert slow == fast
 
 
-@pytest.mark.parametrize("kind", [SessionRecord, SearchRecord, FindingRecord])
+@table("kind", [SessionRecord, SearchRecord, FindingRecord])
 def test_each_field_is_described_where_the_reference_takes_it_from(kind):
     told = [line.split(":")[0].strip() for line in kind.__doc__.splitlines() if re.match(r" +\w+: ", line)]
     assert told == [each.name for each in fields(kind)]

@@ -8,6 +8,7 @@ from pytest_pafot.report.animation import AnimationError
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.session_report import Draft, report_files, write_report
+from tests.helpers.tables import table
 from tests.report.builders import real_report
 
 
@@ -61,7 +62,7 @@ def report_of(draft, findings=(), *, errors=(), is_interrupted=False):
     )
 
 
-@pytest.mark.parametrize("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]], ids=["first", "last", "middle"])
+@table("told", [RANKED, RANKED[::-1], RANKED[3:] + RANKED[:3]])
 def test_findings_stand_by_test_then_new_before_known_then_by_who_answers_for_them_then_by_frequency(told):
     report = report_of(Draft(target="x"), [shown(*each) for each in told])
     assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
@@ -85,7 +86,7 @@ def test_the_facts_are_the_interrupt_the_replays_by_label_and_the_versions():
     assert "base seed" not in facts
 
 
-@pytest.mark.parametrize(
+@table(
     ("count", "errors", "title"),
     [
         (0, (), "highway: 0 findings"),

@@ -6,14 +6,13 @@ Long texts lie in ``__snapshots__``. ``--snapshot-update`` writes them anew; wha
 import json
 from dataclasses import asdict, replace
 
-import pytest
-
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
 from pytest_pafot.support.text import fitted_lines, wrapped_to
+from tests.helpers.tables import table
 
 FIND = Find(
     id="front-2-1f3a9c",
@@ -98,7 +97,7 @@ def test_the_section_of_a_find_reads_so(snapshot):
     assert text == snapshot
 
 
-@pytest.mark.parametrize(
+@table(
     ("responsibility", "outcomes", "text"),
     [
         ("ego", "avoids avoids", "preventable by A, B"),
@@ -136,7 +135,7 @@ def test_progress_fits_into_a_narrow_terminal_which_could_not_rewrite_two_lines(
     assert line.endswith("xxx 3/100 generations, ")
 
 
-@pytest.mark.parametrize(
+@table(
     ("flags", "remark"),
     [
         ({}, ""),
@@ -193,7 +192,7 @@ def test_the_summary_line_of_a_search_names_some_of_its_finds():
     )
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@table("width", [60, 80, 120])
 def test_lines_are_broken_between_words_to_the_width_of_the_terminal(width):
     lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=width)
     assert max(map(len, lines)) <= width
@@ -206,7 +205,7 @@ def test_a_broken_line_keeps_its_mark_and_its_indentation():
     assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
 
 
-@pytest.mark.parametrize("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
+@table("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
 def test_no_line_ends_between_a_number_and_its_unit(kept):
     assert wrapped_to(f"  one two {kept} andsoon", 13) == ["  one two", f"    {kept}", "    andsoon"]
 

@@ -22,6 +22,7 @@ from pytest_pafot.searching import (
 )
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import FITNESSES, FitnessError, resolve
+from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=3)
 
@@ -116,7 +117,7 @@ def test_an_algorithm_of_ones_own_is_searched_with_like_any_other(cheap_world, a
     assert sizes == [0 if algorithm is Own else 4, 4, 4, 4]
 
 
-@pytest.mark.parametrize(
+@table(
     ("given", "message"),
     [
         ("genetic", r"expected one of distinct, pafot, .*, received 'genetic'; or give module:Class"),

@@ -21,6 +21,7 @@ from pytest_pafot.searching.events import (
     NewBest,
     Restarted,
 )
+from tests.helpers.tables import table
 
 SPACE = SearchSpace().sliced(5)
 DRAWS = 3000
@@ -285,7 +286,7 @@ class TestTurns:
         with pytest.raises(ValueError, match="tell: expected 4 evaluations"):
             search.tell(state, [make_evaluation(asked[0])], rng())
 
-    @pytest.mark.parametrize(
+    @table(
         ("fields", "message"),
         [
             ({"population": 1}, "population: expected at least 2"),

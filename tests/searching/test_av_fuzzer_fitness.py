@@ -7,6 +7,7 @@ import pytest
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.fitness import av_fuzzer, braking_distance, resolve
+from tests.helpers.tables import table
 from tests.helpers.traces import random_states, straight_lanes, trace_of, vehicle
 
 
@@ -34,7 +35,7 @@ def by_hand(trace):
     return (130 - 0.5 * min(distances) - 0.5 * min(rooms)) / max(trace.npcs.shape[1] - 1, 1)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@table("seed", range(60))
 def test_it_is_the_released_formula_on_any_trace(seed):
     rng = np.random.default_rng(seed)
     states = random_states(rng, rows=int(rng.integers(1, 40)), vehicles=int(rng.integers(2, 5)), spread=18.0)
@@ -44,7 +45,7 @@ def test_it_is_the_released_formula_on_any_trace(seed):
     assert av_fuzzer(trace) == pytest.approx(by_hand(trace), abs=1e-9)
 
 
-@pytest.mark.parametrize("speed", [0.0, 3.0, 22.0, 30.0])
+@table("speed", [0.0, 3.0, 22.0, 30.0])
 def test_the_braking_distance_is_the_polynomial_and_never_negative(speed):
     assert braking_distance(np.array([speed]))[0] == pytest.approx(brake(speed))
     assert braking_distance(np.zeros(1))[0] == 0.0
@@ -55,13 +56,13 @@ def test_an_npc_right_ahead_leaves_its_distance_less_a_car_and_the_egos_braking(
     assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * 15 - 0.5 * (15 - 4.6 - brake(10.0)))
 
 
-@pytest.mark.parametrize(("x", "y"), [(4.6, 0.0), (20.0, 0.0), (15.0, 2.0), (-15.0, 0.0)])
+@table(("x", "y"), [(4.6, 0.0), (20.0, 0.0), (15.0, 2.0), (-15.0, 0.0)])
 def test_outside_of_both_cases_only_the_distance_counts(x, y):
     trace = trace_of(vehicle(0.0, speed=10.0), vehicle(x, y, speed=5.0), vehicle(500.0, 8.0))
     assert av_fuzzer(trace) == pytest.approx(130 - 0.5 * math.hypot(x, y) - 0.5 * 130)
 
 
-@pytest.mark.parametrize(("degrees", "counts"), [(0.9, False), (1.1, True), (-1.1, True)])
+@table(("degrees", "counts"), [(0.9, False), (1.1, True), (-1.1, True)])
 def test_an_npc_behind_counts_while_the_ego_turns_by_more_than_a_degree(degrees, counts):
     trace = trace_of(vehicle(0.0, heading=math.radians(degrees)), vehicle(-12.0, speed=8.0), vehicle(500.0, 8.0))
     room = 12 - 4.6 - brake(8.0) if counts else 130

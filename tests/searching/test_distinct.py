@@ -14,6 +14,7 @@ from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch, ru
 from pytest_pafot.searching.algorithms.distinct import NO_IMPACT, niche
 from pytest_pafot.searching.ask_tell import floors_of
 from pytest_pafot.searching.events import Evaluated, NewBest
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
 
 
@@ -73,7 +74,7 @@ def test_the_worst_run_of_each_niche_stays(make_evaluation):
     assert [(key, each.fitness) for key, each in second.elites] == [((2, 0), 1.25), ((6, 0), 3.0)]
 
 
-@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": float("nan")}])
+@table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": float("nan")}])
 def test_what_is_never_a_best_is_no_parent(make_evaluation, fields):
     rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     state = told(algorithm, algorithm.start(rng), lambda i, s: make_evaluation(s, **fields), rng)
@@ -186,7 +187,7 @@ def test_who_came_near_to_a_mistake_that_is_known_is_no_parent_for_that(make_eva
     assert severities(state) == [("braked-for-nothing", [0.2])]
 
 
-@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
+@table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True, "kind": "a"}])
 def test_runs_that_say_nothing_or_that_fail_came_near_to_nothing(make_evaluation, fields):
     rng, algorithm = np.random.default_rng(0), DistinctSearch(population=4)
     misses = (near("moved-in-front", 0.9),)
@@ -233,7 +234,7 @@ def test_every_best_is_announced_once(make_evaluation):
     assert fitnesses[-1] == max(event.evaluation.fitness for event in of(Evaluated, events))
 
 
-@pytest.mark.parametrize(
+@table(
     ("parameters", "message"),
     [
         ({"population": 0}, "population: expected a count of at least 1, received 0"),

@@ -4,13 +4,13 @@ import math
 import pickle
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
 from pytest_pafot.searching.evaluation import Evaluation, barely_moved, interacted, outran
+from tests.helpers.tables import table
 
 NAN = math.nan
 
@@ -25,7 +25,7 @@ def test_among_equals_the_fitter_ranks_higher(make_evaluation):
         assert make_evaluation(failing=failing, fitness=0.2).rank > make_evaluation(failing=failing, fitness=0.1).rank
 
 
-@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": NAN}])
+@table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"fitness": NAN}])
 def test_invalid_discarded_and_unmeasured_runs_rank_below_all_others_even_when_they_fail(make_evaluation, fields):
     worst = make_evaluation(**({"failing": True, "fitness": 9.0} | fields))
     assert not worst.eligible
@@ -43,7 +43,7 @@ def test_evaluations_without_a_fitness_compare_equal_and_numpy_numbers_become_fl
     assert type(make_evaluation(fitness=np.float64(1.5)).fitness) is float
 
 
-@pytest.mark.parametrize("fitness", [float("nan"), -math.inf, 1.5])
+@table("fitness", [float("nan"), -math.inf, 1.5])
 def test_an_evaluation_that_comes_back_from_another_process_equals_itself(make_evaluation, fitness):
     here = make_evaluation(fitness=fitness)
     there = pickle.loads(pickle.dumps(here))
@@ -95,7 +95,7 @@ def test_an_evaluation_is_read_from_a_trace():
     assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.SAFE, True, 0.5)
 
 
-@pytest.mark.parametrize(
+@table(
     ("run", "expected"),
     [
         ({"ahead": 60.0}, False),
@@ -120,11 +120,11 @@ def test_a_collision_is_an_interaction():
     assert interacted(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))
 
 
-@pytest.mark.parametrize(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
+@table(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
 def test_an_ego_outruns_when_all_npcs_are_100_m_behind_for_half_of_the_run(npc_speed, expected):
     assert outran(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12)) is expected
 
 
-@pytest.mark.parametrize(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
+@table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
 def test_an_ego_barely_moves_below_2_metres_a_second(speed, expected):
     assert barely_moved(trace(speed)) is expected

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,6 +10,7 @@ from pytest_pafot.model.scenario import SHIFTS, LaneInstruction, PositionInstruc
 from pytest_pafot.searching.evaluation_cache import EvaluationCache
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
+from tests.helpers.tables import table
 
 PI = PositionInstruction
 
@@ -114,7 +114,7 @@ def test_the_genes_after_a_repaired_run_are_the_scenarios_own_and_fit(make_evalu
     assert second.cell in (3, 5)
 
 
-@pytest.mark.parametrize("lane", SHIFTS)
+@table("lane", SHIFTS)
 def test_lanes_are_told_from_each_other_and_from_cells(make_evaluation, lane):
     known = make_evaluation(Scenario(npcs=((LaneInstruction(lane, 10.0),),)))
     memory = remembered(known)

@@ -13,6 +13,7 @@ from pytest_pafot import criticality
 from pytest_pafot.criticality.signals import Measure
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
+from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
 
 seeds = st.integers(0, 2**32 - 1)
@@ -62,7 +63,7 @@ class TestWeighted:
         # Overlap: TTC risk 1, gap risk 1, shortfall 1; 6 s of the planned 60 s.
         assert weighted(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
 
-    @pytest.mark.parametrize(
+    @table(
         ("weights", "risk"),
         [
             (Weights(ttc=2, gap=0, shortfall=0, time=0), 3 / 7),
@@ -109,7 +110,7 @@ class TestWeighted:
 
 
 class TestWeights:
-    @pytest.mark.parametrize("value", [-1, math.nan, math.inf, "1"])
+    @table("value", [-1, math.nan, math.inf, "1"])
     def test_refuse_what_is_no_weight(self, value):
         with pytest.raises(FitnessError, match=r"Weights.gap: expected a finite number, at least 0, received"):
             Weights(gap=value)
@@ -172,7 +173,7 @@ class TestResolve:
         weights = Weights(ttc=0)
         assert resolve(weights)(following()) == weighted(following(), weights)
 
-    @pytest.mark.parametrize("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
+    @table("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
     def test_a_function_may_return_any_real_number(self, value):
         assert resolve(lambda trace: value)(following()) == float(value)
 
@@ -186,7 +187,7 @@ class TestResolve:
     def test_nan_of_a_function_is_last(self):
         assert resolve(lambda trace: math.nan)(following()) == -math.inf
 
-    @pytest.mark.parametrize("value", [None, "1", [1], np.array([1.0, 2.0]), 1j])
+    @table("value", [None, "1", [1], np.array([1.0, 2.0]), 1j])
     def test_a_function_that_returns_no_number_is_explained(self, value):
         def odd(trace):
             return value
@@ -208,7 +209,7 @@ class TestResolve:
         ):
             resolve("papr")
 
-    @pytest.mark.parametrize("value", [3, None, ["default"]])
+    @table("value", [3, None, ["default"]])
     def test_anything_else_is_refused(self, value):
         with pytest.raises(FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer', .*'headway', .*Weights"):
             resolve(value)

@@ -4,6 +4,7 @@ import pytest
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health, RandomSearch, run_campaign
+from tests.helpers.tables import table
 
 WELL = {"genes_started": 12, "genes_reached": 9}
 
@@ -52,7 +53,7 @@ def test_genes_that_are_hardly_reached_warn(make_evaluation):
     assert warning.startswith("NPCs reached the cell of only 17 % (8) of 48 Position-Instructions")
 
 
-@pytest.mark.parametrize(
+@table(
     ("fields", "expected"),
     [
         ({"interaction": False}, "67 % (2) of 3 valid runs never brought an NPC near the ego"),

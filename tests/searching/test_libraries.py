@@ -11,6 +11,7 @@ from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import ALGORITHMS, Evaluation, SearchSpace, resolve_algorithm, run_campaign
 from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
+from tests.helpers.tables import table
 
 NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]
 
@@ -86,7 +87,7 @@ def test_new_bests_rise(name, cheap_world):
     assert ranks == sorted(set(ranks))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_out_of_turn_is_refused(name):
     search, rng = resolve_algorithm(name).make(SearchSpace()), np.random.default_rng(0)
     state = search.start(rng)
@@ -96,7 +97,7 @@ def test_out_of_turn_is_refused(name):
         search.ask(search.ask(state, rng)[0], rng)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_a_population_that_is_too_small_is_refused(name):
     with pytest.raises(ValueError, match="population: expected"):
         resolve_algorithm(name).make(SearchSpace(), population=0)

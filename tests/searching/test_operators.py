@@ -14,6 +14,7 @@ from pytest_pafot.searching import operators
 from pytest_pafot.searching.operators import best_of, crossover, elites, first_crossed, improves, mutate, parents
 from pytest_pafot.searching.operators import tournament as binary_tournament
 from pytest_pafot.searching.space import SearchSpace, sample
+from tests.helpers.tables import table
 
 seeds = st.integers(0, 2**32)
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 4), genes=st.integers(1, 6))
@@ -92,8 +93,8 @@ def test_a_third_of_the_mutations_is_a_pattern_however_the_start_is_drawn(starts
     assert_rate([mutate(scenario, space, rng) for _ in range(1200)].count(None), 1200, 0.35)
 
 
-@pytest.mark.parametrize("speeds", [None, (22.0, 22.0)])
-@pytest.mark.parametrize("lanes", [(1,), (0, 1)])
+@table("speeds", [None, (22.0, 22.0)])
+@table("lanes", [(1,), (0, 1)])
 def test_a_mutation_changes_something_where_there_is_one_lane_or_speed_to_start_with(lanes, speeds):
     rng = np.random.default_rng(5)
     space = SearchSpace(ego_lanes=lanes, ego_speeds=speeds)

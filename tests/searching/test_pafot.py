@@ -19,6 +19,7 @@ from pytest_pafot.searching.events import (
     Restarted,
 )
 from pytest_pafot.searching.space import SearchSpace
+from tests.helpers.tables import table
 
 
 class Driver:
@@ -154,7 +155,7 @@ def test_the_main_search_pauses_while_a_local_search_runs(driver):
     assert driver.state.generation == paused[1] + 1
 
 
-@pytest.mark.parametrize("local_generations", [1, 2, 5])
+@table("local_generations", [1, 2, 5])
 def test_a_local_search_asks_for_three_mutants_and_three_children_a_generation(make_evaluation, local_generations):
     driver = Driver(make_evaluation, PafotSearch(local_generations=local_generations))
     start_local_search(driver)
@@ -263,7 +264,7 @@ def test_individuals_evolve_as_they_were_driven(make_evaluation):
     assert driver.asked == (driven,) * 3
 
 
-@pytest.mark.parametrize("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True}])
+@table("fields", [{"outcome": Outcome.INVALID}, {"discarded": True}, {"failing": True}])
 def test_what_is_never_a_best_starts_no_local_search_and_is_no_elite(make_evaluation, fields):
     driver = Driver(make_evaluation)
     fitnesses = [float("nan") if fields.get("failing") else 9.0 + generation for generation in range(6)]
@@ -330,7 +331,7 @@ def test_evaluations_that_do_not_match_are_refused(make_evaluation):
         search.tell(state, evaluations[::-1], rng)
 
 
-@pytest.mark.parametrize(
+@table(
     ("parameters", "message"),
     [
         ({"population": 1}, "population: expected at least 2"),

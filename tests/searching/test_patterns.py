@@ -3,15 +3,15 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.grid import Cell, is_adjacent
 from pytest_pafot.searching.patterns import PATTERNS, chain_of_patterns
+from tests.helpers.tables import table
 
 
-@pytest.mark.parametrize("pattern", PATTERNS, ids=lambda pattern: pattern.name)
+@table("pattern", PATTERNS)
 def test_a_pattern_is_a_short_way_on_the_ring_and_names_its_source(pattern):
     assert 1 <= len(pattern.steps) <= 3
     assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(pattern.steps))

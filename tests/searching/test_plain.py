@@ -24,6 +24,7 @@ from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
 from tests.helpers.hostile import CHARACTERS
+from tests.helpers.tables import table
 
 texts, counts = st.text(CHARACTERS, max_size=8), st.integers(0, 2**40)
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -139,7 +140,7 @@ def test_what_json_cannot_hold_is_refused():
         plain([object()])
 
 
-@pytest.mark.parametrize(
+@table(
     ("kind", "data", "place", "expected"),
     [
         (float, "fast", "", "a number"),
@@ -166,7 +167,7 @@ def test_what_does_not_fit_is_refused_with_its_place(kind, data, place, expected
     assert caught.value.expected.startswith(expected)
 
 
-@pytest.mark.parametrize(("text", "number"), [("inf", math.inf), ("-inf", -math.inf), ("nan", math.nan)])
+@table(("text", "number"), [("inf", math.inf), ("-inf", -math.inf), ("nan", math.nan)])
 def test_numbers_that_json_has_no_word_for_are_texts(text, number):
     assert plain(number) == text
     assert repr(from_plain(float, text)) == repr(number)

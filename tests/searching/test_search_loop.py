@@ -19,6 +19,7 @@ from pytest_pafot.searching.events import (
     Restarted,
 )
 from pytest_pafot.searching.space import SearchSpace
+from tests.helpers.tables import table
 
 ALGORITHMS = [PafotSearch(), RandomSearch(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
 
@@ -241,7 +242,7 @@ def test_the_consumer_can_stop_it_and_still_gets_the_last_event(cheap_world):
     assert (event.reason, event.evaluated) == ("stopped", 3)
 
 
-@pytest.mark.parametrize("events_before", [0, 1, 2, 7, 30])
+@table("events_before", [0, 1, 2, 7, 30])
 def test_closing_it_ends_it_without_another_evaluation(cheap_world, events_before):
     world = cheap_world()
     campaign = run_campaign(PafotSearch(), world, generations=50, seed=1)
@@ -313,7 +314,7 @@ def test_local_generations_come_on_top_also_after_the_last_generation(make_evalu
     assert events[-1].generations == 4
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "message"),
     [
         ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),

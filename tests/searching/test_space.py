@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, random_instruction, repaired, sample
+from tests.helpers.tables import table
 
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40))
 seeds = st.integers(0, 2**32)
@@ -113,7 +114,7 @@ def test_the_quick_repair_is_the_repair_of_a_scenario(seed, npcs, genes, repair_
     assert repaired(chains, repair_seed, space) == Scenario.repaired(chains, seed=repair_seed)
 
 
-@pytest.mark.parametrize(
+@table(
     ("fields", "message"),
     [
         ({"npcs": 0}, "npcs: expected 1 to 8"),

@@ -4,6 +4,7 @@ import pytest
 from scipy import stats
 
 from pytest_pafot.support.proportions import interval, interval_text, mcnemar, percent, upper_bound
+from tests.helpers.tables import table
 
 
 @pytest.mark.parametrize(
@@ -19,7 +20,7 @@ def test_an_upper_bound_is_one_end_with_all_of_the_error_there():
     assert upper_bound(3, 300, 0.99) == pytest.approx(exact.high, abs=1e-12)
 
 
-@pytest.mark.parametrize(("first", "second"), [(0, 0), (3, 12), (12, 3), (5, 5), (0, 40)])
+@table(("first", "second"), [(0, 0), (3, 12), (12, 3), (5, 5), (0, 40)])
 def test_the_test_of_two_shares_on_the_same_trials_is_mcnemars(first, second):
     exact = stats.binomtest(first, first + second).pvalue if first + second else 1.0
     assert mcnemar(first, second) == pytest.approx(exact, rel=1e-9)

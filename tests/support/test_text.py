@@ -34,11 +34,12 @@ from pytest_pafot.support.text import (
 )
 from tests.findings.builders import plain_finding
 from tests.helpers.hostile import TEXTS, obeyed
+from tests.helpers.tables import table
 
 WIDTHS = st.integers(20, 120)
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "shown"),
     [
         ("a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0", r"a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0"),

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
 from pytest_pafot.world.codec import cuts, of_file
+from tests.helpers.tables import table
 
 positive = st.floats(0.1, 20)
 limits = st.builds(
@@ -109,7 +110,7 @@ def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_
     assert env.observation_space.shape == (2, 32, 16)
 
 
-@pytest.mark.parametrize(
+@table(
     ("data", "message"),
     [
         (None, "world: expected a mapping, received None"),
@@ -129,15 +130,13 @@ def test_tuples_and_arrays_in_a_configuration_are_written_as_lists_and_mean_the_
         ({"kind": "gym", "env_id": ["highway-v0"]}, "env_id: expected the id of a registered environment without"),
         ({"kind": "gym", "env_id": "highway-v0", "config": []}, "config: expected a dict of the environment's options"),
         ({"kind": "gym", "env_id": "highway-v0", "config": {3: 4}}, "config: expected text as keys, received 3"),
-    ],
-    ids=lambda value: str(value)[:40],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_faulty_data_is_refused_with_its_place_and_what_was_expected(data, message):
     with pytest.raises(WorldError, match=re.escape(message)):
         from_dict(data)
 
 
-@pytest.mark.parametrize(
+@table(
     "path",
     ["os.system", "antigravity.fly", "highway_env.vehicle", "highway_env_evil.vehicle.X", 3, None, ["os.system"]],
 )
@@ -186,7 +185,7 @@ def test_a_file_within_the_limits_of_the_test_means_what_it_says():
         assert cuts(data, short, own) == []
 
 
-@pytest.mark.parametrize(
+@table(
     "config", [{"simulation_frequency": 1000, "policy_frequency": 1, "duration": 400}, {"duration": 10**400}, {}, None]
 )
 def test_a_gym_world_in_a_file_is_cut_before_its_environment_is_made(config):

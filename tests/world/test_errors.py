@@ -14,6 +14,7 @@ from highway_env.envs.common import abstract, observation
 from pytest_pafot.model.scenario import PositionInstruction, Scenario, ScenarioError
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError
 from tests.helpers.stages import mostly_oracle
+from tests.helpers.tables import table
 
 
 def raises(message, error=WorldError):
@@ -28,7 +29,7 @@ def idle():
     return lambda observation: (0.0, 0.0)
 
 
-@pytest.mark.parametrize(
+@table(
     ("options", "message"),
     [
         ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
@@ -52,14 +53,13 @@ def idle():
         ({"hang_limit": 0}, "hang_limit: expected a number from 0.01 to 86400, received 0"),
         ({"limits": {"jerk": 5}}, "limits: expected pafot.NpcLimits(...), received {'jerk': 5}"),
     ],
-    ids=lambda value: str(value)[:40],
 )
 def test_a_wrong_option_of_the_highway_is_named_with_its_bounds(options, message):
     with raises(message):
         Highway(**options)
 
 
-@pytest.mark.parametrize(
+@table(
     ("physics_hz", "ads_hz", "message"),
     [
         (20, 15, "ads_hz: expected a divisor of physics_hz=20, so that every decision lasts a whole number of ticks, "
@@ -78,13 +78,13 @@ def test_frequencies_that_do_not_divide_are_refused_with_what_would(physics_hz, 
         World("highway-v0", config={"simulation_frequency": physics_hz, "policy_frequency": ads_hz}).check()
 
 
-@pytest.mark.parametrize(("physics_hz", "ads_hz"), [(15, 15), (15, 1), (30, 10), (1000, 8), (5, 5)])
+@table(("physics_hz", "ads_hz"), [(15, 15), (15, 1), (30, 10), (1000, 8), (5, 5)])
 def test_frequencies_that_divide_are_accepted_as_the_fix_says(physics_hz, ads_hz):
     assert Highway(physics_hz=physics_hz, ads_hz=ads_hz).ads_hz == ads_hz
 
 
-@pytest.mark.parametrize("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
-@pytest.mark.parametrize("value", [0, -1, 1e-300, 1e300, math.nan, math.inf, "5", None, True])
+@table("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
+@table("value", [0, -1, 1e-300, 1e300, math.nan, math.inf, "5", None, True])
 def test_a_limit_that_is_no_number_for_a_vehicle_is_refused(name, value):
     received = re.escape(f"received {value!r}")
     with pytest.raises(WorldError, match=rf"^limits\.{name}: expected a number from [^,]*(, so that .*)?, {received}$"):
@@ -100,7 +100,7 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
         Highway(limits=NpcLimits(overspeed=2))
 
 
-@pytest.mark.parametrize(
+@table(
     ("env_id", "config", "message"),
     [
         ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
@@ -145,15 +145,13 @@ def test_limits_that_contradict_what_an_npc_is_are_refused():
         ("highway-v0", {"observation": {"type": "TupleObservation", "observation_configs": [
             {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 20}] * 20}},
          "config.observation: expected at most 10000000 numbers, "),
-    ],
-    ids=lambda value: str(value)[:40],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_an_environment_that_would_take_minutes_to_make_is_refused_at_once(env_id, config, message):
     with raises(message):
         World(env_id, config=config).check()
 
 
-@pytest.mark.parametrize(
+@table(
     "observation",
     [
         {"type": "Kinematics", "vehicles_count": 100, "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]},
@@ -162,7 +160,6 @@ def test_an_environment_that_would_take_minutes_to_make_is_refused_at_once(env_i
         {"type": "TimeToCollision", "horizon": 10},
         {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]},
     ],
-    ids=lambda observation: observation["type"],
 )
 def test_a_large_observation_that_takes_milliseconds_is_accepted(observation):
     World("highway-v0", config={"observation": observation}).check()
@@ -179,19 +176,19 @@ def test_a_run_whose_record_would_not_fit_into_memory_is_refused():
         World("highway-v0", duration=3600, config={"simulation_frequency": 1000, "policy_frequency": 1}).check()
 
 
-@pytest.mark.parametrize("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
+@table("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
 def test_an_id_with_a_module_in_it_or_none_at_all_is_refused_before_anything_is_imported(env_id):
     with raises(f"received {env_id!r}; import the module that registers it first"):
         World(env_id)
 
 
-@pytest.mark.parametrize("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
+@table("env_id", ["highway", "highway-v99", "Highway-v0", "nope-v0", "highway-v0 "])
 def test_an_unknown_id_is_refused_with_the_straight_roads_that_there_are(env_id):
     with raises(f"received {env_id!r}; highway-env's straight roads are highway-fast-v0, highway-v0; an environment"):
         World(env_id).check()
 
 
-@pytest.mark.parametrize(
+@table(
     ("env_id", "meant"), [("highway-v9", "highway-v0"), ("Merge-v1", "merge-v1"), ("round-about-v0", "roundabout-v0")]
 )
 def test_an_unknown_id_comes_with_the_one_that_is_near(env_id, meant):
@@ -238,7 +235,7 @@ def test_an_environment_of_another_library_is_refused_by_its_class():
         World("CartPole-v1").check()
 
 
-@pytest.mark.parametrize(
+@table(
     ("config", "message"),
     [
         ([], "config: expected a dict of the environment's options, received []"),
@@ -258,15 +255,13 @@ def test_an_environment_of_another_library_is_refused_by_its_class():
         ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
         ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
         ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
-    ],
-    ids=lambda value: str(value)[:40],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 
 
-@pytest.mark.parametrize(
+@table(
     ("config", "message"),
     [
         ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
@@ -281,22 +276,19 @@ def test_a_wrong_configuration_is_named_with_what_was_expected(config, message):
          "config.action: expected options of highway-env's own, received target_speed; did you mean 'target_speeds'?"),
         ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
          "config.action.action_config: expected options of highway-env's own, received laterl; did you mean 'l"),
-    ],
-    ids=lambda value: str(value)[:60],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_a_misspelt_option_of_an_observation_or_action_is_named_which_highway_env_passes_over(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 
 
-@pytest.mark.parametrize(
+@table(
     "config",
     [
         {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
         {"observation": {"type": "Kinematics", "flatten": False}},
         {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
     ],
-    ids=str,
 )
 def test_options_of_other_observations_and_actions_are_passed_over_as_in_highway_envs_own_configurations(config):
     World("highway-v0", config=config).check()
@@ -326,7 +318,7 @@ def test_an_action_for_several_vehicles_has_no_ego():
         World("highway-v0", config=config).rollout(hold(1), lambda: lambda observation: (1,))
 
 
-@pytest.mark.parametrize(
+@table(
     ("options", "message"),
     [
         ({"duration": 0}, "duration: expected a number from 0.1 to 3600, received 0"),
@@ -357,7 +349,7 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
     assert set(config) == {"action", "lanes_count"}
 
 
-@pytest.mark.parametrize(
+@table(
     ("scenario", "message"),
     [
         (None, "scenario: expected a Scenario, received None"),
@@ -368,10 +360,8 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
         (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
         (hold(1, gene_seconds=0.01), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.01; the"),
         (hold(1, speed=35.0), "npcs[0][0].speed: expected at most the speed limit of "),
-    ],
-    ids=lambda value: str(value)[:40],
-)  # fmt: skip
-@pytest.mark.parametrize("world", [Highway(), World("highway-v0")], ids=["Highway", "World"])
+    ])  # fmt: skip
+@table("world", [Highway(), World("highway-v0")])
 def test_a_scenario_that_does_not_fit_the_world_is_refused_by_field(world, scenario, message):
     with raises(message, ScenarioError):
         world.rollout(scenario, idle)

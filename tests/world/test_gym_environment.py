@@ -32,6 +32,7 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING
 from pytest_pafot.world import World, WorldError
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle
+from tests.helpers.tables import table
 
 SCENARIO = Scenario(
     npcs=[[PositionInstruction(3, 24.0), PositionInstruction(2, 20.0)], [PositionInstruction(5, 20.0)]],
@@ -292,7 +293,7 @@ def test_a_planner_inside_of_the_environment_is_refused():
         world.rollout(SCENARIO, lambda env: lambda seen: 1)
 
 
-@pytest.mark.parametrize(
+@table(
     ("wrappers", "message"),
     [
         (FlattenObservation, "wrappers: expected a list of callables, received <class .*FlattenObservation"),

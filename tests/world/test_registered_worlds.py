@@ -4,6 +4,7 @@ import pytest
 
 from pytest_pafot import Highway, WorldError
 from pytest_pafot.world.codec import GROUP, changes, described, from_dict, is_code
+from tests.helpers.tables import table
 
 
 class Ring:
@@ -72,7 +73,7 @@ def test_the_kinds_of_this_package_cannot_be_taken(register):
 
 
 @pytest.mark.usefixtures("ring")
-@pytest.mark.parametrize("kind", ["rings", "tests.world.test_registered_worlds:Ring", "os:system", "", None])
+@table("kind", ["rings", "tests.world.test_registered_worlds:Ring", "os:system", "", None])
 def test_an_unknown_kind_is_refused_with_those_that_are_known_and_the_likely_cause(kind):
     message = r"world.kind: expected one of gym, highway, ring, received .*; a package .*pytest_pafot.worlds may not be"
     with pytest.raises(WorldError, match=message):

@@ -16,6 +16,7 @@ from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
+from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
 
 
@@ -28,8 +29,8 @@ def hold(*cells, **fields):
     return Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells], gene_seconds=0.2, **fields)
 
 
-@pytest.mark.parametrize("headway", [1.0, 2.0, 4.0])
-@pytest.mark.parametrize("speed", [0.0, 10.0, 22.0, 26.8])
+@table("headway", [1.0, 2.0, 4.0])
+@table("speed", [0.0, 10.0, 22.0, 26.8])
 def test_npcs_start_in_their_lanes_beside_the_ego_or_at_the_headway_all_at_its_speed(headway, speed):
     world = Highway(headway=headway)
     trace = starts(world, hold(*Cell, ego_speed=speed, ego_lane=2))
@@ -58,7 +59,7 @@ def test_at_tick_0_everybody_is_on_the_road_apart_and_out_of_danger():
         assert criticality.min_gap(trace) > 1.0
 
 
-@pytest.mark.parametrize("ego_lane", range(4))
+@table("ego_lane", range(4))
 def test_an_npc_whose_lane_does_not_exist_starts_in_the_nearest_cell_that_does(ego_lane):
     for cell in Cell:
         trace = starts(Highway(), hold(cell, ego_lane=ego_lane))

@@ -10,6 +10,7 @@ from pytest_pafot.model.trace import ACCELERATION, SPEED
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.stages import mostly_oracle
+from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes, weaving
 
 BRAKES = Scenario(
@@ -87,7 +88,7 @@ def test_it_takes_over_in_the_same_way_each_time():
     assert once.states.tobytes() == again.states.tobytes()
 
 
-@pytest.mark.parametrize(
+@table(
     ("tick", "name", "world", "message"),
     [
         (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"),

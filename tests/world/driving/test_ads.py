@@ -19,6 +19,7 @@ from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import AdsFactoryError, Highway, Observation, World
 from pytest_pafot.world.kernel.director import Director
+from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 HIGHWAY, GYM = Highway(), World("highway-v0")
@@ -59,9 +60,7 @@ def test_a_planners_action_is_held_between_decisions_and_logged_as_given():
     assert set(trace.ego[1:, 5]) == {0.001}
 
 
-@pytest.mark.parametrize(
-    "action", [(1, 0), [1.0, 0.0], np.array([1.0, 0.0]), np.float32([1, 0]), (np.float32(1), np.int64(0)), iter]
-)
+@table("action", [(1, 0), [1.0, 0.0], np.array([1.0, 0.0]), np.float32([1, 0]), (np.float32(1), np.int64(0)), iter])
 def test_any_pair_of_numbers_is_an_action(action):
     trace = HIGHWAY.rollout(SCENARIO, lambda: lambda observation: iter((1, 0)) if action is iter else action)
     assert trace.outcome is Outcome.SAFE
@@ -100,7 +99,7 @@ def test_a_policy_gets_the_environments_observation_and_gives_its_action():
     assert trace.ego[-1, 3] > 24
 
 
-@pytest.mark.parametrize("action", [[0.1, 0.0], (0.1, 0.0), np.array([0.1, 0.0]), np.float32([0.1, 0]), [1, 0]])
+@table("action", [[0.1, 0.0], (0.1, 0.0), np.array([0.1, 0.0]), np.float32([0.1, 0]), [1, 0]])
 def test_continuous_actions_may_be_lists_tuples_and_arrays(action):
     trace = CONTINUOUS.rollout(SCENARIO, always(action))
     assert trace.outcome is Outcome.SAFE

@@ -18,6 +18,7 @@ from pytest_pafot.model.trace import ACCELERATION, OFFSET, SPEED, STEERING, Outc
 from pytest_pafot.world.engines.selection import rollout_planner
 from tests.helpers.c_library import c_library
 from tests.helpers.engine_cases import Case, differences
+from tests.helpers.tables import table
 
 BEHIND = Scenario(npcs=[[PositionInstruction(6, 15.0)]], gene_seconds=8.0)
 
@@ -42,7 +43,7 @@ def changing(seed):
     return factory
 
 
-@pytest.mark.parametrize("seed", range(12))
+@table("seed", range(12))
 def test_both_engines_drive_to_lanes_the_same_to_the_last_bit(seed):
     case = replace(Case.random(seed), ego=changing(seed))
     assert differences(case.run("kernel"), case.run("highway-env")) == []
@@ -80,7 +81,7 @@ def test_a_lane_is_reached_within_three_seconds_and_kept_at_the_speed_that_is_wa
     assert abs(ego[-1, SPEED] - 25.0) < 0.01
 
 
-@pytest.mark.parametrize("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
+@table("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
 def test_a_lane_is_a_whole_number_of_any_kind(lane):
     (action, *_) = Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=lane, speed=25.0))).actions
     assert (action, type(action.lane)) == (Drive(lane=2, speed=25.0), int)
@@ -101,7 +102,7 @@ def test_a_pair_after_a_drive_is_held_as_any_pair():
     assert set(ego[-9:, ACCELERATION].tolist()) == {0.5}
 
 
-@pytest.mark.parametrize(
+@table(
     ("drive", "said"),
     [
         (Drive(lane=4, speed=20.0), "a lane from 0, at the left, to 3"),
@@ -119,7 +120,7 @@ def test_a_pair_after_a_drive_is_held_as_any_pair():
         (Drive(lane=1, acceleration=10**400), "numbers, that of the lane a whole one"),
     ],
 )
-@pytest.mark.parametrize("engine", ["kernel", "highway-env"])
+@table("engine", ["kernel", "highway-env"])
 def test_a_drive_that_says_nothing_or_where_there_is_no_lane_is_a_bad_action(drive, said, engine):
     error = Highway(engine=engine).rollout(BEHIND, always(drive)).error
     assert error.kind == "BadAction"

@@ -18,6 +18,7 @@ from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
 from pytest_pafot.world.driving.ads import weights_digest
 from pytest_pafot.world.driving.perception import sight_of
 from tests.helpers.stages import mostly_oracle
+from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes
 
 CHAINS = ((5, 17.4), (4, 26.6), (4, 13.7)), ((4, 26.4), (3, 13.3), (2, 23.6)), ((3, 17.5), (2, 21.0), (3, 25.5))
@@ -106,7 +107,7 @@ POLICIES = {
 }
 
 
-@pytest.mark.parametrize("engine", PLANNERS)
+@table("engine", PLANNERS)
 def test_a_planner_sees_others_as_a_delay_line_gives_them_out_and_itself_as_it_is(engine):
     trace, ads = run(PLANNERS[engine], Watching, latency=0.5)  # 8 ticks, and decisions are 3 apart
     lines = list(delayed(trace.npcs, 8))
@@ -264,7 +265,7 @@ def test_policies_in_lock_step_are_shown_what_they_are_shown_one_by_one():
     assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
 
 
-@pytest.mark.parametrize(
+@table(
     ("imperfections", "is_pure"),
     [
         ({}, True),
@@ -301,7 +302,7 @@ def test_an_ads_is_closed_and_has_only_the_methods_of_its_own():
     assert not hasattr(pafot.Perception(Watching)(), "close")
 
 
-@pytest.mark.parametrize(
+@table(
     ("make", "error", "message"),
     [
         (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),

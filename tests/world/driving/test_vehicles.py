@@ -23,6 +23,7 @@ from pytest_pafot.world import World
 from pytest_pafot.world.driving.vehicles import Car, ParallelLanes, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.stages import oracle
+from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, chains
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
@@ -101,7 +102,7 @@ def test_the_closest_lane_is_highway_envs_on_winding_roads(name, count):
     assert len(found) > len(network.lanes_list()) / 2
 
 
-@pytest.mark.parametrize("position", [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf)])
+@table("position", [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf)])
 def test_a_position_that_is_no_place_has_the_closest_lane_that_highway_env_says(position):
     network = tangled()
     with np.errstate(invalid="ignore"):
@@ -179,10 +180,8 @@ def from_the_right():
     return network
 
 
-@pytest.mark.parametrize(
-    "network",
-    [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()],
-    ids=["empty", "curved", "unequal lengths", "at an angle", "from the right"],
+@table(
+    "network", [RoadNetwork(), curved(), unequal(), RoadNetwork.straight_road_network(3, angle=0.3), from_the_right()]
 )
 def test_roads_that_are_not_straight_along_x_are_told_apart(network):
     assert straight_road(network) is None

@@ -11,6 +11,7 @@ from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import AdsFactoryError
 from pytest_pafot.world.engines.lock_step import batching_ads
 from tests.helpers.stopped_clock import StoppedClock
+from tests.helpers.tables import table
 
 HIGHWAYS = {engine: Highway(duration=12.0, engine=engine) for engine in ("kernel", "highway-env")}
 ENVIRONMENT = World("highway-v0", duration=12.0)
@@ -203,9 +204,7 @@ def test_actions_may_come_one_by_one_and_raise_meanwhile_as_a_decision_does():
     assert [trace.outcome for trace in traces] == [Outcome.ADS_ERROR, *[Outcome.SAFE] * 3]
 
 
-@pytest.mark.parametrize(
-    "answer", [lambda observations: [(0.0, 0.0)], lambda observations: None, lambda observations: []]
-)
+@table("answer", [lambda observations: [(0.0, 0.0)], lambda observations: None, lambda observations: []])
 def test_a_wrong_number_of_actions_is_refused(answer):
     planner = Planner()
     planner.batch = answer

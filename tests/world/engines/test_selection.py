@@ -26,6 +26,7 @@ from tests.helpers.c_library import c_library
 from tests.helpers.engine_cases import ALL_EGOS, Case, Hurried, differences, digest
 from tests.helpers.interpreted import InterpretedWorld
 from tests.helpers.stages import oracle
+from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
 
@@ -165,13 +166,13 @@ def test_the_kernel_runs_whatever_it_can_drive(ran, ads, expected):
     assert ran == [expected, "highway-env"]
 
 
-@pytest.mark.parametrize("ads", [OwnRules, LinearVehicle, functools.partial(IDMVehicle, timer=0.3)])
+@table("ads", [OwnRules, LinearVehicle, functools.partial(IDMVehicle, timer=0.3)])
 def test_a_world_that_insists_on_the_kernel_says_why_it_cannot(ads):
     with pytest.raises(WorldError, match=r"engine: expected an ADS that the kernel can drive.*use engine=\"auto\""):
         Highway(engine="kernel").rollout(SCENARIO, ads)
 
 
-@pytest.mark.parametrize("engine", ["fast", "", None, 1])
+@table("engine", ["fast", "", None, 1])
 def test_an_engine_has_a_name(engine):
     with pytest.raises(WorldError, match=r"engine: expected one of auto, kernel, highway-env, received"):
         Highway(engine=engine)

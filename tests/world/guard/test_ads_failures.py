@@ -22,6 +22,7 @@ from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from tests.helpers.stopped_clock import StoppedClock
+from tests.helpers.tables import table
 from tests.world.driving.test_ads import CONTINUOUS, GYM, HIGHWAY, SCENARIO, always, worlds
 
 # --- ADSs that fail
@@ -150,15 +151,13 @@ def test_a_vehicle_class_that_raises_while_it_moves_is_an_ads_error_at_that_tick
 PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive, received"
 
 
-@pytest.mark.parametrize(
+@table(
     "action",
     [
         None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
         ("1", "2"),
         {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
-    ],
-    ids=repr,
-)  # fmt: skip
+    ])  # fmt: skip
 def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
     trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
     assert trace.outcome is Outcome.ADS_ERROR
@@ -167,21 +166,17 @@ def test_what_is_no_pair_of_finite_numbers_is_a_bad_action(action):
     assert (trace.error.traceback, trace.error.tick, trace.ticks) == ("", 3, 3)
 
 
-@pytest.mark.parametrize(
-    "action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)], ids=repr
-)
+@table("action", [None, 5, -1, 1.0, "1", [1, 2], np.array([]), np.float32(1), True, {}, np.zeros(5)])
 def test_what_is_no_action_of_a_discrete_space_is_a_bad_action(action):
     trace = GYM.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")
     assert trace.error.message.startswith("expected a whole number from 0 to 4, received ")
 
 
-@pytest.mark.parametrize(
+@table(
     "action",
     [None, 0.1, [0.1], [0.1, 0.2, 0.3], [[0.1], [0.2]], [math.nan, 0.0], np.float32([0, np.inf]), "12", ["a", "b"],
-     [1j, 0], [None, 0.0], [[1], [2, 3]], {}],
-    ids=repr,
-)  # fmt: skip
+     [1j, 0], [None, 0.0], [[1], [2, 3]], {}])  # fmt: skip
 def test_what_is_no_action_of_a_continuous_space_is_a_bad_action(action):
     trace = CONTINUOUS.rollout(SCENARIO, always(action))
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "BadAction")

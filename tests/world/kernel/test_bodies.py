@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.world.kernel.bodies import Box, overlap, separation, side_hit
+from tests.helpers.tables import table
 
 angles = st.floats(-math.pi, math.pi)
 boxes = st.builds(Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3))
@@ -116,7 +117,7 @@ def test_separation_is_the_gap_between_projections_on_the_first_boxs_axes(a, b):
 EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
 
 
-@pytest.mark.parametrize(
+@table(
     ("other", "side"),
     [
         (Box(6.0, 0.0, 0.0, 5.0, 2.0), "front"),
@@ -131,7 +132,7 @@ EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
         (Box(5.3, 2.1, -0.1, 5.0, 2.0), "front"),  # over the corner, further apart ahead
     ],
 )
-@pytest.mark.parametrize("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
+@table("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
 def test_the_side_is_that_of_the_ego_whatever_way_it_heads(other, side, turn):
     cos_t, sin_t = math.cos(turn), math.sin(turn)
     ego = moved(EGO, x=300.0, y=4.0, heading=turn)

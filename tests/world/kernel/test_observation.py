@@ -9,6 +9,7 @@ import pytest
 
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.world import Highway, Observation, VehicleState
+from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
 
@@ -51,7 +52,7 @@ def test_an_observation_can_be_made_printed_and_pickled():
         assert pickle.loads(pickle.dumps(observation)) == observation
 
 
-@pytest.mark.parametrize("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit", "ids", "steering"])
+@table("name", ["time", "ego", "others", "lanes", "lane_width", "speed_limit", "ids", "steering"])
 def test_an_observation_is_read_only(name):
     with pytest.raises(AttributeError):
         setattr(seen_by("kernel")[0], name, 1)
