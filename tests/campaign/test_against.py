@@ -69,6 +69,7 @@ def test_the_reference_runs_where_the_policy_fails_and_nowhere_else():
     assert summary.against == "the reference"
 
 
+@pytest.mark.processes
 def test_what_is_found_is_the_same_in_other_processes():
     here, apart = (
         pafot.explore(

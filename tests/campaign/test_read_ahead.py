@@ -31,7 +31,7 @@ def avoids_collisions(run):
     "settings",
     [
         pytest.param({"blame": "any"}, marks=pytest.mark.processes),
-        {"blame": "ego"},
+        pytest.param({"blame": "ego"}, marks=pytest.mark.processes),
         {"fitness": "npcs.ttc", "blame": "ego"},
     ],
 )

@@ -151,9 +151,7 @@ def check_summaries(whole, parts):
     assert not parts[0].notes
 
 
-@pytest.mark.parametrize(
-    ("share", "places"), [(0, (2, 6, 3)), (10**9, (5, 3))], ids=["each border is written", "few are"]
-)
+@pytest.mark.parametrize(("share", "places"), [(0, (2, 6)), (10**9, (5,))], ids=["each border is written", "few are"])
 def test_a_session_that_is_killed_anywhere_goes_on_from_the_last_border(
     search, tmp_path, monkeypatch, whole, share, places
 ):

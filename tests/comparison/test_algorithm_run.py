@@ -18,6 +18,7 @@ from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Sc
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.searching.fitness import resolve
 from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
+from tests.helpers.stages import mostly_oracle, oracle
 
 
 def again(row):
@@ -28,7 +29,9 @@ def again(row):
     return Scenario(npcs=chains, seed=seed, ego_lane=lane, ego_speed=speed, gene_seconds=seconds)
 
 
-@pytest.mark.parametrize("algorithm", ["pafot", "av-fuzzer", "random", "random-manoeuvre"])
+@pytest.mark.parametrize(
+    "algorithm", mostly_oracle(["pafot", "av-fuzzer", "random", "random-manoeuvre"], "pafot", "random-manoeuvre")
+)
 def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
     from example_ads import constant_speed
 
@@ -45,7 +48,7 @@ def test_each_row_can_be_driven_again_and_shows_what_it_says(quick, algorithm):
 
 
 def test_the_clock_counts_simulated_scenarios_alone(quick):
-    rows = list(run_rows(quick(generations=12), "av-fuzzer", 1))
+    rows = list(run_rows(quick(generations=8), "av-fuzzer", 1))
     assert any(row.duplicate for row in rows)
     seconds = 0.0
     for row in rows:
@@ -62,7 +65,7 @@ def test_a_budget_of_seconds_ends_with_the_scenario_that_spends_it(quick):
 def test_a_failure_is_any_collision_or_with_blame_one_of_the_egos(quick):
     egos = {"ego", "both"}
     for blame, blamed in (("any", {"npc"} | egos), ("ego", egos), ("preventable", egos)):
-        rows = list(run_rows(quick(blame=blame, generations=8), "pafot", 0))
+        rows = list(run_rows(quick(blame=blame, generations=6), "pafot", 0))
         hits = [row for row in rows if row.outcome == "collision"]
         assert {row.responsibility for row in hits} > {"npc"}
         assert all(row.failing == (row.responsibility in blamed) for row in hits)
@@ -115,8 +118,14 @@ def raising():
     return drive
 
 
-@pytest.mark.parametrize("budget", [{"generations": 5}, {"generations": None, "seconds": 50.0}])
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize(
+    ("algorithm", "budget"),
+    [
+        *((name, {"generations": 2}) for name in ALGORITHMS),
+        ("distinct", {"generations": None, "seconds": 50.0}),
+        *(oracle(name, {"generations": None, "seconds": 50.0}) for name in ALGORITHMS if name != "distinct"),
+    ],
+)
 def test_an_ads_that_fails_at_its_first_decision_in_the_whole_first_generation_ends_the_run(quick, algorithm, budget):
     """By simulated seconds too, of which none would ever pass."""
     plan = quick(ads="tests.comparison.test_algorithm_run:failing_at_once", **budget)

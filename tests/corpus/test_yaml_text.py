@@ -2,7 +2,6 @@ from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
-import pytest
 import yaml
 from hypothesis import given, settings
 
@@ -15,6 +14,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import NASTY_TEXTS, findings, plain_finding
+from tests.helpers.tables import table
 
 FILE = """\
 pafot: 2                      # format version
@@ -145,7 +145,7 @@ def test_every_finding_is_read_as_it_was_written_also_by_an_ordinary_reader(find
     assert document["found"]["versions"] == finding.found.versions
 
 
-@pytest.mark.parametrize("text", NASTY_TEXTS)
+@table("text", NASTY_TEXTS)
 def test_nasty_texts_survive_everywhere(tmp_path, text):
     expect = replace(
         plain_finding().expect, failure=text if text.strip() else "Failed", assertion=text, message=text, traceback=text
@@ -154,6 +154,7 @@ def test_nasty_texts_survive_everywhere(tmp_path, text):
     reason = text if text.strip() else None
     finding = plain_finding(expect=expect, world=world, xfail=reason, test=reason or "t")
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
+    path.unlink(missing_ok=True)
     assert write(path, finding)
     assert load(path) == finding
 

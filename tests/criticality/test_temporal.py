@@ -90,7 +90,7 @@ def text_of(formula):
     return f"({' '.join(left)} {kind}{window} {right})"
 
 
-@settings(max_examples=60)  # of seven kinds of formulas, in each other
+@settings(max_examples=settings.default.max_examples * 2)  # of seven kinds of formulas, in each other
 @given(formulas, pairs_of_signals(1, numbers | st.just(math.nan)))
 def test_a_formula_has_the_robustness_and_the_deciding_tick_that_its_definition_gives_at_every_tick(formula, both):
     values = dict(zip("xy", both, strict=True))

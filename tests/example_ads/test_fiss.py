@@ -71,6 +71,7 @@ def test_a_vehicle_close_behind_does_not_make_it_brake():
     assert min(ego.speed for ego, _ in track) >= 21.9
 
 
+@pytest.mark.oracle
 def test_the_road_never_ends_although_the_map_is_short(monkeypatch):
     monkeypatch.setattr(fiss, "MAP_AHEAD", 260.0)
     monkeypatch.setattr(fiss, "MAP_RENEWED_AHEAD", 200.0)

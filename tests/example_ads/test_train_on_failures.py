@@ -7,7 +7,7 @@ from example_ads import ppo
 from example_ads.ppo import train, train_on_failures
 from example_ads.ppo.train_on_failures import TRAINED_ON, faults, measured, row, scenarios
 
-COUNT = 24
+COUNT = 12
 """Random scenarios that are counted."""
 TO_THE_RIGHT = ppo.PpoPolicy(((np.zeros((25, 5), np.float32), np.float32([0, 0, 1, 0, 0])),))
 """Changes to the next lane, and then on to the last one."""

@@ -49,6 +49,7 @@ def fetched(pool, tasks=TASKS):
     return [pool.fetch(task) for task in tasks]
 
 
+@pytest.mark.processes
 def test_its_processes_look_for_no_garbage_in_what_they_are_copies_of_and_the_session_still_does(pool_of):
     def frozen(number):
         assert gc.get_freeze_count() >= before + len(young)
@@ -74,6 +75,7 @@ def test_answers_are_fetched_in_any_order_from_no_more_processes_than_asked_for(
     assert str(os.getpid()) not in pids
 
 
+@pytest.mark.processes
 def test_a_process_that_waits_long_for_a_task_ends_by_itself_and_the_next_task_has_another(pool_of):
     pool = pool_of(lambda number: None, 1, idle=0.05)
     assert pool.fetch(2) == 4
@@ -201,6 +203,7 @@ def test_a_process_that_dies_names_its_task_and_the_others_are_answered(pool_of)
     assert pool.recovered == []
 
 
+@pytest.mark.processes
 def test_a_process_that_prints_into_the_pipe_of_the_pool_is_ended_and_named(pool_of):
     def scribble(number):
         for descriptor in range(3, 256) if number == 3 else ():
@@ -243,6 +246,7 @@ def test_every_task_that_kills_its_process_is_named(pool_of):
     assert [lost.how for lost in fetched(pool)] == [f"ended with exit code {number}" for number in TASKS]
 
 
+@pytest.mark.processes
 def test_a_process_that_dies_between_two_tasks_is_replaced_and_blames_nobody(pool_of):
     pool = pool_of(lambda number: None, size=1)
     for task in TASKS[:2]:
@@ -275,6 +279,7 @@ def answering(then):
     signal.signal(signal.SIGUSR2, lambda *signalled: (answer(*signalled), then()))
 
 
+@pytest.mark.processes
 def test_a_process_that_is_slow_and_answers_signals_lives(pool_of):
     now = multiprocessing.RawValue("d", 0.0)  # moves with each answer, however long that takes on a busy machine
 
@@ -458,6 +463,7 @@ def test_a_task_to_complete_in_which_a_process_died_is_not_tried_again(pool_of):
     assert answers == {0: 0, 2: 4}
 
 
+@pytest.mark.processes
 def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_of):
     pool = pool_of(lambda number: None, 1)
     with warnings.catch_warnings():
@@ -466,6 +472,7 @@ def test_starting_processes_beside_the_threads_of_others_warns_of_nothing(pool_o
         assert pool.fetch(0) == 0
 
 
+@pytest.mark.processes
 def test_a_process_without_memory_is_lost_by_name_and_the_others_go_on(pool_of):
     def greedy(number):
         if number == 1:

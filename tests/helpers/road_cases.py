@@ -87,14 +87,15 @@ def violations(trace, world):
     jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
     lateral = limits.lateral_acceleration
     turning = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
-    direction, fastest = lanes_of(trace, world.road)
+    ticks = range(0, trace.ticks + 1, 3)
+    direction, fastest = lanes_of(trace, world.road, ticks)
     beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
     bounds = {
         "acceleration": (acceleration, -limits.braking, limits.acceleration),
         "jerk": (jerk, -limits.jerk, limits.jerk),
         "speed": (speed, 0.0, limits.overspeed * world.speed_limit),
-        "speed in the bend": (speed - fastest, -np.inf, 0.0),
-        "angle to the lane": (wrapped(heading - direction), -limits.heading, limits.heading),
+        "speed in the bend": (speed[ticks] - fastest, -np.inf, 0.0),
+        "angle to the lane": (wrapped(heading[ticks] - direction), -limits.heading, limits.heading),
         "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
         "turning of the course": (turning, -lateral, lateral),
         "forward motion": (np.diff(trace.track[:, 1:, ALONG], axis=0), -1e-9, np.inf),
@@ -106,19 +107,20 @@ def violations(trace, world):
     return beyond(bounds)
 
 
-def lanes_of(trace, road):
+def lanes_of(trace, road, ticks):
     """Direction of each NPC's lane [rad], and sqrt(a / curvature) there [m/s], by the road's own line of that lane."""
-    direction = np.zeros(trace.npcs.shape[:2])
-    fastest = np.full(trace.npcs.shape[:2], np.inf)
-    for tick, npc in np.ndindex(direction.shape):
+    direction = np.zeros((len(ticks), trace.npcs.shape[1]))
+    fastest = np.full(direction.shape, np.inf)
+    for row, npc in np.ndindex(direction.shape):
+        tick = ticks[row]
         along = trace.track[tick, npc + 1, ALONG]
         lane = next(
             number for number, column in enumerate(road.columns)
             if column.part[road.point(along)] == trace.npcs[tick, npc, 6] or number == len(road.columns) - 1
         )  # fmt: skip
-        _, direction[tick, npc], _ = road.lane_at(lane, along)
+        _, direction[row, npc], _ = road.lane_at(lane, along)
         x, y, _ = zip(*(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True)
         turn = math.atan2(y[2] - y[1], x[2] - x[1]) - math.atan2(y[1] - y[0], x[1] - x[0])
         bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(x[2] - x[1], y[2] - y[1])
-        fastest[tick, npc] = math.sqrt(4 / max(bend, 1e-9))
+        fastest[row, npc] = math.sqrt(4 / max(bend, 1e-9))
     return direction, fastest

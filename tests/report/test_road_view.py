@@ -1,6 +1,7 @@
 """The picture of roads that are not straight: lanes as the world has them, cells along the bend."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,11 +55,9 @@ def test_an_ego_off_all_lanes_has_no_cells(view):
     trace = bend_trace()
     states = trace.states.copy()
     states[:, 0, LANE] = -1
-    from dataclasses import replace
-
     assert {place for row in view_of(replace(trace, states=states)).grid for place in row} == {None}
 
 
 def test_the_run_is_animated_too(view, monkeypatch):
     monkeypatch.setattr(animation, "RATES", animation.RATES[-1:])  # the file is small, whatever the rate
-    assert animate(view).startswith(b"\x89PNG")
+    assert animate(replace(view, times=view.times[:16])).startswith(b"\x89PNG")

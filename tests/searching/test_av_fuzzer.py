@@ -150,12 +150,12 @@ class TestDistance:
 class TestCourse:
     def test_only_what_was_touched_is_asked_for_again(self, landscape, assert_rate):
         search = AvFuzzerSearch(local_generations=0, restart_after=10**6)
-        events = list(run_campaign(search, landscape(lambda each: 1.0), generations=400, seed=1))
+        events = list(run_campaign(search, landscape(lambda each: 1.0), generations=150, seed=1))
         asked = Counter(event.generation for event in events if isinstance(event, Evaluated))
         assert asked[0] == 4
-        touched = sum(asked[generation] for generation in range(1, 400))
+        touched = sum(asked[generation] for generation in range(1, 150))
         # A scenario is touched by its own mutation, or by one of two crossovers of two out of four.
-        assert_rate(touched, 399 * 4, 1 - 0.6 * (1 - 0.4 / 2) ** 2)
+        assert_rate(touched, 149 * 4, 1 - 0.6 * (1 - 0.4 / 2) ** 2)
 
     def test_a_generation_in_which_nothing_is_touched_is_a_generation(self, landscape):
         search = AvFuzzerSearch(crossover_rate=0.0, mutation_rate=0.0)
@@ -260,7 +260,7 @@ class TestCourse:
             return -sum(gene.speed for chain in each.npcs for gene in chain)
 
         def events(batch):
-            return list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=9, seed=5, batch=batch))
+            return list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=8, seed=5, batch=batch))
 
         runs = events(batch=1), events(batch=3)
         assert runs[0] == runs[1]

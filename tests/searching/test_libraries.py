@@ -74,15 +74,15 @@ def test_it_learns(name, cheap_world):
 
     def failing(name):
         search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world(crash_speed=25.0)
-        events = run_campaign(search, world, generations=60, seed=2)
-        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 30)
+        events = run_campaign(search, world, generations=30, seed=2)
+        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 15)
 
     assert failing(name) > 1.3 * failing("random")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_new_bests_rise(name, cheap_world):
-    events = run_campaign(resolve_algorithm(name).make(SearchSpace()), cheap_world(), generations=30, seed=1)
+    events = run_campaign(resolve_algorithm(name).make(SearchSpace()), cheap_world(), generations=12, seed=1)
     ranks = [event.evaluation.rank for event in events if isinstance(event, NewBest)]
     assert ranks == sorted(set(ranks))
 

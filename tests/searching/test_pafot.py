@@ -221,7 +221,7 @@ def test_children_mutate_at_the_rate_of_the_search(make_population, assert_rate,
     search = PafotSearch(crossover_rate=0.0, mutation_rate=rate, breeding_attempts=0)
     state = PafotState(population=population, local_population=population, local_generation=2 * local)
     seeds = {member.scenario.seed for member in population}
-    children = [child for generation in bred(search, state, 600) for child in generation]
+    children = [child for generation in bred(search, state, 200) for child in generation]
     assert_rate(sum(child.seed not in seeds for child in children), len(children), expected)
 
 
@@ -230,7 +230,7 @@ def test_the_local_mutation_rate_is_capped_at_1(make_population):
     search = PafotSearch(crossover_rate=0.0, mutation_rate=0.8)
     state = PafotState(local_population=population, local_generation=2)
     seeds = {member.scenario.seed for member in population}
-    assert all(child.seed not in seeds for generation in bred(search, state, 50) for child in generation)
+    assert all(child.seed not in seeds for generation in bred(search, state, 20) for child in generation)
 
 
 def test_a_local_search_never_swaps_npcs(make_population):
@@ -238,7 +238,7 @@ def test_a_local_search_never_swaps_npcs(make_population):
     search = PafotSearch(crossover_rate=1.0, mutation_rate=0.0)
     state = PafotState(local_population=population, local_generation=2)
     known = {member.scenario for member in population}
-    assert all(child in known for generation in bred(search, state, 50) for child in generation)
+    assert all(child in known for generation in bred(search, state, 20) for child in generation)
 
 
 @pytest.mark.parametrize("local", [False, True])
@@ -246,7 +246,7 @@ def test_a_child_whose_run_is_known_from_the_population_is_bred_again(make_popul
     crashed_early = tuple(replace(member, genes_started=2) for member in make_population())
     state = PafotState(population=crashed_early, local_population=crashed_early, local_generation=2 * local)
     known = EvaluationCache(crashed_early)
-    children = [child for generation in bred(PafotSearch(), state, 100) for child in generation]
+    children = [child for generation in bred(PafotSearch(), state, 40) for child in generation]
     assert all(known.recall(child) is None for child in children)
 
 

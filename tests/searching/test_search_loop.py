@@ -42,7 +42,7 @@ def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
     assert last.best.rank == max(event.evaluation.rank for event in evaluated)
 
 
-@settings(max_examples=12)
+@settings(max_examples=settings.default.max_examples // 2)
 @given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64), st.integers(2, 9))
 def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(cheap_world, algorithm, seed, batch):
     def shuffled(scenarios, draw=random.Random(seed)):  # noqa: B008
@@ -122,7 +122,7 @@ def shows(run, scenario):
     return genes == executed or (genes == asked and scenario.seed == run.scenario.seed)
 
 
-@settings(max_examples=10)
+@settings(max_examples=settings.default.max_examples // 2)
 @given(st.integers(0, 2**32), st.floats(0, 30))
 def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(cheap_world, seed, crash_speed):
     world, runs = cheap_world(crash_speed=crash_speed), []
@@ -354,7 +354,7 @@ def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simul
         ]
 
     def bests(algorithm):
-        return [best_after(algorithm, evaluate, simulations=120, seed=seed) for seed in range(5)]
+        return [best_after(algorithm, evaluate, simulations=120, seed=seed) for seed in range(3)]
 
     by_chance = bests(RandomSearch())
     for algorithm in (PafotSearch(), PafotSearch(restart_after=50)):

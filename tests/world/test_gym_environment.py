@@ -120,7 +120,7 @@ CASES = {
 )
 def test_a_policy_sees_and_does_what_it_would_in_the_plain_loop(case, monkeypatch):
     config, wrappers = CASES[case]
-    world = World("highway-v0", config=config, duration=5.0, wrappers=wrappers)
+    world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers)
     listener = Listener(world.environment.make().action_space)
     trace = world.rollout(SCENARIO, lambda: listener)
 

@@ -45,7 +45,7 @@ def constant():
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1"))
 def test_limits_hold_and_the_executed_chain_is_a_fixed_point(env_id):
-    world, rng = world_of(env_id, duration=15.0), np.random.default_rng(3)
+    world, rng = world_of(env_id, duration=10.0), np.random.default_rng(3)
     for ego in (idm, constant):
         trace = world.rollout(sample(space_of(world), rng), ego)
         assert violations(trace, world) == [], trace.scenario.canonical()
@@ -106,7 +106,7 @@ def test_an_npc_that_starts_where_a_bend_ends_starts_no_faster_than_it_turns():
     ),
 )
 def test_the_plain_environment_agrees(env_id, ego):
-    world, rng = world_of(env_id, duration=15.0), np.random.default_rng(5)
+    world, rng = world_of(env_id, duration=10.0), np.random.default_rng(5)
     first = world.rollout(sample(space_of(world), rng), ego)
     again = world.rollout_in_gym(first.executed, ego)
     assert disagreement(Run(first), Run(again)) == ""
@@ -383,7 +383,7 @@ def registered():
 
 @pytest.mark.usefixtures("registered")
 def test_an_environment_of_ones_own_works_the_same():
-    world, rng = World("OwnCircuit-v0", duration=12.0), np.random.default_rng(0)
+    world, rng = World("OwnCircuit-v0", duration=6.0), np.random.default_rng(0)
     assert world.lanes == 2
     assert world.start == (1, 10.0)
     for ego in (idm, lambda: lambda observation: 1):
