@@ -294,3 +294,21 @@ def test_a_saved_mistake_is_known_to_later_searches_and_no_other_is(mistakes, tm
     gone.unlink()
     (found,) = mistakes_of_one_who_changes_blindly(seed=3, corpus=str(tmp_path)).findings
     assert signature_of(found.scenario) == gone_mistake
+
+
+def test_a_find_that_does_not_repeat_is_called_flaky_in_its_file_too(tmp_path):
+    made = []
+
+    def every_second_one_brakes():
+        made.append(-8.0 if len(made) % 2 else 0.0)
+        return lambda observation, does=made[-1]: (does, 0.0)
+
+    told = []
+    options = SHORT | {"shrink_rollouts": 0, "population": 8}
+    pafot.explore(
+        every_second_one_brakes, holds=never_collides, seed=5, corpus=tmp_path, on_event=told.append, **options
+    )
+    finds = [each.kept for each in told if isinstance(each, FindTold)]
+    assert finds
+    assert {each.find.difference for each in finds} == {"running it again gave another run"}
+    assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave another run"}

@@ -569,3 +569,10 @@ def test_what_a_world_finds_wrong_with_a_file_is_told_at_its_line(path, part, er
     fault = located(path, part, error)
     assert (fault.line, fault.field) == (line, field)
     assert told in str(fault)
+
+
+@pytest.mark.parametrize("most", [1, 10])
+def test_a_file_has_so_many_values_and_not_one_more(path, monkeypatch, most):
+    monkeypatch.setattr(yaml_document, "MOST_VALUES", most)
+    assert fault(path, f"[{', '.join('0' * most)}]").expected == f"at most {most} values"
+    assert fault(path, f"[{', '.join('0' * (most - 1))}]").expected != f"at most {most} values"

@@ -66,7 +66,7 @@ def looking_ahead(env):
     [
         pytest.param(FAST, undecided, {}, id="meta-actions"),
         pytest.param(CRASHING, undecided, {}, id="others-crash-too"),
-        pytest.param(CONTINUOUS, swerving, {}, id="continuous-actions"),
+        pytest.param(CONTINUOUS, swerving, {"seed": 3}, id="continuous-actions"),
         oracle(FAST, idm_mobil.make, {}, id="vehicle-class"),
         oracle(FAST, lambda: Sluggish, {}, id="vehicle-class-of-its-own"),
         pytest.param(CRASHING, Coasting, {}, id="vehicle-class-without-goals"),
@@ -75,8 +75,9 @@ def looking_ahead(env):
     ],
 )
 def test_compiled_an_episode_is_that_of_the_environments_own_steps(world, factory, options):
-    compiled = driven(world, factory, 0, is_recorded=True, **options)
-    stepped = driven(world, factory, 0, is_recorded=True, may_compile=False, **options)
+    options = {"seed": 0, "is_recorded": True, **options}  # with seed 3 others think of moving ahead of the ego
+    compiled = driven(world, factory, **options)
+    stepped = driven(world, factory, may_compile=False, **options)
     assert (compiled.steps, stepped.steps) == ("", "that was asked for")
     assert difference(compiled, stepped) <= WITHIN
     assert len(compiled.recording.states) == 1 + round(compiled.seconds * compiled.recording.physics_hz)
@@ -92,6 +93,10 @@ def test_a_crash_is_where_highway_env_flags_it_and_the_episode_is_cut_there():
 def test_other_traffic_roads_and_wrappers_go_through_the_environments_steps_and_say_why():
     merge = driven(pafot.World("merge-v0", {"simulation_frequency": 5}), lambda: lambda seen: 1, 0)
     assert "the road is not straight" in merge.steps
+    ranged = {**SWERVING, "action": {"type": "ContinuousAction", "speed_range": [0.0, 22.0]}, "duration": 2}
+    fast = type("Fast", (IDMVehicle,), {"MAX_SPEED": 50.0})
+    assert "limits of speed of its own" in driven(CONTINUOUS, lambda: fast, 0).steps
+    assert "limits of its own" in driven(pafot.World("highway-fast-v0", ranged), swerving, 0).steps
     linear = driven(LINEAR, constant_speed.make, 0, is_planner=True)
     assert "LinearVehicle" in linear.steps
     wrapped = pafot.World("highway-fast-v0", {**SHORT, "duration": 3}, wrappers=[gymnasium.wrappers.FlattenObservation])

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.shrink import SpeedInterval, instructions, shrink, size_of, sort_key
+from pytest_pafot.findings.shrink import SpeedInterval, _furthest, instructions, shrink, size_of, sort_key
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.strategies import scenarios
@@ -334,3 +334,9 @@ def test_a_minimal_result_comes_again_and_stays_and_no_npc_or_gene_can_be_left_o
         smaller += [Scenario(npcs=each, ego_lane=best.ego_lane, ego_speed=best.ego_speed) for each in chains]
     assert not any(fails(each) for each in smaller)
     assert instructions(best) <= instructions(given)
+
+
+def test_the_furthest_step_is_found_exactly():
+    steps = [(reach, most, direction) for reach in range(40) for most in (0, 1, 7, 10, 33) for direction in (1, -1)]
+    found = [_furthest(lambda step: step * direction <= reach, direction, most) for reach, most, direction in steps]  # noqa: B023
+    assert found == [min(reach, most) for reach, most, _ in steps]

@@ -33,6 +33,8 @@ for number, line in enumerate(sys.stdin):
     {body}
 """
 
+SEEN = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
+
 
 def program(folder, body, **options):
     file = folder / f"planner_{len(list(folder.iterdir()))}.py"
@@ -122,8 +124,7 @@ def test_a_program_that_is_kept_hears_of_the_next_scenario(tmp_path, capfd):
 def test_two_runs_at_once_have_a_program_each(tmp_path):
     loader = program(tmp_path, "answer(acceleration=float(number), steering=0.0)")
     first, second = loader(), loader()
-    seen = Observation(0.0, VehicleState(0, 0, 0, 20, 0, 5, 2), (), 4, 4.0, 26.8)
-    assert [first(seen), first(seen), second(seen)] == [(0.0, 0.0), (1.0, 0.0), (0.0, 0.0)]
+    assert [first(SEEN), first(SEEN), second(SEEN)] == [(0.0, 0.0), (1.0, 0.0), (0.0, 0.0)]
     for ads in (first, second):
         ads.close()
 
@@ -352,3 +353,17 @@ def test_the_planner_in_c_of_the_documents_drives(tmp_path):
     trace = ROAD.rollout(CUT_IN, pafot.policies.process([str(tmp_path / "planner")]))
     assert trace.error is None
     assert min(acceleration for acceleration, _ in trace.actions) < -1
+
+
+def test_a_program_that_waits_is_not_used_by_another_process(tmp_path, monkeypatch):
+    loader = program(tmp_path, "answer(acceleration=0.0, steering=0.0)")
+    first = loader()
+    first(SEEN)
+    first.close()
+    with monkeypatch.context() as patch:
+        patch.setattr(programs.os, "getpid", lambda: 1)
+        other = loader()
+    assert other._program is not first._program
+    other._program.end()
+    assert loader()._program is first._program
+    first._program.end()

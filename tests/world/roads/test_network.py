@@ -1,0 +1,43 @@
+"""What bends allow, and how vehicles lean in them, by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pytest_pafot.world import NpcLimits
+from pytest_pafot.world.roads.network import BEND_SHARE, SLOWING, SPEED_LAG, allowed_speeds, leans, sharpest_ahead
+from pytest_pafot.world.roads.survey import _curvature
+
+LENGTHS = np.arange(0.0, 200.0)
+RADIUS = 20.0
+BEND = np.where((LENGTHS >= 100) & (LENGTHS <= 140), 1 / RADIUS, 0.0)
+LIMITS = NpcLimits()
+IN_THE_BEND = math.sqrt(BEND_SHARE * LIMITS.lateral_acceleration * RADIUS)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_bend_to_either_side_is_driven_slowly_from_its_beginning_to_its_end(side):
+    speed = allowed_speeds(side * BEND, np.full(200, 20.0), None, LENGTHS, LIMITS)
+    assert speed[100:141] == pytest.approx(IN_THE_BEND)
+    assert speed[141:] == pytest.approx(LIMITS.overspeed * 20.0)
+    for before in range(100):
+        then = math.sqrt(IN_THE_BEND**2 + 2 * SLOWING * (100 - before))
+        ahead = min(100 - before, math.floor(then * SPEED_LAG) + 1)
+        expected = math.sqrt(IN_THE_BEND**2 + 2 * SLOWING * (100 - before - ahead))
+        assert speed[before] == pytest.approx(min(expected, LIMITS.overspeed * 20.0)), before
+    sharpest = sharpest_ahead(side * BEND, LENGTHS, 30.0)
+    assert sharpest.tolist() == [1 / RADIUS if 70 <= length <= 140 else 0.0 for length in LENGTHS]
+
+
+def test_nobody_drives_beyond_the_end_of_a_lane():
+    speed = allowed_speeds(np.zeros(200), np.full(200, 20.0), 150.0, LENGTHS, LIMITS)
+    assert (speed[150:] == 0.0).all()
+    assert speed[100] == pytest.approx(math.sqrt(2 * SLOWING * (50 - 10)))  # 9.4 m on while the control lags behind
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_curvature_of_a_circle_is_that_of_its_radius_and_a_vehicle_leans_out_of_it(side):
+    direction = side * LENGTHS / RADIUS
+    assert _curvature(direction, LENGTHS) == pytest.approx(np.full(200, side / RADIUS))
+    assert leans(direction, LENGTHS, 5.0)[-1] == pytest.approx(-side * math.asin(2.5 / RADIUS))
