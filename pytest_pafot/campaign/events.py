@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
 
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.finding import Finding
@@ -100,14 +99,6 @@ class SearchSummary:
     random: tuple[int, int] = (0, 0)
     drawn: str = ""  # from what the scenarios were drawn, in one line
     coverage: str = ""  # one line on the Position-Instructions that the runs came to
-
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
-        """The inverse of ``dataclasses.asdict``, also where JSON has made lists of tuples."""
-        finds = tuple(Find(**find) for find in plain["finds"])
-        texts = {name: tuple(plain[name]) for name in ("warnings", "notes")}
-        random: tuple[int, int] = tuple(plain["random"])
-        return cls(**{**plain, **texts, "finds": finds, "random": random})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,6 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.support.errors import plain_number, plain_whole
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -314,11 +313,11 @@ def is_ci(environ: Mapping[str, str]) -> bool:
 
 def _read_integer(option: Option, value: object) -> int:
     try:
-        number = plain_whole(int(value, 10) if isinstance(value, str) else value)
+        number = int(value, 10) if isinstance(value, str) else value
     except ValueError:
         number = None
-    if number is None or not option.least <= number < SEED_LIMIT:
-        limit = f" and less than {SEED_LIMIT}" if number is not None and number >= SEED_LIMIT else ""
+    if isinstance(number, bool) or not isinstance(number, int) or not option.least <= number < SEED_LIMIT:
+        limit = f" and less than {SEED_LIMIT}" if isinstance(number, int) and number >= SEED_LIMIT else ""
         raise OptionError(f"expected a whole number, at least {option.least:g}{limit}, received {value!r}")
     return number
 
@@ -341,12 +340,12 @@ def cores() -> int:
 
 def _read_seconds(option: Option, value: object) -> float:
     try:
-        seconds = plain_number(float(value) if isinstance(value, str) else value)
+        seconds = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else -1.0
     except ValueError:
-        seconds = None
-    if seconds is None or seconds < option.least:
+        seconds = -1.0
+    if not option.least <= seconds < float("inf"):
         raise OptionError(f"expected seconds, at least {option.least:g}, received {value!r}")
-    return float(seconds)
+    return seconds
 
 
 def _read_text(option: Option, value: object) -> str:

@@ -20,8 +20,9 @@ from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.messages import PAGE
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view
-from pytest_pafot.report.page_data import NEW, encode
+from pytest_pafot.report.page_data import NEW
 from pytest_pafot.searching.events import Event
+from pytest_pafot.searching.plain import plain
 
 
 def label_of(find: Find) -> str:
@@ -70,7 +71,7 @@ class PageMessages:
         if not find.path:  # What lies in no file is found again by its search.
             options = f"{self.settings.budget} --pafot-seed={self.settings.seed}"
             command = f"pytest {shlex.quote(self.item.nodeid)} {options}"
-        self._tell(view=encode(replace(view, label=label_of(find), path=find.path, command=command)))
+        self._tell(view=plain(replace(view, label=label_of(find), path=find.path, command=command)))
 
     def _searched(self, summary: SearchSummary) -> None:
         """Show the search, and what is known at its end of the finds."""
@@ -83,7 +84,7 @@ class PageMessages:
         )
         known = {node_ids.saved_node_id(self.item, id_): count for id_, count in summary.known.items()}
         self._tell(
-            campaign=encode(campaign),
+            campaign=plain(campaign),
             runs={find.node_id: 1 + find.repeats for find in summary.finds} | known,
             labels={find.node_id: label_of(find) for find in summary.finds},
             base_seed=self.settings.seed,
@@ -107,7 +108,7 @@ class PageMessages:
         if headline:
             view = finding_view(trace, finding, node_id=self.item.nodeid, headline=headline, check=check)
             accepted = f", accepted: {finding.accepted}" if finding.accepted else ""
-            self._tell(view=encode(replace(view, label=f"{label}{accepted}", path=path)))
+            self._tell(view=plain(replace(view, label=f"{label}{accepted}", path=path)))
 
     def _tell(self, **data: object) -> None:
         messages.send(self.item, PAGE, {"target": self.settings.report, **data})

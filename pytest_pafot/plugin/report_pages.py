@@ -80,11 +80,12 @@ class Pages:
             lines.problems.append(f"--pafot-report={asked}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, data: Mapping[str, Any]) -> None:
-        from pytest_pafot.report.page_data import CampaignView, FindingView, decode  # noqa: PLC0415
+        from pytest_pafot.report.page_data import CampaignView, FindingView  # noqa: PLC0415
         from pytest_pafot.report.session_report import Draft  # noqa: PLC0415
+        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
-        finding = decode(FindingView, data["view"]) if "view" in data else None
-        campaign = decode(CampaignView, data["campaign"]) if "campaign" in data else None
+        finding = from_plain(FindingView, data["view"]) if "view" in data else None
+        campaign = from_plain(CampaignView, data["campaign"]) if "campaign" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails for it, too
             if _has_rows(self._config):

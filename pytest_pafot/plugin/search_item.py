@@ -37,6 +37,7 @@ from pytest_pafot.plugin.report_pages import page_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.plugin.session_records import tell_finding
 from pytest_pafot.report import terminal
+from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import plural
 from pytest_pafot.support.versions import installed_versions
@@ -211,7 +212,7 @@ class SearchMessages:
         elif isinstance(event, SearchSummary):
             found = of_findings((each.finding, each.find.path) for each in self.told.values())
             set_properties(self.item.user_properties, **found)
-            messages.send(self.item, "search", asdict(event))
+            messages.send(self.item, "search", {"summary": plain(event)})
         if self.page is not None:
             self.page(event)
 

@@ -90,6 +90,7 @@ class Records:
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
         from pytest_pafot.report.session_record import FindingRecord, SearchRecord  # noqa: PLC0415
+        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         data = message.data
         match message.kind:
@@ -100,7 +101,7 @@ class Records:
                 if finding.is_new:
                     self._write_json(None)
             case "search":
-                summary = SearchSummary.from_plain(data)
+                summary = from_plain(SearchSummary, data["summary"])
                 self._searches[node_id] = SearchRecord.of(summary)
                 self._runs.update((find.node_id, 1 + find.repeats) for find in summary.finds)
                 self._write_json(None)

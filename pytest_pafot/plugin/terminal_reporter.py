@@ -190,6 +190,7 @@ class Reporter:
         """Messages of a page have a plugin of their own."""
         from pytest_pafot.campaign.events import Progress, SearchSummary  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
+        from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
 
         data = message.data
         match message.kind:
@@ -201,7 +202,7 @@ class Reporter:
                 self._take_find(report, data)
             case "search":
                 self._running.pop(report.nodeid, None)
-                self._searches.append(SearchSummary.from_plain(data))
+                self._searches.append(from_plain(SearchSummary, data["summary"]))
             case "replay":
                 self._replays.append(terminal.ReplaySummary(node_id=report.nodeid, **data))
             case "rate" | "merge":

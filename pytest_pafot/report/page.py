@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from html import escape
 from importlib.resources import files
 from string import Template
 
 from pytest_pafot.report.markup import campaign_article, copyable, facts, finding_article, finding_list, text
-from pytest_pafot.report.page_data import Report, encode
+from pytest_pafot.report.page_data import Report
 from pytest_pafot.support.text import quiet_json
 
 ASSETS = "pytest_pafot.report.assets"
@@ -77,7 +77,7 @@ def data_json(report: Report) -> str:
     everything beyond ASCII is escaped, U+2028 among it.
     """
     findings = tuple(replace(finding, yaml="", explanation="") for finding in report.findings)
-    data = encode(replace(report, findings=findings, errors=()))
+    data = asdict(replace(report, findings=findings, errors=()))
     plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

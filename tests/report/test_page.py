@@ -5,7 +5,7 @@ import hashlib
 import html
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.report.finding_view import shrink_view
 from pytest_pafot.report.page import render_frame, render_page
-from pytest_pafot.report.page_data import CampaignView, FindingView, Report, decode
+from pytest_pafot.report.page_data import CampaignView, FindingView, Report
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import CUT_IN, HOSTILE, cut_in_trace, real_report, scenario, values_of, view_of
 
@@ -91,9 +91,8 @@ def test_everything_in_words_is_there_without_scripts(page):
 
 def test_the_data_is_the_report_but_for_texts_that_the_page_holds(page):
     data = json.loads(Reader(page).raw["script:application/json"])
-    back = decode(Report, data)
     slim = tuple(replace(finding, yaml="", explanation="") for finding in real_report().findings)
-    assert back == replace(real_report(), findings=slim)
+    assert data == json.loads(json.dumps(asdict(replace(real_report(), findings=slim))))
 
 
 def page_that_says(text):

@@ -4,13 +4,14 @@ Long texts lie in ``__snapshots__``. ``--snapshot-update`` writes them anew; wha
 """
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 from pytest_pafot.campaign.events import Find, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
 from pytest_pafot.report.terminal import ReplaySummary, SessionSummary
+from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.support.text import fitted_lines, wrapped_to
 from tests.helpers.tables import table
 
@@ -50,7 +51,7 @@ SEARCH = SearchSummary(
 
 
 def test_a_search_survives_the_way_through_plain_data():
-    assert SearchSummary.from_plain(json.loads(json.dumps(asdict(SEARCH)))) == SEARCH
+    assert from_plain(SearchSummary, json.loads(json.dumps(plain(SEARCH)))) == SEARCH
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
