@@ -91,15 +91,24 @@ def test_no_output_of_a_session_with_hostile_files_is_obeyed(saved, monkeypatch)
 
 
 SENDS = """
-import execnet
+from types import SimpleNamespace
 
-def pytest_runtest_logreport(report):
-    execnet.dumps(CONFIG.hook.pytest_report_to_serializable(config=CONFIG, report=report))
+import execnet
+from pytest_pafot.plugin.session import Worker
 
 def pytest_configure(config):
     global CONFIG
     CONFIG = config
+
+def pytest_runtest_logreport(report):
+    execnet.dumps(CONFIG.hook.pytest_report_to_serializable(config=CONFIG, report=report))
+
+def pytest_sessionfinish():
+    config = SimpleNamespace(stash=CONFIG.stash, workeroutput={})
+    Worker().pytest_sessionfinish(SimpleNamespace(config=config))
+    execnet.dumps(config.workeroutput)
 """
+"""Lets pytest-xdist pack what a worker would send."""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
