@@ -17,6 +17,7 @@ from pytest_pafot.campaign.events import FindTold
 from pytest_pafot.campaign.request import RequestError
 from pytest_pafot.searching import Checkpoint, GenerationalSearch, GenerationState, from_plain, plain, sample
 from pytest_pafot.searching.events import CampaignFinished, Evaluated, GenerationFinished, NewBest
+from tests.helpers.stages import mostly_oracle
 
 SHORT = {
     "population": 4,
@@ -120,7 +121,7 @@ def state_of(folder):
     return path
 
 
-@pytest.mark.parametrize("algorithm", ["distinct", "random"])
+@pytest.mark.parametrize("algorithm", mostly_oracle(["distinct", "random"], "distinct"))
 def test_four_sessions_are_one_long_one(search, tmp_path, request, algorithm):
     if algorithm == "distinct":
         whole, saved = request.getfixturevalue("whole")

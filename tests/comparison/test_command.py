@@ -170,6 +170,7 @@ def test_the_same_again_changes_nothing_but_takes_no_time(made, capsys):
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     """A policy that stands still is never responsible, and a second of driving brings no collision."""
     arguments = ["--duration", "1", "--gene-seconds", "1", "--generations", "2", "--runs", "2"]
+    arguments += ["--algorithms", "pafot,random"]
     assert compare(tmp_path, "--ads", "tests.comparison.test_command:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
     assert {row[1] for row in found["Distinct failures for which the ego answers"][2:]} == {"0"}
@@ -180,6 +181,7 @@ def standing():
     return lambda observation: (-5.0, 0.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
     assert compare(tmp_path, "--algorithms", "random") == 0
     assert "One algorithm alone" in (tmp_path / "report.md").read_text()
