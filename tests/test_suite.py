@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.tables import table
 from tests.test_layers import MODULES, ROOMS, nodes_of, statements
 
 ROOT = Path(__file__).parents[1]
@@ -81,3 +82,17 @@ def test_modules_of_one_name_are_few_and_have_a_reason():
 def test_the_folders_of_tests_are_named_after_what_they_test():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
     assert folders <= {*ROOMS, "example_ads"}
+
+
+def test_a_table_runs_every_row_and_names_those_that_fail():
+    seen = []
+
+    @table(("one", "other"), [(1, 1), (1, 2), (3, 4)])
+    def equal(one, other):
+        seen.append(one)
+        assert one == other
+
+    with pytest.raises(BaseExceptionGroup, match="2 of 3 rows fail") as caught:
+        equal()
+    assert seen == [1, 1, 3]
+    assert [error.__notes__ for error in caught.value.exceptions] == [["with one=1, other=2"], ["with one=3, other=4"]]

@@ -199,7 +199,7 @@ def test_collisions_are_found_at_the_first_tick_at_which_boxes_of_the_stock_vehi
     from highway_env.utils import are_polygons_intersecting
 
     world, found = Highway(), 0
-    for scenario in random_scenarios(6, lanes=4, speed_limit=26.8, seed=11):
+    for scenario in random_scenarios(4, lanes=4, speed_limit=26.8, seed=11):
         trace = world.rollout(scenario, lambda: lambda observation: (0.0, 0.0))
         env, _ = stock_env(trace, ego_class=Vehicle)
         road, first = env.unwrapped.road, None
