@@ -208,3 +208,10 @@ def test_a_folder_that_begins_with_the_name_of_a_test_is_of_another():
     for other in ("test_ab", "test_ab[1]", "test_ab[A]", "test_a_b[A]", "TestX::test_a"):
         assert not may_be_of(safe_name(other), "test_a")
         assert not may_be_of(safe_name(f"TestX::{other}"), "TestX::test_a")
+
+
+def test_a_name_of_eighty_characters_stays_and_a_longer_one_is_cut_with_its_digest():
+    assert safe_name("a" * 80) == "a" * 80
+    assert safe_name("a" * 81).startswith("a" * 68 + "~")
+    assert len(safe_name("a" * 81)) == 79
+    assert safe_name("a" * 81) != safe_name("a" * 82)
