@@ -140,7 +140,7 @@ class Retried:
 
 def retry(
     leftover: Leftover,
-    job: Job | None,
+    job: Job,
     judge: Callable[[Trace], object],
     *,
     isolate: bool,
@@ -155,7 +155,7 @@ def retry(
 
     Args:
         leftover: of the process; removed once all is said, unless it is pending.
-        job: what the process ran; None where its world cannot be made again.
+        job: what the process ran.
         judge, isolate: see :func:`answers_apart`.
         keep: saves a scenario in which a process died, and another one when it ran again, as far as that is known.
         run_here: runs what was in lock step in this process, with the scenario on disk, for the next session to retry.
@@ -167,7 +167,7 @@ def retry(
         )
         return Retried(notes=(note,), pending=leftover)
     answers: dict[Scenario, Answer] | None = None
-    if job is not None and not leftover.is_tried:
+    if not leftover.is_tried:
         with suppress(ExecutionError):  # The first run of the search says so.
             answers = answers_apart(job, leftover.scenarios, judge, isolate=isolate)
     if answers is None and leftover.is_lock_step:

@@ -111,20 +111,20 @@ class TestRetrying:
     def retried(self, job_of, tmp_path):
         """What came of the record of a process that died, what was kept, and what was run in this process."""
 
-        def retried(*scenarios, drive=idle, job=job_of):
+        def retried(*scenarios, drive=idle):
             folder = tmp_path / "records"
             plain = [json.loads(each.canonical()) for each in scenarios]
             several = {"scenario": None, "together": plain} if len(plain) > 1 else {"scenario": plain[0]}
             folder.mkdir(exist_ok=True)
             (folder / "1-x.inflight").write_text(json.dumps({"owner": "it", "pid": 1, "world": None, **several}))
-            return again(drive, job)
+            return again(drive)
 
-        def again(drive=idle, job=job_of):
+        def again(drive=idle):
             (leftover,) = leftovers(tmp_path / "records")
             kept, here = [], []
             came = retry(
                 leftover,
-                job and job(drive),
+                job_of(drive),
                 praise,
                 isolate=False,
                 keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.how)),
@@ -157,11 +157,11 @@ class TestRetrying:
         came, kept, _ = retried.again()
         assert (kept, came.pending) == ([(ONE, None)], None)
 
-    def test_where_nothing_can_be_tried_one_death_is_enough_for_what_was_alone_in_flight(self, retried):
-        _, kept, here = retried(ONE, job=None)
+    def test_where_nothing_can_be_tried_one_death_is_enough_for_what_was_alone_in_flight(self, retried, no_fork):
+        _, kept, here = retried(ONE)
         assert (kept, here) == ([(ONE, None)], [])
 
-    def test_where_nothing_can_be_tried_what_was_in_lock_step_runs_in_this_process(self, retried):
-        came, kept, here = retried(ONE, TWO, job=None)
+    def test_where_nothing_can_be_tried_what_was_in_lock_step_runs_in_this_process(self, retried, no_fork):
+        came, kept, here = retried(ONE, TWO)
         assert (kept, here) == ([], [(ONE, TWO)])
         assert came.pending is None
