@@ -308,7 +308,7 @@ def test_a_find_that_does_not_repeat_is_called_flaky_in_its_file_too(tmp_path):
     pafot.explore(
         every_second_one_brakes, holds=never_collides, seed=5, corpus=tmp_path, on_event=told.append, **options
     )
-    finds = [each.kept for each in told if isinstance(each, FindTold)]
+    finds = [each for each in told if isinstance(each, FindTold)]
     assert finds
     assert {each.find.difference for each in finds} == {"running it again gave another run"}
     assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave another run"}
