@@ -33,3 +33,9 @@ def test_patterns_take_place_on_both_sides_of_the_ego_and_some_at_its_speed():
     beside = [chain[0].speed for chain in chains if chain[0].cell in (Cell.LEFT, Cell.RIGHT)]
     assert 18.0 <= min(beside) < 19.0
     assert 21.0 < max(beside) <= 22.0
+
+
+def test_a_leader_of_a_pattern_may_stand():
+    rng = np.random.default_rng(1)
+    first = [chain_of_patterns(1, 20.0, 268, rng)[0] for _ in range(1000)]
+    assert min(gene.speed for gene in first if gene.cell is Cell.FRONT) == 0.0
