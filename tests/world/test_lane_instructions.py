@@ -74,6 +74,14 @@ def test_each_gene_counts_lanes_anew():
     assert trace.npcs[[0, 74, 149, 224, 299], 0, LANE].tolist() == [0, 1, 2, 3, 2]
 
 
+def test_only_one_of_two_npcs_enters_a_gap():
+    beside = chain("keep@20", "right@20"), chain("keep@26", "keep@26"), chain("keep@20", "left@20")
+    trace = drive(scenario(*beside, ego_speed=15.0), duration=10.0)
+    assert np.ptp(trace.npcs[75, [0, 2], X]) < 0.5, "they should be side by side"
+    assert trace.outcome is Outcome.SAFE
+    assert trace.npcs[-1, [0, 2], LANE].tolist() == [1, 2]
+
+
 def test_towards_a_lane_that_does_not_exist_an_npc_keeps_its_own():
     trace = drive(scenario(chain("left@20", "left@12")))
     assert np.all(trace.npcs[:, 0, LANE] == 0)
