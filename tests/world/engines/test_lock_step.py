@@ -187,6 +187,14 @@ def test_a_failing_decision_ends_its_own_run_and_no_other(engine, how, outcome, 
     assert differences(traces[1:], healthy[1:]) == []
 
 
+@table("seconds, asked", [(3.9, [4, 4]), (4.1, [4])])
+def test_a_batch_has_the_time_of_its_runs(seconds, asked, monkeypatch):
+    clock, planner = StoppedClock(monkeypatch), Planner()
+    planner.batch = lambda observations: (Planner.batch(planner, observations), clock.sleep(seconds))[0]
+    Highway(duration=2.0, ads_hz=1, hang_limit=1.0).rollout_batch(scenarios(4), lambda: planner)
+    assert planner.asked == asked, "after a hang the runs are repeated one by one"
+
+
 def test_an_interrupt_in_a_decision_of_many_runs_is_the_users():
     def interrupt():
         raise KeyboardInterrupt
