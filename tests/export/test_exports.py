@@ -15,6 +15,7 @@ import pytest
 from pytest_pafot.export.exporter import centre_line, exporter
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
 from tests.helpers.tables import table
+from tests.helpers.traces import straight_lanes, trace_of, vehicle
 
 # What CommonRoad's library imports is older than the rules that it is told about.
 pytestmark = pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")
@@ -170,6 +171,17 @@ def test_lanes_are_one_road_only_where_they_lie_side_by_side(exported, changes, 
     lanes = (*trace.lanes[:-1], replace(trace.lanes[-1], **changes))
     road = exporter("xosc")(finding, replace(trace, lanes=lanes))[f"{finding.id}.xodr"]
     assert road.count(b"<road ") == roads
+
+
+def test_a_turned_straight_road_is_turned_in_opendrive():
+    pytest.importorskip("scenariogeneration")
+    from pytest_pafot.export.openscenario import road_file
+
+    trace = trace_of(vehicle([0.0]), lanes=straight_lanes(heading=0.3))
+    (line,) = ElementTree.fromstring(road_file("turned", trace)).iter("geometry")
+    x, y, heading, length = (float(line.get(key)) for key in ("x", "y", "hdg", "length"))
+    end = x + length * math.cos(heading), y + length * math.sin(heading)
+    assert end == pytest.approx(tuple(next(lines(trace))[-1]))
 
 
 def along(points):
