@@ -398,6 +398,19 @@ def test_an_algorithm_of_ones_own_goes_on(search):
     assert body(*[part.events for part in parts]) == body(whole.events)
 
 
+class Repeating(Climbing):
+    def propose(self, state, rng):
+        return state, [sample(self.space, rng)] * self.population
+
+
+def test_reused_scenarios_cost_later_sessions_no_runs(search):
+    given = {"algorithm": Repeating, "holds": lambda run: None}
+    first, last = search(runs=2, **given), search(runs=1, **given).summary
+    assert sum(isinstance(event, Evaluated) for event in first.events) > 2
+    assert (last.runs, last.budget) == (3, 3)
+    assert last.notes[0] == "went on after 2 runs of earlier sessions"
+
+
 def test_a_function_among_the_parameters_of_an_algorithm_is_the_same_in_another_process(search, tmp_path):
     @dataclass(frozen=True)
     class Guided(Climbing):
