@@ -126,6 +126,12 @@ class Quiet(pdb.Pdb):
     assert len(project.files) == 1
 
 
+def test_under_pdb_a_note_says_what_was_found(failing, monkeypatch):
+    monkeypatch.setattr("pdb.Pdb.interaction", lambda *stands: None)
+    result = failing.run("--pdb")
+    result.stdout.fnmatch_lines(["E  *1 new finding in 1 run, reported below", f"E  *{failing.only_id} (1 run)"])
+
+
 def test_collect_only_lists_the_items_and_simulates_nothing(project):
     project.write(COUNTED)
     project.run_once("-x")
