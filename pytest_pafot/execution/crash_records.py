@@ -242,12 +242,15 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
     """
     try:
         _refuse_link(folder)
-        found = [_leftover(path) for path in sorted(folder.iterdir()) if path.name.endswith(SUFFIX)]
+        paths = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
     except FileNotFoundError:
         return ()
     except OSError as error:
         raise CrashRecordError(folder, error) from error
-    return tuple(leftover for leftover in found if leftover is not None)
+    seal = None
+    with suppress(OSError):  # Without the key no record is believed.
+        seal = _seal(folder) if paths else None
+    return tuple(filter(None, [_leftover(path, seal) for path in paths]))
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
@@ -261,7 +264,7 @@ def left_by(owner: str, folder: Path) -> list[Leftover]:
         return []
 
 
-def _leftover(path: Path) -> Leftover | None:
+def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
     try:
         with open_regular(path, "r+b") as file:
             if is_held(file.fileno(), pid_of(path)):
@@ -270,7 +273,7 @@ def _leftover(path: Path) -> Leftover | None:
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
         return None  # it has gone meanwhile, or belongs to somebody else
-    leftover = Leftover(path=path, pid=pid_of(path), is_own=_is_signed(line, path.parent))
+    leftover = Leftover(path=path, pid=pid_of(path), is_own=_is_signed(line, seal))
     if not line.strip():
         leftover.discard()  # it tells nothing
         return None
@@ -284,11 +287,6 @@ def _leftover(path: Path) -> Leftover | None:
         return leftover
 
 
-def _is_signed(line: bytes, folder: Path) -> bool:
+def _is_signed(line: bytes, seal: hashlib.blake2b | None) -> bool:
     record, _, end = line.rpartition(_SIGNATURE)
-    if not record:
-        return False
-    try:
-        return secrets.compare_digest(end, _signature(_seal(folder), record) + b'"}')
-    except OSError:
-        return False
+    return seal is not None and secrets.compare_digest(end, _signature(seal, record) + b'"}')
