@@ -95,11 +95,10 @@ def chosen_folder(test_file: Path, corpus: str) -> Path:
     return Path(corpus) if Path(corpus).is_absolute() else test_file.parent
 
 
-def link_out(test_file: Path, corpus: str, rootpath: Path) -> Path | None:
-    """The link by which the corpus that serves a test file lies out of the project; None where it does not."""
-    root = corpus_root(test_file, corpus, rootpath)
-    link = link_below(chosen_folder(test_file, corpus), root)
-    return None if is_inside(root, rootpath) else link
+def link_out(base: Path, root: Path, rootpath: Path) -> Path | None:
+    """Return the link below a folder by which a corpus lies outside the project, or None."""
+    link = link_below(base, root)
+    return None if link is None or is_inside(root, rootpath) else link
 
 
 def is_inside(path: Path, rootpath: Path) -> bool:

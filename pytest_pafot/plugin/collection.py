@@ -97,7 +97,8 @@ class Collection:
             return []
         module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
         name = qualified_name(definition)
-        link = layout.link_out(definition.path, corpus, self._rootpath)
+        chosen = layout.chosen_folder(definition.path, corpus)
+        link = layout.link_out(chosen, module_folder.parent, self._rootpath)
         found: dict[str, Saved] = {}
         for folder in layout.entries_of(module_folder):
             if layout.may_be_of(folder.name, name):
@@ -163,11 +164,10 @@ class Collection:
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
             roots |= {layout.corpus_root(file, corpus, self._rootpath): directory for directory, file in files.items()}
-        links = {root: layout.link_below(directory, root) for root, directory in roots.items()}
-        out = {root: link for root, link in links.items() if link and not layout.is_inside(root, self._rootpath)}
-        for link in sorted(set(out.values())):  # Not even the names of what lies behind it are listed.
+        links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
+        for link in sorted(set(filter(None, links.values()))):  # Not even the names of what lies behind it are listed.
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
-        roots = {root: directory for root, directory in roots.items() if root not in out}
+        roots = {root: directory for root, directory in roots.items() if links[root] is None}
         if not self._collected.roots and not any(map(layout.is_folder, roots)):
             return
         collected = replace(self._collected, roots=roots, files={item.path for item in items})

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus.layout import CORPUS, SUFFIX, folder_of_module, link_out
+from pytest_pafot.corpus.layout import CORPUS, SUFFIX, chosen_folder, folder_of_module, link_out
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.marks import arguments_of
 from pytest_pafot.plugin.option_sources import corpus_name
@@ -121,7 +121,8 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
 def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
     """The saved scenarios of all tests of the module, to iterate over."""
     corpus = corpus_name(request.config, arguments_of(request.node) or {}) or CORPUS
-    link = link_out(request.path, corpus, request.config.rootpath)
+    folder = folder_of_module(request.path, corpus, request.config.rootpath)
+    link = link_out(chosen_folder(request.path, corpus), folder.parent, request.config.rootpath)
     if link is not None:
         pytest.fail(f"the fixture pafot_corpus: {refusal(link)}", pytrace=False)
-    return Corpus(folder=folder_of_module(request.path, corpus, request.config.rootpath))
+    return Corpus(folder=folder)
