@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from pytest_pafot.attribution.mistakes import mistake_of
@@ -107,25 +107,21 @@ class SearchLoop:
             )
         return tuple(warnings)
 
-    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
-        """The evaluations that a campaign asks for."""
-        evaluations = []
-        for scenario in scenarios:  # no comprehension: it would be one more frame around each run
-            run = lost = None
-            if scenario not in self.fatal:
-                try:
-                    run = self.simulation.run(scenario)
-                except ProcessLostError as error:
-                    lost = error
-            if run is not None:
-                evaluations.append(self._judged(run))
-                continue
-            self.first.is_alike = False
-            self.recorder.release()
-            if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
-                self.verdicts["failed" if self.lose(lost) else "common"] += 1
-            evaluations.append(_not_run(scenario))
-        return evaluations
+    def evaluate(self, scenario: Scenario) -> Evaluation:
+        """Return the evaluation that a campaign asks for."""
+        run = lost = None
+        if scenario not in self.fatal:
+            try:
+                run = self.simulation.run(scenario)
+            except ProcessLostError as error:
+                lost = error
+        if run is not None:
+            return self._judged(run)
+        self.first.is_alike = False
+        self.recorder.release()
+        if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
+            self.verdicts["failed" if self.lose(lost) else "common"] += 1
+        return _not_run(scenario)
 
     def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
         """Run a campaign to its end; ``tick`` is called after each event.

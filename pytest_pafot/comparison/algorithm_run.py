@@ -134,11 +134,11 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
 
     with _runner(world, factory) as runner:
 
-        def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
+        def evaluate(scenario: Scenario) -> Evaluation:
             nonlocal seconds
-            traces = [runner.run(scenario) for scenario in scenarios]
-            seconds += sum(trace.duration for trace in traces)
-            return [evaluated(trace, fitness, plan.blame, world, floors) for trace in traces]
+            trace = runner.run(scenario)
+            seconds += trace.duration
+            return evaluated(trace, fitness, plan.blame, world, floors)
 
         events = run_campaign(
             plan.made(algorithm),

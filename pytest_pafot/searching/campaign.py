@@ -27,8 +27,8 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.operators import improves
 
-Evaluate = Callable[[Sequence[Scenario]], Sequence[Evaluation]]
-"""Simulates scenarios and judges them; the results are in the order of the scenarios."""
+Evaluate = Callable[[Scenario], Evaluation]
+"""Simulates a scenario and judges it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +62,6 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     max_seconds: float | None = None,
     clock: Callable[[], float] | None = None,
     stop: Callable[[], bool] | None = None,
-    batch: int = 1,
     seeds_matter: bool = False,
     foresee: Callable[[Iterable[Scenario]], None] | None = None,
     adapted: Callable[[Algorithm[StateT], StateT], Algorithm[StateT]] = lambda algorithm, state: algorithm,
@@ -73,15 +72,14 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
 
     A scenario is simulated only when no earlier run of the campaign showed what it does; else the earlier
     evaluation is used and marked. The events depend on the algorithm, the seed and the evaluations alone: every
-    generation draws from its own generator, derived from (seed, generation, local generation), and neither the
-    batch nor the order in which a batch is simulated changes one. What does depend on time is when a limit cuts
-    the campaign, and ``CampaignFinished.seconds``.
+    generation draws from its own generator, derived from (seed, generation, local generation). What does depend on
+    time is when a limit cuts the campaign, and ``CampaignFinished.seconds``.
 
     Closing the generator ends the campaign at the last event, without another evaluation.
 
     Args:
         algorithm: what to try.
-        evaluate: simulates scenarios; what it raises ends the campaign and reaches the consumer.
+        evaluate: simulates a scenario; what it raises ends the campaign and reaches the consumer.
         generations: of the main search, at least 1; generations of local searches come on top. None where the number
             of ``runs`` decides; there are no more than that.
         seed: of all draws, at least 0.
@@ -90,8 +88,6 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         max_seconds: looked at between two calls of ``evaluate``, so that at least one scenario is simulated.
         clock: seconds since any fixed moment; needed for ``max_seconds``, and without one no time is measured.
         stop: asked between two calls of ``evaluate`` whether to end the campaign.
-        batch: scenarios given to one call of ``evaluate`` at most. With 1, the limits act after each scenario;
-            larger ones let ``evaluate`` simulate in parallel.
         seeds_matter: whether a run depends on its scenario's seed beyond the chains that were driven.
         foresee: told at the beginning of a generation which of its scenarios are not known, in their order, each of
             which may be drawn only when it is read. Most of them are given to ``evaluate`` afterwards; who simulates
@@ -110,12 +106,7 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
     """
     if generations is None and runs is None:
         raise ValueError("generations, runs: expected a number of either, received none")
-    for name, value, least in (
-        ("generations", generations, 1),
-        ("runs", runs, 1),
-        ("seed", seed, 0),
-        ("batch", batch, 1),
-    ):
+    for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
     if max_seconds is not None and not max_seconds >= 0:
@@ -146,7 +137,6 @@ def run_campaign(  # noqa: PLR0913  (each is a choice of its own)
         seed=seed,
         generations=resumed.state.generation + (generations or (runs or 0) + bool(resumed.begun)),
         runs=sys.maxsize if runs is None else resumed.sums.simulated + runs,
-        batch=batch,
     )
     begun = CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed)
     return campaign.events(algorithm, begun, resumed)
@@ -169,7 +159,6 @@ class _Campaign(Generic[StateT]):
     seed: int
     generations: int
     runs: int
-    batch: int
 
     def events(
         self, algorithm: Algorithm[StateT], begun: CampaignStarted, resumed: Checkpoint[StateT]
@@ -187,18 +176,17 @@ class _Campaign(Generic[StateT]):
                     reason = self.exceeded(self.runs - end.simulated, self.now() - started)
                 if reason is not None:
                     break
-                to_come = scenarios[len(told) :][: min(self.batch, self.runs - end.simulated)]
-                for evaluation, reused in self.evaluator.evaluated(to_come):
-                    event = Evaluated(
-                        generation=state.generation,
-                        local_generation=state.local_generation,
-                        index=len(told),
-                        evaluation=evaluation,
-                        reused=reused,
-                    )
-                    told.append((evaluation, reused))
-                    end = _with_one_more(end, event)
-                    yield event
+                evaluation, reused = self.evaluator.evaluated(scenarios[len(told)])
+                event = Evaluated(
+                    generation=state.generation,
+                    local_generation=state.local_generation,
+                    index=len(told),
+                    evaluation=evaluation,
+                    reused=reused,
+                )
+                told.append((evaluation, reused))
+                end = _with_one_more(end, event)
+                yield event
             here = Checkpoint(state=last, sums=end, begun=tuple(told))
             state, events = self._finished(algorithm, state, told, rng, reason)
             for tell in events:
@@ -293,7 +281,7 @@ class _Evaluator:
         return replace(checkpoint, remembered=self._cache.remembered(but=new))
 
     def forget(self) -> None:
-        """Forget old runs: only between two generations, so that no batch makes a difference."""
+        """Forget old runs: only between two generations, where checkpoints are."""
         self._cache.forget()
 
     def foresee(self, scenarios: Iterable[Scenario], most: int) -> None:
@@ -309,24 +297,12 @@ class _Evaluator:
                 seen.add(scenario)
                 yield scenario
 
-    def evaluated(self, batch: Sequence[Scenario]) -> Iterator[tuple[Evaluation, bool]]:
-        """The evaluation of each scenario, and whether it is reused.
-
-        Two scenarios of a batch may turn out to agree in all that was driven. The second then counts as reused,
-        though it was simulated too, as it would with smaller batches: the events do not tell batches apart.
-        """
-        recalled = [self._cache.recall(scenario) for scenario in batch]
-        unknown = _distinct([scenario for scenario, known in zip(batch, recalled, strict=True) if known is None])
-        results = self._evaluate(unknown) if unknown else ()
-        check_order("evaluate", unknown, results)
-        for index, scenario in enumerate(batch):
-            # What the batch has shown up to here may tell as well.
-            known = self._cache.recall(scenario) if index else recalled[0]
-            if known is None:
-                new = results[unknown.index(scenario)]
-                self._cache.add(new)
-            yield (new, False) if known is None else (known, True)
-
-
-def _distinct(scenarios: Sequence[Scenario]) -> tuple[Scenario, ...]:
-    return tuple(dict.fromkeys(scenarios) if len(scenarios) > 1 else scenarios)  # to hash one takes a while
+    def evaluated(self, scenario: Scenario) -> tuple[Evaluation, bool]:
+        """Return the evaluation of a scenario, and whether it is that of an earlier run."""
+        known = self._cache.recall(scenario)
+        if known is not None:
+            return known, True
+        new = self._evaluate(scenario)
+        check_order("evaluate", [scenario], [new])
+        self._cache.add(new)
+        return new, False

@@ -123,7 +123,7 @@ def measured(named: tuple[str, bool], seed: int, hours: float) -> Tally:
 
     events = run_campaign(
         variant.algorithm(variant.space, **dict(variant.parameters)),
-        lambda scenarios: [one(scenario) for scenario in scenarios],
+        one,
         generations=ENDLESS,
         seed=seed,
         stop=lambda: tally.seconds >= hours * 3600,

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import groupby, product
 from typing import Any
@@ -57,11 +57,8 @@ class Tally:
     confirmed: int = 0
     faults: list[str] = field(default_factory=list)
 
-    def evaluate(self, scenarios: Sequence[Scenario]) -> list[Evaluation]:
+    def evaluate(self, scenario: Scenario) -> Evaluation:
         """Simulate and judge."""
-        return [self._one(scenario) for scenario in scenarios]
-
-    def _one(self, scenario: Scenario) -> Evaluation:
         trace = self.world.rollout(scenario, self.ego)
         if self.runs % self.check_every == 0:
             self._check(trace)

@@ -397,18 +397,15 @@ def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[
     world, fitness, prefixes = Highway(), resolve("default"), DecisionCache()
     asked, history = 0, []
 
-    def evaluate(scenarios: Any) -> list[Evaluation]:
+    def evaluate(scenario: Any) -> Evaluation:
         nonlocal asked
-        done = []
-        for scenario in scenarios:
-            decisions = prefixes.recall(scenario) if resumed else ()
-            trace = world.rollout(scenario, Slow, decisions=decisions)
-            if resumed:
-                prefixes.remember(trace)
-            asked += max(len(trace.actions) - len(decisions), 0)
-            history.append(hashlib.sha256(trace.states.tobytes()).hexdigest())
-            done.append(Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION))
-        return done
+        decisions = prefixes.recall(scenario) if resumed else ()
+        trace = world.rollout(scenario, Slow, decisions=decisions)
+        if resumed:
+            prefixes.remember(trace)
+        asked += max(len(trace.actions) - len(decisions), 0)
+        history.append(hashlib.sha256(trace.states.tobytes()).hexdigest())
+        return Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION)
 
     started = time.process_time()
     algorithm = resolve_algorithm(name).make(SearchSpace(), population=4)
@@ -471,11 +468,11 @@ def _compared(job: tuple[str, int]) -> int:
     name, seed = job
     world, fitness, runs = Highway(), resolve("default"), 0
 
-    def evaluate(scenarios: Any) -> list[Evaluation]:
+    def evaluate(scenario: Any) -> Evaluation:
         nonlocal runs
-        runs += len(scenarios)
-        traces: list[Trace] = [world.rollout(scenario, IDMVehicle) for scenario in scenarios]
-        return [Evaluation.of(t, fitness=fitness(t), failing=t.outcome is Outcome.COLLISION) for t in traces]
+        runs += 1
+        trace = world.rollout(scenario, IDMVehicle)
+        return Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION)
 
     algorithm: Any = RandomSearch(SearchSpace()) if name == "random" else PafotSearch(SearchSpace(), **TECHNIQUES[name])
     for _ in run_campaign(algorithm, evaluate, generations=100, seed=seed):

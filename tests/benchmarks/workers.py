@@ -17,7 +17,7 @@ import multiprocessing
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,12 +64,9 @@ def searched(ads: Callable[[], Any], workers: int, population: int, options: arg
         job = Job(world=world, ads=ads, records=Path(folder), owner="benchmark")
         with job.crash_record() as record, runner_for(job, record, workers=workers) as runner:
 
-            def evaluate(scenarios: Sequence[Scenario]) -> list[Evaluation]:
-                traces = [runner.run(each) for each in scenarios]
-                return [
-                    Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome == "collision")
-                    for trace in traces
-                ]
+            def evaluate(scenario: Scenario) -> Evaluation:
+                trace = runner.run(scenario)
+                return Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome == "collision")
 
             space = SearchSpace(genes=GENES, gene_seconds=options.gene_seconds)
             algorithm = resolve_algorithm("pafot").make(space, population=population)

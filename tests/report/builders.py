@@ -87,12 +87,9 @@ def campaign_parts():
     """The events of a real search of the constant-speed policy."""
     world, fitness = pafot.Highway(duration=30.0), resolve("default")
 
-    def evaluate(scenarios):
-        evaluations = []
-        for each in scenarios:
-            trace = world.rollout(each, constant_speed)
-            evaluations.append(Evaluation.of(trace, fitness=fitness(trace), failing=trace.collision is not None))
-        return evaluations
+    def evaluate(scenario):
+        trace = world.rollout(scenario, constant_speed)
+        return Evaluation.of(trace, fitness=fitness(trace), failing=trace.collision is not None)
 
     return tuple(run_campaign(PafotSearch(restart_after=2), evaluate, generations=8, seed=5))
 

@@ -89,10 +89,7 @@ class CheapWorld:
     def __post_init__(self):
         self.simulated = []
 
-    def __call__(self, scenarios):
-        return [self.run(scenario) for scenario in scenarios]
-
-    def run(self, scenario):
+    def __call__(self, scenario):
         self.simulated.append(scenario)
         driven, crashed = self._drive(scenario)
         depth = len(driven[0])

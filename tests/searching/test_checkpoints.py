@@ -40,10 +40,8 @@ class Telling:
     def __init__(self, world):
         self.world = world
 
-    def __call__(self, scenarios):
-        return [self._told(evaluation) for evaluation in self.world(scenarios)]
-
-    def _told(self, run):
+    def __call__(self, scenario):
+        run = self.world(scenario)
         speed = run.executed.npcs[0][0].speed
         margins = (("near", 20.0 - speed), ("slow", speed))
         if not run.failing:
@@ -130,10 +128,10 @@ def test_cut_after_so_many_runs_and_again_it_is_one_of_all_runs(cheap_world, alg
     assert len(world.simulated) == 21  # none of them twice
 
 
-def test_it_goes_on_with_other_limits_and_batches(cheap_world):
+def test_it_goes_on_with_other_limits(cheap_world):
     algorithm, checkpoints = ALGORITHMS[0], {}
-    first = campaign(algorithm, cheap_world(), checkpoints, runs=13, batch=4)
-    rest = campaign(algorithm, cheap_world(), resumed=checkpoints[max(checkpoints)], generations=4, batch=3)
+    first = campaign(algorithm, cheap_world(), checkpoints, runs=13)
+    rest = campaign(algorithm, cheap_world(), resumed=checkpoints[max(checkpoints)], generations=4)
     whole = campaign(algorithm, cheap_world(), generations=rest[-1].generations)
     assert body(first + rest) == body(whole)
 
@@ -173,7 +171,7 @@ def test_a_cache_that_was_stored_recalls_and_forgets_as_the_one_that_went_on(che
             resumed = EvaluationCache()
             resumed.restore(remembered)
         for cache in {id(each): each for each in (whole, resumed)}.values():
-            cache.add(world.run(scenario))
+            cache.add(world(scenario))
             cache.forget(room)
         other = mutate(scenario, space, rng)
         assert resumed.recall(other) == whole.recall(other)

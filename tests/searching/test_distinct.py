@@ -24,10 +24,7 @@ class Judge:
     def __init__(self, make_evaluation, kind, fitness=lambda scenario: scenario.npcs[0][0].speed):
         self.make_evaluation, self.kind, self.fitness = make_evaluation, kind, fitness
 
-    def __call__(self, scenarios):
-        return [self._one(scenario) for scenario in scenarios]
-
-    def _one(self, scenario):
+    def __call__(self, scenario):
         kind = self.kind(scenario)
         return self.make_evaluation(scenario, fitness=self.fitness(scenario), failing=kind is not None, kind=kind)
 
@@ -202,16 +199,13 @@ def test_a_mistake_without_failures_nearby_is_found_by_its_near_misses(make_eval
         return sum(gene.speed < 7 for chain in scenario.npcs for gene in chain[:3])
 
     def found(is_told, seed):
-        def evaluate(scenarios):
-            return [
-                make_evaluation(
-                    each,
-                    failing=slow(each) >= 5,
-                    kind="rare" if slow(each) >= 5 else None,
-                    near_misses=(near("moved-in-front", slow(each) / 6),) if is_told else (),
-                )
-                for each in scenarios
-            ]
+        def evaluate(each):
+            return make_evaluation(
+                each,
+                failing=slow(each) >= 5,
+                kind="rare" if slow(each) >= 5 else None,
+                near_misses=(near("moved-in-front", slow(each) / 6),) if is_told else (),
+            )
 
         return any(
             event.evaluation.failing for event in of(Evaluated, search(evaluate, DistinctSearch(population=4), seed))

@@ -35,7 +35,7 @@ def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, gene
     scenario = sample(space, rng)
     for _ in range(30):
         recalled = memory.recall(scenario)
-        run = world.run(scenario)
+        run = world(scenario)
         assert recalled is None or recalled == run
         if recalled is None:
             memory.add(run)
@@ -44,7 +44,7 @@ def test_what_is_recalled_is_what_a_run_would_show(cheap_world, seed, npcs, gene
 
 @given(st.integers(0, 2**32))
 def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_world, seed):
-    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(seed)))
+    run = cheap_world()(sample(SearchSpace(), np.random.default_rng(seed)))
     memory = remembered(run)
     assert memory.recall(run.scenario) == run
     other = replace(run.executed, seed=run.scenario.seed + 1)
@@ -53,7 +53,7 @@ def test_the_driven_scenario_is_known_after_its_run_whatever_its_seed(cheap_worl
 
 @given(st.integers(0, 2**32))
 def test_where_seeds_matter_a_run_is_known_for_its_own_seed_alone(cheap_world, seed):
-    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(seed)))
+    run = cheap_world()(sample(SearchSpace(), np.random.default_rng(seed)))
     memory = EvaluationCache([run], seeds_matter=True)
     assert memory.recall(run.scenario) == run
     assert memory.recall(run.executed) == replace(run, scenario=run.executed)
@@ -134,7 +134,7 @@ def test_lane_instructions_are_known_with_their_own_seed_only(make_evaluation):
 
 def test_the_oldest_runs_are_forgotten_and_leave_nothing_behind(cheap_world):
     world, rng, space = cheap_world(crash_speed=12.0), np.random.default_rng(0), SearchSpace(npcs=2, genes=2)
-    runs = [world.run(sample(space, rng)) for _ in range(30)]
+    runs = [world(sample(space, rng)) for _ in range(30)]
     memory = remembered(*runs)
     memory.forget(10)
     assert [memory.recall(run.scenario) for run in runs] == [*[None] * 20, *runs[20:]]
@@ -144,7 +144,7 @@ def test_the_oldest_runs_are_forgotten_and_leave_nothing_behind(cheap_world):
 
 
 def test_of_two_runs_with_the_same_key_both_are_forgotten_in_their_turn(cheap_world):
-    run = cheap_world().run(sample(SearchSpace(), np.random.default_rng(0)))
+    run = cheap_world()(sample(SearchSpace(), np.random.default_rng(0)))
     memory = remembered(run, replace(run, note="again"))
     memory.forget(1)
     assert memory.recall(run.scenario) is None

@@ -43,18 +43,17 @@ def test_it_runs_for_the_given_generations_and_sums_up(cheap_world, algorithm):
 
 
 @settings(max_examples=settings.default.max_examples // 2)
-@given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64), st.integers(2, 9))
-def test_the_events_do_not_depend_on_the_batch_or_on_the_order_of_simulation(cheap_world, algorithm, seed, batch):
-    def shuffled(scenarios, draw=random.Random(seed)):  # noqa: B008
-        order = list(range(len(scenarios)))
-        draw.shuffle(order)
-        world, results = cheap_world(), {}
-        for index in order:
-            results[index] = world.run(scenarios[index])
-        return [results[index] for index in range(len(scenarios))]
+@given(st.sampled_from(ALGORITHMS), st.integers(0, 2**64))
+def test_the_events_do_not_depend_on_the_order_of_simulation(cheap_world, algorithm, seed):
+    draw, ahead = random.Random(seed), {}
+
+    def simulate(scenarios):
+        to_come = list(scenarios)
+        draw.shuffle(to_come)
+        ahead.update({each: cheap_world()(each) for each in to_come})
 
     one_by_one = list(run_campaign(algorithm, cheap_world(), generations=5, seed=seed))
-    assert one_by_one == list(run_campaign(algorithm, shuffled, generations=5, seed=seed, batch=batch))
+    assert one_by_one == list(run_campaign(algorithm, ahead.pop, generations=5, seed=seed, foresee=simulate))
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: algorithm.name)
@@ -65,11 +64,11 @@ def test_what_is_evaluated_was_foreseen_in_its_order_at_the_beginning_of_its_gen
         foreseen.append(list(scenarios))
         assert all(each not in evaluated for each in foreseen[-1])
 
-    def evaluate(scenarios):
-        evaluated.extend(scenarios)
-        while foreseen[-1].pop(0) != scenarios[0]:  # Not evaluated, since another one showed what it does.
+    def evaluate(scenario):
+        evaluated.append(scenario)
+        while foreseen[-1].pop(0) != scenario:  # Not evaluated, since another one showed what it does.
             pass
-        return world(scenarios)
+        return world(scenario)
 
     events = list(run_campaign(algorithm, evaluate, generations=8, seed=1, foresee=foresee))
     assert len(foreseen) == len(of(GenerationFinished, events))
@@ -129,21 +128,9 @@ def test_a_scenario_is_simulated_exactly_when_no_earlier_run_shows_what_it_does(
     for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=8, seed=seed)):
         scenario = event.evaluation.scenario
         assert event.reused == any(shows(run, scenario) for run in runs)
-        assert event.evaluation == cheap_world(crash_speed=crash_speed).run(scenario)
+        assert event.evaluation == cheap_world(crash_speed=crash_speed)(scenario)
         runs += [] if event.reused else [event.evaluation]
     assert [run.scenario for run in runs] == world.simulated
-
-
-def test_the_evaluation_is_never_called_for_nothing(cheap_world):
-    world, sizes = cheap_world(), []
-
-    def evaluate(scenarios):
-        sizes.append(len(scenarios))
-        return world(scenarios)
-
-    search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0, local_generations=0)
-    list(run_campaign(search, evaluate, generations=5, seed=1, batch=4))
-    assert sizes == [4]
 
 
 def test_a_reused_evaluation_is_marked(cheap_world):
@@ -158,22 +145,19 @@ def ticking():
     return lambda: float(next(ticks))
 
 
-@pytest.mark.parametrize("batch", [1, 3])
-def test_at_least_one_scenario_runs_however_short_the_time(cheap_world, batch):
+def test_at_least_one_scenario_runs_however_short_the_time(cheap_world):
     world = cheap_world()
-    events = list(
-        run_campaign(PafotSearch(), world, generations=5, seed=1, max_seconds=0, clock=ticking(), batch=batch)
-    )
-    assert len(world.simulated) == batch
-    assert (events[-1].reason, events[-1].generations, events[-1].simulated) == ("time", 0, batch)
+    events = list(run_campaign(PafotSearch(), world, generations=5, seed=1, max_seconds=0, clock=ticking()))
+    assert len(world.simulated) == 1
+    assert (events[-1].reason, events[-1].generations, events[-1].simulated) == ("time", 0, 1)
 
 
 def test_the_time_is_looked_at_between_evaluations(cheap_world):
     world, now = cheap_world(), [0.0]
 
-    def slow(scenarios):
+    def slow(scenario):
         now[0] += 10.0
-        return world(scenarios)
+        return world(scenario)
 
     events = list(run_campaign(RandomSearch(), slow, generations=5, seed=1, max_seconds=55.0, clock=lambda: now[0]))
     assert len(world.simulated) == 6
@@ -185,9 +169,9 @@ def test_the_time_is_looked_at_between_evaluations(cheap_world):
 def test_a_search_that_finishes_in_its_last_second_was_not_cut(cheap_world):
     now = [0.0]
 
-    def slow(scenarios, world=cheap_world()):  # noqa: B008
+    def slow(scenario, world=cheap_world()):  # noqa: B008
         now[0] += 10.0
-        return world(scenarios)
+        return world(scenario)
 
     events = list(run_campaign(RandomSearch(), slow, generations=1, seed=1, max_seconds=40.0, clock=lambda: now[0]))
     assert events[-1].reason == "generations"
@@ -200,12 +184,9 @@ def longer(cheap_world):
 
 
 @pytest.mark.parametrize("runs", [1, 4, 6, 8, 21])
-@pytest.mark.parametrize("batch", [1, 3, 100])
-def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, longer, runs, batch):
+def test_it_ends_after_so_many_runs_also_within_a_generation(cheap_world, longer, runs):
     world, foreseen = cheap_world(), []
-    campaign = run_campaign(
-        PafotSearch(), world, generations=None, runs=runs, seed=1, batch=batch, foresee=foreseen.extend
-    )
+    campaign = run_campaign(PafotSearch(), world, generations=None, runs=runs, seed=1, foresee=foreseen.extend)
     events = list(campaign)
     assert len(world.simulated) == len(foreseen) == events[-1].simulated == runs
     assert of(Evaluated, events) == of(Evaluated, longer)[: len(of(Evaluated, events))]
@@ -257,10 +238,10 @@ def test_closing_it_ends_it_without_another_evaluation(cheap_world, events_befor
 def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
     world = cheap_world()
 
-    def breaking(scenarios):
+    def breaking(scenario):
         if len(world.simulated) == 2:
             raise OSError("disk full")
-        return world(scenarios)
+        return world(scenario)
 
     campaign = run_campaign(PafotSearch(), breaking, generations=5, seed=1)
     seen = []
@@ -269,20 +250,14 @@ def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
     assert list(campaign) == []
 
 
-def test_an_evaluation_of_another_scenario_is_refused(cheap_world):
-    world = cheap_world()
-    campaign = run_campaign(RandomSearch(), lambda scenarios: world(scenarios)[::-1], generations=1, seed=1, batch=4)
+def test_an_evaluation_of_another_scenario_is_refused(make_evaluation):
+    campaign = run_campaign(RandomSearch(), lambda scenario: make_evaluation(), generations=1, seed=1)
     with pytest.raises(ValueError, match="evaluate: expected the evaluation of"):
         list(campaign)
 
 
-def test_a_missing_evaluation_is_refused():
-    with pytest.raises(ValueError, match="evaluate: expected 1 evaluations, one per scenario, received 0"):
-        list(run_campaign(RandomSearch(), lambda scenarios: [], generations=1, seed=1))
-
-
 def constant(make_evaluation, **fields):
-    return lambda scenarios: [make_evaluation(scenario, **fields) for scenario in scenarios]
+    return lambda scenario: make_evaluation(scenario, **fields)
 
 
 def test_invalid_runs_are_told_and_never_best(make_evaluation):
@@ -303,7 +278,7 @@ def test_local_generations_come_on_top_also_after_the_last_generation(make_evalu
     events = list(
         run_campaign(
             PafotSearch(),
-            lambda scenarios: [make_evaluation(s, fitness=float(next(fitness))) for s in scenarios],
+            lambda scenario: make_evaluation(scenario, fitness=float(next(fitness))),
             generations=4,
             seed=1,
         )
@@ -319,7 +294,6 @@ def test_local_generations_come_on_top_also_after_the_last_generation(make_evalu
     [
         ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
         ({"seed": -1}, "seed: expected a whole number, at least 0"),
-        ({"batch": 0}, "batch: expected a whole number, at least 1"),
         ({"max_seconds": -1.0}, "max_seconds: expected seconds, at least 0"),
         ({"max_seconds": float("nan")}, "max_seconds: expected seconds, at least 0"),
     ],
@@ -340,18 +314,10 @@ def best_after(algorithm, evaluate, *, simulations, seed):
 def test_the_genetic_algorithm_beats_random_search_with_the_same_number_of_simulations(make_evaluation):
     """A smooth landscape: drive in the front cell at 10 m/s; every gene counts alone."""
 
-    def evaluate(scenarios):
-        return [
-            make_evaluation(
-                scenario,
-                fitness=-sum(
-                    min((g.cell - 2) % 8, (2 - g.cell) % 8) + abs(g.speed - 10.0) / 5
-                    for chain in scenario.npcs
-                    for g in chain
-                ),
-            )
-            for scenario in scenarios
-        ]
+    def evaluate(scenario):
+        genes = [gene for chain in scenario.npcs for gene in chain]
+        far = sum(min((g.cell - 2) % 8, (2 - g.cell) % 8) + abs(g.speed - 10.0) / 5 for g in genes)
+        return make_evaluation(scenario, fitness=-far)
 
     def bests(algorithm):
         return [best_after(algorithm, evaluate, simulations=120, seed=seed) for seed in range(3)]
