@@ -33,11 +33,11 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
-def copyable(label: str, value: str) -> str:
-    """A line of text with a button that copies it."""
+def copyable(command: str) -> str:
+    """A command with a button that copies it."""
     return (
-        f'<p class="copyline"><span class="label">{text(label)}</span><code>{text(value)}</code>'
-        f'<button type="button" class="copy" data-copy="code" aria-label="Copy: {text(label)}">Copy</button></p>'
+        f'<p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
+        '<button type="button" class="copy" data-copy="code" aria-label="Copy: Command">Copy</button></p>'
     )
 
 
@@ -165,7 +165,7 @@ def _test(finding: FindingView) -> str:
 
 def _keep_section(finding: FindingView) -> str:
     """The command that runs it again, where there is one, its run as a table, and its file."""
-    command = f"<h3>Run it again</h3>{copyable('Command', finding.command)}" if finding.command else ""
+    command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
     return (
         f'<section class="keep">{command}{SAVE_RUN if finding.drive else ""}'
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'

@@ -45,7 +45,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         style=style,
         script=script,
         kind=kind if len(report.findings) == 1 else f"{kind} listed",
-        facts=facts(report.facts) + (copyable("Command", report.command) if report.command else ""),
+        facts=facts(report.facts) + (copyable(report.command) if report.command else ""),
         count=len(report.findings),
         errors=_errors(report),
         list=finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>',

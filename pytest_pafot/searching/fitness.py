@@ -245,14 +245,14 @@ class Steered:
         return _bounded(self.fitness(before_impact(trace)))
 
 
-def before_impact(trace: Trace, seconds: float = MANOEUVRE_SECONDS) -> Trace:
-    """The part of a colliding run that ended ``seconds`` before the impact, as a run without collision.
+def before_impact(trace: Trace) -> Trace:
+    """The part of a colliding run that ended a manoeuvre's seconds before the impact, as a run without collision.
 
     At least the start remains. A run that did not collide comes back as it is.
     """
     if trace.collision is None:
         return trace
-    last = max(trace.collision.tick - math.ceil(seconds * trace.physics_hz), 0)
+    last = max(trace.collision.tick - math.ceil(MANOEUVRE_SECONDS * trace.physics_hz), 0)
     off_road = trace.off_road_tick is not None and trace.off_road_tick <= last
     ticks_per_gene = trace.scenario.gene_seconds * trace.physics_hz
     return replace(

@@ -60,10 +60,9 @@ def percent(share: float) -> str:
     return f"{value:.{digits}f} %"
 
 
-def interval_text(hits: int, trials: int, confidence: float = CONFIDENCE) -> str:
+def interval_text(hits: int, trials: int) -> str:
     """``3.8 % (95 %: 2.7 to 5.2 %)``, or where there is no hit ``0 % (95 %: at most 0.37 %)``."""
-    low, high = interval(hits, trials, confidence)
-    level = f"{100 * confidence:g} %"
+    low, high = interval(hits, trials)
     if hits == 0:
-        return f"0 % ({level}: at most {percent(high)})"
-    return f"{percent(hits / trials)} ({level}: {percent(low).removesuffix(' %')} to {percent(high)})"
+        return f"0 % (95 %: at most {percent(high)})"
+    return f"{percent(hits / trials)} (95 %: {percent(low).removesuffix(' %')} to {percent(high)})"

@@ -66,12 +66,10 @@ class Rules:
             return self.road.cells(self.road.start, scenario.ego_lane, self.start_distance(scenario, ego_length))
         return self.road.cells(scenario.ego_lane)
 
-    def director(
-        self, scenario: Scenario, ego_length: float, length: float = NPC_LENGTH, width: float = NPC_WIDTH
-    ) -> Director:
-        """Who drives the NPCs of one run, of a length and width [m], around an ego of a length [m]."""
+    def director(self, scenario: Scenario, ego_length: float) -> Director:
+        """Who drives the NPCs of one run around an ego of a length [m]."""
         common: dict[str, Any] = {"clearance": self.clearance, "physics_hz": self.physics_hz}
-        common |= {"ego_length": ego_length, "length": length, "width": width}
+        common |= {"ego_length": ego_length, "length": NPC_LENGTH, "width": NPC_WIDTH}
         if isinstance(self.road, StraightRoad):
             return Director(scenario, self.road, self.limits, **common)
         cells = self.start_cells(scenario, ego_length)
