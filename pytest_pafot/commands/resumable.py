@@ -68,6 +68,11 @@ class ResumableJob:
         """How many units a task is."""
         return self.sizes.get(task, 1)
 
+    @property
+    def total(self) -> int:
+        """How many units all tasks are."""
+        return sum(map(self.size, self.tasks))
+
 
 def file_name(name: str, run: int) -> str:
     """Of the results of one task."""
@@ -90,20 +95,10 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, told: TextIO, cloc
     for task in left:
         if (folder / file_name(*task)).exists():
             told.write(f"{job.command}: {folder / file_name(*task)} is not as it was written, and is made again\n")
-    total = sum(map(job.size, job.tasks))
-    done = total - sum(map(job.size, left))
+    done = job.total - sum(map(job.size, left))
     if done and job.caution:
-        told.write(f"{job.command}: {done} of {total} {job.units} are from before; {job.caution}\n")
-    progress = ProgressLine(
-        total=total,
-        done=done,
-        told=told,
-        clock=clock,
-        command=job.command,
-        units=job.units,
-        size=job.size,
-        counts_parts=bool(job.sizes),
-    )
+        told.write(f"{job.command}: {done} of {job.total} {job.units} are from before; {job.caution}\n")
+    progress = ProgressLine(job=job, done=done, told=told, clock=clock)
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
     progress.close()
@@ -166,17 +161,13 @@ def written_into(folder: Path, elsewhere: str = "or give another folder") -> Ite
 class ProgressLine:
     """Tells how far a command is and how long it will take."""
 
-    total: int  # units
-    done: int
+    job: ResumableJob
+    done: int  # units
     told: TextIO  # where to
     clock: Callable[[], float]  # seconds since any moment
-    command: str = "compare"
-    units: str = "runs"
-    size: Callable[[Task], int] = lambda task: 1  # of a task, in units
-    counts_parts: bool = False  # whether the units of a task are done one by one
-    started: float = 0.0
-    told_at: float = float("-inf")
-    first_done: int = 0
+    started: float = field(init=False)
+    told_at: float = field(default=-math.inf, init=False)
+    first_done: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.started, self.first_done = self.clock(), self.done
@@ -193,20 +184,21 @@ class ProgressLine:
 
     def line(self, shares: float, now: float) -> str:
         """``compare: 12 of 30 runs, 43 %, 6 min left``."""
-        share = (self.done + shares) / max(self.total, 1)
-        gained = self.done - self.first_done + shares
-        missing = self.total - self.done - shares
+        job, gained = self.job, self.done - self.first_done + shares
+        share = (self.done + shares) / max(job.total, 1)
+        missing = job.total - self.done - shares
         left = "" if gained <= 0.02 else f", {_duration((now - self.started) / gained * missing)} left"
-        done = self.done + (math.floor(shares + 1e-6) if self.counts_parts else 0)
-        return f"{self.command}: {done} of {self.total} {self.units}, {share:.0%}{left}".replace("%", " %")
+        done = self.done + (math.floor(shares + 1e-6) if job.sizes else 0)
+        return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
         """One more task."""
-        self.done += self.size(task)
+        job = self.job
+        self.done += job.size(task)
         if not self.told.isatty():
             spent = _duration(self.clock() - self.started)
-            which = f", {task[0]} {self.units.removesuffix('s')} {task[1]}" if self.size(task) == 1 else ""
-            self._tell(f"{self.command}: {self.done} of {self.total} {self.units}{which} done after {spent}\n")
+            which = f", {task[0]} {job.units.removesuffix('s')} {task[1]}" if job.size(task) == 1 else ""
+            self._tell(f"{job.command}: {self.done} of {job.total} {job.units}{which} done after {spent}\n")
 
     def close(self) -> None:
         """End the line that was rewritten."""

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.commands import resumable
 from pytest_pafot.commands.policy_reference import PlanError
-from pytest_pafot.commands.resumable import ProgressLine
+from pytest_pafot.commands.resumable import ProgressLine, ResumableJob
 from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan
@@ -209,26 +209,33 @@ def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
     assert all(other[name] != whole[name] for name in other)
 
 
+def job_of(tasks, **fields):
+    """What a progress line tells of: runs of one algorithm."""
+    others = dict.fromkeys(("noun", "question", "question_file", "differs"), "")
+    of_runs = {"command": "compare", "units": "runs", "in_order": (), "text": lambda task, tick: ""}
+    return ResumableJob(tasks=tuple(("pafot", run) for run in range(tasks)), **others | of_runs | fields)
+
+
 class TestProgressLine:
     def test_it_tells_runs_share_and_the_time_that_is_left(self):
         now = [100.0]
-        progress = ProgressLine(total=10, done=2, told=io.StringIO(), clock=lambda: now[0])
+        progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: now[0])
         now[0] = 160.0
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
     def test_where_a_task_is_many_units_it_counts_those_of_tasks_that_go_on(self):
-        many = {"command": "rate", "units": "episodes", "size": lambda task: 25, "counts_parts": True}
-        progress = ProgressLine(total=100, done=25, told=io.StringIO(), clock=lambda: 0.0, **many)
+        job = job_of(4, command="rate", units="episodes", sizes={("pafot", run): 25 for run in range(4)})
+        progress = ProgressLine(job=job, done=25, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(18 / 25 * 25, 0.0) == "rate: 43 of 100 episodes, 43 %, 0 s left"
 
     def test_it_promises_nothing_before_anything_is_done(self):
-        progress = ProgressLine(total=10, done=2, told=io.StringIO(), clock=lambda: 0.0)
+        progress = ProgressLine(job=job_of(10), done=2, told=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
 
     def test_where_no_terminal_is_it_tells_a_line_every_ten_seconds_and_each_run(self):
         now, told = [0.0], io.StringIO()
-        progress = ProgressLine(total=2, done=0, told=told, clock=lambda: now[0])
+        progress = ProgressLine(job=job_of(2), done=0, told=told, clock=lambda: now[0])
         for second in range(25):
             now[0] = float(second)
             progress.tick(0.1)
