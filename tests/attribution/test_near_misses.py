@@ -11,12 +11,13 @@ from example_ads.defects import make
 from pytest_pafot import Highway
 from pytest_pafot.attribution.mistakes import mistake
 from pytest_pafot.attribution.near_misses import ALL, near_misses
+from pytest_pafot.attribution.needless_braking import Stop, hard_braking
 from pytest_pafot.attribution.responsibility import Attribution, Conflict, is_ego_responsible, rss_rule
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import SearchSpace, sample
-from tests.helpers.drives import crash, driven
+from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, trace_of
@@ -107,6 +108,13 @@ def test_a_cut_in_that_nobody_could_answer_is_none_whether_or_not_the_tracks_cam
     ego = driven(0.0)
     ticks = whole.ticks
     assert mistakes(trace_of(ego[:ticks], npc[:ticks])) == []
+
+
+def test_braking_is_hard_from_when_it_has_lasted_and_not_by_what_follows():
+    trace = trace_of(driven(0.0, brakes=[(2.0, 9.0, 0.0)]), driven(100.0))
+    begin, enough = 2 * HZ, 2 * HZ + 6  # 0.4 s
+    assert hard_braking(trace, 0, 0, enough - 1) is None
+    assert hard_braking(trace, 0, 0, enough) == Stop(begin=begin, end=enough)
 
 
 @given(ticks=st.integers(1, 6))

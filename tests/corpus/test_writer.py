@@ -10,6 +10,7 @@ import pytest
 from pytest_pafot.corpus.file_format import text_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
+from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
@@ -28,6 +29,12 @@ def test_a_new_file_comes_with_its_folders_and_nothing_beside_it(path):
     assert write(path, plain_finding())
     assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_check_is_read_with_its_bounds_as_they_were(path):
+    expect = replace(plain_finding().expect, check=Bounded(value=4.0, at_most=3.0, at_least=1.0, unit="m"))
+    write(path, plain_finding(expect=expect))
+    assert load(path).expect == expect
 
 
 def test_who_comes_second_changes_nothing(path):

@@ -16,9 +16,7 @@ import warnings
 
 import _pytest.assertion.rewrite
 import _pytest.fixtures
-import pluggy._manager
 import pytest
-from _pytest.terminal import TerminalReporter
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -73,20 +71,11 @@ FIXTURE = type(pytest.fixture(lambda: None))
 
 
 def quick_sessions(monkeypatch):
-    """Let sessions of this process look up once what is the same in all of them: else it is half of a short one."""
-    monkeypatch.setattr(pluggy._manager, "dir", _names_of_hooks, raising=False)
-    monkeypatch.setattr(pluggy._manager, "_static_hook_attr", _hook, raising=False)
+    """Let sessions of this process look up once what is the same in all of them: else that is a third of a short one."""
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
-    monkeypatch.setattr(inspect, "getmodule", _module_of)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
-    monkeypatch.setattr(TerminalReporter, "pytest_keyboard_interrupt", _interrupted)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
-
-
-def _names_of_hooks(plugin):
-    source = _source(plugin)
-    return _hooks_in(source) if _is_shared(source) else dir(plugin)
 
 
 def _names_of_fixtures(plugin):
@@ -99,33 +88,8 @@ def _source(plugin):
 
 
 @functools.cache
-def _hooks_in(source):
-    return [name for name in dir(source) if name.startswith("pytest_")]
-
-
-@functools.cache
 def _fixtures_in(source):
     return [name for name in dir(source) if isinstance(inspect.getattr_static(source, name), FIXTURE)]
-
-
-HOOK = getattr(pluggy._manager, "_static_hook_attr", None)
-
-
-def _hook(plugin, name):
-    """A function in a module or a class, which is nearly every hook, as pluggy finds it."""
-    source = _source(plugin)
-    found = vars(source).get(name)
-    if not isinstance(found, types.FunctionType) or isinstance(plugin, type) or not _is_shared(source):
-        return HOOK(plugin, name)
-    return found, found if plugin is source else types.MethodType(found, plugin)
-
-
-GET_MODULE = inspect.getmodule
-
-
-def _module_of(thing, _filename=None):
-    """No module of a frame or its code, for which all modules would be looked at; its file is read without."""
-    return None if isinstance(thing, types.FrameType | types.CodeType) else GET_MODULE(thing, _filename)
 
 
 KNOWN_CODE = {}
@@ -145,16 +109,6 @@ def _in_file(code, name):
     """The code, and all code in it, as if it had been read from a file of this name."""
     constants = tuple(_in_file(each, name) if isinstance(each, types.CodeType) else each for each in code.co_consts)
     return code.replace(co_filename=name, co_consts=constants)
-
-
-def _interrupted(reporter, excinfo):
-    """Remember the end of the traceback alone; all of it leads down to the session that runs the tests."""
-    own = pytest.ExceptionInfo.from_exception(excinfo.value)
-    own.traceback = own.traceback[-1:]
-    INTERRUPTED(reporter, own)
-
-
-INTERRUPTED = TerminalReporter.pytest_keyboard_interrupt
 
 
 def _is_shared(source):

@@ -115,7 +115,7 @@ def pytest_sessionfinish():
 @pytest.mark.parametrize("workers", [[], pytest.param(["-n1"], marks=pytest.mark.processes)], ids=["alone", "a worker"])
 def test_workers_end_with_names_whose_bytes_are_no_characters(saved, workers):
     """An item's file, an orphan and a stray: a worker that could not send such a name was replaced without end."""
-    saved.pytester.makeconftest(CONFTEST + SENDS)
+    saved.pytester.makeconftest(CONFTEST if workers else CONFTEST + SENDS)
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     (test,) = saved.path.glob("pafot_corpus/*/*")
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone")), saved.path):

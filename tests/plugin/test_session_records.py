@@ -114,6 +114,14 @@ def test_a_session_that_is_interrupted_leaves_what_it_found(project):
     assert len(record.findings) == 2
 
 
+def test_what_is_found_is_recorded_while_the_session_goes_on(project):
+    then = "import shutil; shutil.copy('pafot.json', 'then.json')"
+    project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
+    recorded(project, no_reraise_ctrlc=True)
+    record = record_of(project, "then.json")
+    assert (record.exit, len(record.findings)) == (None, 2)
+
+
 @pytest.mark.processes
 def test_a_session_that_is_killed_leaves_what_it_found_and_no_exit_code(project):
     cut = IS_CUT.replace("raise KeyboardInterrupt", "import os; os._exit(9)")
