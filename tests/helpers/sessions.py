@@ -71,7 +71,7 @@ FIXTURE = type(pytest.fixture(lambda: None))
 
 
 def quick_sessions(monkeypatch):
-    """Let sessions of this process look up once what is the same in all of them: else that is a third of a short one."""
+    """Let sessions of this process look up once what is the same in all: else that is a third of a short one."""
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
