@@ -13,7 +13,7 @@ pytest_plugins = ["pytester"]
 # Each session tries the same examples: few by default, more with --hypothesis-profile=thorough, as .ci/run does, and
 # others with --hypothesis-profile=fresh, which --hypothesis-seed=N repeats.
 settings.register_profile(
-    "project", derandomize=True, deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow]
+    "project", derandomize=True, deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile("thorough", settings.get_profile("project"), max_examples=60)
 settings.register_profile("fresh", settings.get_profile("thorough"), derandomize=False)
