@@ -79,12 +79,8 @@ def quick_sessions(monkeypatch):
 
 
 def _names_of_fixtures(plugin):
-    source = _source(plugin)
+    source = plugin if isinstance(plugin, types.ModuleType) else type(plugin)
     return _fixtures_in(source) if _is_shared(source) else dir(plugin)
-
-
-def _source(plugin):
-    return plugin if isinstance(plugin, types.ModuleType) else type(plugin)
 
 
 @functools.cache
