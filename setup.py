@@ -21,7 +21,7 @@ DIRECTIVES = {
     "language_level": 3,
     "annotation_typing": False,  # the types are those of the .pxd files
 }
-SHARED = "pytest_pafot.world.kernel._cython"  # Cython's own code for arrays, compiled once and not in each module
+SHARED = "pytest_pafot._cython"  # Cython's own code for arrays: compiled once instead of in each module
 FLAGS = [
     *("-ffp-contract=off", "-fno-math-errno"),  # no fused multiply-add: the same numbers as interpreted
     *("-O1", "-g0"),  # compiles in half the time of -O2 -g; a run is a tenth more instructions, and 5 % more time
@@ -64,7 +64,7 @@ class AllOrNothing(build_ext):
             self.copy_extensions_to_source()  # whoever runs Python in a clone imports the clone's package
         except Exception as error:  # noqa: BLE001  (compilers fail in many ways, and none of them is fatal)
             warnings.warn(f"pytest-pafot is installed without its compiled kernel: {error}", stacklevel=1)
-            beside = [built for folder in FOLDERS for kind in ("*.so", "*.pyd") for built in folder.glob(kind)]
+            beside = [built for kind in ("*.so", "*.pyd") for built in Path("pytest_pafot").rglob(kind)]
             for built in [*map(Path, self.get_outputs()), *beside]:
                 built.unlink(missing_ok=True)
             self.extensions.clear()

@@ -1,4 +1,4 @@
-# cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True
+# cython: boundscheck=False, initializedcheck=False, wraparound=False, cdivision=True, auto_pickle=False
 # No index is beyond the shapes that the constructor checks, and nothing is divided by zero.
 """Who was near the ego in a run, in one pass over its ticks: typed, plain Python, which is compiled like the sweep.
 

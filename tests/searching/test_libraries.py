@@ -65,14 +65,24 @@ def test_states_are_values_so_that_a_turn_can_be_taken_again(name, cheap_world):
         state = told[0]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_it_learns(name, cheap_world):
-    """More failing scenarios in the second half than random search has."""
+    """More failing scenarios in the second half than random search has.
+
+    In the sum of ten seeds: one search of CMA-ES can stick, and which one does depends on the machine, whose linear
+    algebra rounds in its own way.
+    """
 
     def failing(name):
-        search, world = resolve_algorithm(name).make(SearchSpace()), cheap_world(crash_speed=25.0)
-        events = run_campaign(search, world, generations=30, seed=2)
-        return sum(e.evaluation.failing for e in events if isinstance(e, Evaluated) and e.generation >= 15)
+        searches = (
+            run_campaign(
+                resolve_algorithm(name).make(SearchSpace()), cheap_world(crash_speed=25.0), generations=30, seed=seed
+            )
+            for seed in range(10)
+        )
+        events = (event for events in searches for event in events if isinstance(event, Evaluated))
+        return sum(event.evaluation.failing for event in events if event.generation >= 15)
 
     assert failing(name) > 1.3 * failing("random")
 

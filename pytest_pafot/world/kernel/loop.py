@@ -1,3 +1,4 @@
+# cython: auto_pickle=False
 """The loop of a run: the ego's driver decides, the director commands, everybody moves one tick, all is recorded."""
 
 from __future__ import annotations
