@@ -38,18 +38,13 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if not folder.is_dir():
             sys.stderr.write(f"corpus: expected a folder, received {visible(str(folder))}; give one that exists\n")
             return NO_FOLDER
-    rows = [_row(saved) for saved in _found(arguments.folders)]
+    below = {below.resolve(): below for folder in arguments.folders for below in folders_below(folder)}
+    files = [file for folder in sorted(below.values()) for file in files_in(folder)]  # each once, however it is reached
+    rows = [_row(read_saved_file(file)) for file in files]
     told: Any = rows if arguments.what == "list" else _counts(rows)
     lines = [quiet_json(json.dumps(told, indent=2))] if arguments.json else _lines(told)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(any("error" in row for row in rows))
-
-
-def _found(folders: Sequence[Path]) -> Iterator[Saved]:
-    """Every file once, in the order of paths."""
-    below = {below.resolve(): below for folder in folders for below in folders_below(folder)}
-    for folder in sorted(below.values()):
-        yield from map(read_saved_file, files_in(folder))
 
 
 def _row(saved: Saved) -> dict[str, Any]:

@@ -93,6 +93,10 @@ def text_of(finding: Finding) -> str:
     """The file's whole text, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
     found = {key: getattr(finding.found, key) for key in (*FOUND.required, *FOUND.optional)}
+    xfail = '# xfail: "reason"'  # the hint how to accept the failure
+    if finding.xfail is not None:
+        reason, until = _quoted(finding.xfail), finding.xfail_until
+        xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}}}"
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {test}",
@@ -104,21 +108,9 @@ def text_of(finding: Finding) -> str:
         *([] if finding.original is None else _scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
-        _xfail_line(finding),
+        xfail,
     ]
     return "\n".join(lines) + "\n"
-
-
-def _xfail_line(finding: Finding) -> str:
-    """The line by which a failure is accepted, or the hint how to write it."""
-    if finding.xfail is None:
-        return '# xfail: "reason"'
-    reason = _quoted(finding.xfail)
-    return (
-        f"xfail: {reason}"
-        if finding.xfail_until is None
-        else f"xfail: {{reason: {reason}, until: {finding.xfail_until}}}"
-    )
 
 
 def _perceived(perception: Perceived) -> dict[str, Any]:

@@ -344,7 +344,10 @@ def _expect(field: Field, npcs: int) -> Expect:
         fault=_given(fields, "fault", lambda inner: inner.choice(get_args(Fault))),
         npc_manoeuvre=_given(fields, "npc_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
         ego_manoeuvre=_given(fields, "ego_manoeuvre", lambda inner: inner.choice(get_args(Manoeuvre))),
-        reference_drivers=_given(fields, "reference_drivers", _outcomes, {}),
+        reference_drivers={
+            name: inner.choice(get_args(ReferenceOutcome))
+            for name, inner in _given(fields, "reference_drivers", Field.any_mapping, {}).items()
+        },
         last_chance=_given(fields, "last_chance", _last_chance),
         against=_given(fields, "against", Field.text, ""),
         traceback=_given(fields, "traceback", Field.text, ""),
@@ -366,10 +369,6 @@ def _check(field: Field) -> Bounded:
         _given(fields, name, lambda inner: inner.number(-MAX_NUMBER)) for name in ("value", "at_most", "at_least")
     )
     return Bounded(value=value, at_most=at_most, at_least=at_least, unit=_given(fields, "unit", Field.text, ""))
-
-
-def _outcomes(field: Field) -> dict[str, ReferenceOutcome]:
-    return {name: inner.choice(get_args(ReferenceOutcome)) for name, inner in field.any_mapping().items()}
 
 
 def _last_chance(field: Field) -> LastChance:

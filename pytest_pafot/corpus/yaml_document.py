@@ -68,7 +68,15 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> tuple[An
 
 def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Lines]:
     __tracebackhide__ = True
-    text = _decoded(path, content)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
+        raise CorpusError(path, "text in UTF-8", received, "save it as UTF-8", line=line) from None
+    bad = _FORBIDDEN.search(text)
+    if bad is not None:
+        line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
+        raise CorpusError(path, "printable text", received, "remove it", line=line)
     # The compiled loader takes these in places where the other one does not; a file is to be read alike everywhere.
     is_odd = "\t" in text or "?" in text
     kind: Any = base or (yaml.SafeLoader if is_odd else getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -82,20 +90,6 @@ def _parsed(path: Path, content: bytes, base: type[Any] | None) -> tuple[Any, Li
         raise _syntax_error(path, None, str(error).splitlines()[0]) from None
     finally:
         loader.dispose()
-
-
-def _decoded(path: Path, content: bytes) -> str:
-    __tracebackhide__ = True
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line, received = content.count(b"\n", 0, error.start) + 1, f"the byte 0x{content[error.start]:02x}"
-        raise CorpusError(path, "text in UTF-8", received, "save it as UTF-8", line=line) from None
-    bad = _FORBIDDEN.search(text)
-    if bad is not None:
-        line, received = text.count("\n", 0, bad.start()) + 1, f"the character U+{ord(bad[0]):04X}"
-        raise CorpusError(path, "printable text", received, "remove it", line=line)
-    return text
 
 
 def _syntax_error(path: Path, line: int | None, problem: str) -> CorpusError:
