@@ -273,7 +273,9 @@ def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
         return None  # it has gone meanwhile, or belongs to somebody else
-    leftover = Leftover(path=path, pid=pid_of(path), is_own=_is_signed(line, seal))
+    signed, _, end = line.rpartition(_SIGNATURE)
+    is_own = seal is not None and secrets.compare_digest(end, _signature(seal, signed) + b'"}')
+    leftover = Leftover(path=path, pid=pid_of(path), is_own=is_own)
     if not line.strip():
         leftover.discard()  # it tells nothing
         return None
@@ -285,8 +287,3 @@ def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
         return replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover
-
-
-def _is_signed(line: bytes, seal: hashlib.blake2b | None) -> bool:
-    record, _, end = line.rpartition(_SIGNATURE)
-    return seal is not None and secrets.compare_digest(end, _signature(seal, record) + b'"}')

@@ -157,7 +157,9 @@ class ExecutorPool:
             try:
                 done: Done | str | None = future.result()
             except Exception as error:  # noqa: BLE001  (of the machinery of whatever executor it is)
-                if not _is_loss(error):
+                # A task that did not come back says nothing of what it would have said. KilledWorker is of Dask.
+                is_lost = isinstance(error, (BrokenExecutor, CancelledError, OSError))
+                if not is_lost and type(error).__name__ != "KilledWorker":
                     expected = "workers that can run scenarios, with the same packages as this session"
                     received = f"received {type(error).__name__}: {error}"
                     raise ExecutionError(f"pafot_executor: expected {expected}, {received}") from None
@@ -220,7 +222,8 @@ def packed(job: Job) -> Parcel:
     except ImportError:
         raise ExecutionError(f"pafot_executor: expected the package cloudpickle, received none; {INSTALL}") from None
     with ExitStack() as stack:
-        for module in _modules_below(job.root):
+        # Loaded modules of the project, which no other machine is expected to have installed.
+        for module in [each for each in list(sys.modules.values()) if _is_below(job.root, each)]:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
@@ -318,22 +321,12 @@ def _place() -> str:
     return f"{socket.gethostname()} ({sys.executable})"
 
 
-def _modules_below(root: Path) -> list[ModuleType]:
-    """Loaded modules of a project, which no other machine is expected to have installed."""
-    return [module for module in list(sys.modules.values()) if _is_below(root, module)]
-
-
 def _is_below(root: Path, module: ModuleType) -> bool:
     name, file = getattr(module, "__name__", ""), getattr(module, "__file__", None)
     if not file or sys.modules.get(name) is not module or name.partition(".")[0] in ("pytest_pafot", "__main__"):
         return False
     path = Path(file)
     return path.suffix == ".py" and path.is_relative_to(root) and "site-packages" not in path.parts
-
-
-def _is_loss(error: Exception) -> bool:
-    """Whether a task did not come back, which says nothing of what it would have said; one error is of Dask."""
-    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or type(error).__name__ == "KilledWorker"
 
 
 def _lost(scenario: Scenario, error: Exception) -> LostRun:
