@@ -57,8 +57,14 @@ def join(candidates: Iterable[Candidate], taken: Iterable[str] = ()) -> Joined:
     kinds: dict[Signature, list[Candidate]] = {}
     for each in candidates:
         kinds.setdefault(each.kind, []).append(each)
-    conflicts = [group for group in kinds.values() if len(acceptances(group)) > 1]
-    best = [_best(group) for group in kinds.values() if group not in conflicts]
+    conflicts, best = [], []
+    for group in kinds.values():
+        accepted = acceptances(group)
+        if len(accepted) > 1:
+            conflicts.append(group)
+            continue
+        first, (reason, until) = min(group, key=_order), next(iter(accepted), (None, None))
+        best.append(replace(first, finding=replace(first.finding, xfail=reason, xfail_until=until)))
     ids = {*taken, *(each.finding.id for group in conflicts for each in group)}
     kept: dict[str, Candidate] = {}
     for each in sorted(best, key=_order):
@@ -79,12 +85,6 @@ def free_id(finding: Finding, taken: Collection[str]) -> str:
 def acceptances(group: Iterable[Candidate]) -> set[tuple[str, date | None]]:
     """The reasons with which a kind of failure is accepted, each with its last day."""
     return {(each.finding.xfail, each.finding.xfail_until) for each in group if each.finding.xfail is not None}
-
-
-def _best(group: Sequence[Candidate]) -> Candidate:
-    first = min(group, key=_order)
-    reason, until = next(iter(acceptances(group)), (None, None))
-    return replace(first, finding=replace(first.finding, xfail=reason, xfail_until=until))
 
 
 def _order(candidate: Candidate) -> tuple[bool, tuple[int, ...], str, str]:
@@ -122,7 +122,8 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
     own = saved_in(harness.folder)
     distinct: dict[tuple[str, str], Saved] = {}
     for saved in [*own, *(each for folder in folders for each in saved_in(folder))]:
-        distinct.setdefault(_content(saved), saved)  # Of equal ones one run is enough; the first is this corpus' own.
+        content = ("", str(saved.path)) if saved.finding is None else (saved.id, text_of(saved.finding))
+        distinct.setdefault(content, saved)  # Of equal ones one run is enough; the first is this corpus' own.
     candidates: list[Candidate] = []
     left: list[str] = []
     errors: list[str] = []
@@ -149,11 +150,6 @@ def merge(replays: Replays, folders: Iterable[Path], owner: str) -> Merged:
     added = sum(each.saved.path not in old for each in result.kept.values())
     told = f"  {plural(added, 'saved scenario')} from other folders, {len(old - kept)} of before replaced"
     return Merged([f"{verb}: {harness.node_id}", told, *sorted(left)], sorted(errors))
-
-
-def _content(saved: Saved) -> tuple[str, str]:
-    """Equal for files that tell the same, which need one run."""
-    return ("", str(saved.path)) if saved.finding is None else (saved.id, text_of(saved.finding))
 
 
 def _replayed(replays: Replays, saved: Saved, owner: str) -> tuple[str, Signature | None]:

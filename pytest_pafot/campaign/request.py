@@ -137,7 +137,7 @@ def _problems(request: Request) -> Mapping[str, object]:
         "arg=...": not _is_name(request.arg) and f"expected a name, received {request.arg!r}",
         "blame=...": request.blame not in BLAMES and f"expected one of {', '.join(BLAMES)}, received {request.blame!r}",
         "decision_limit=...": limit is not None
-        and not _is_positive(limit)
+        and not (plain_number(limit) or 0) > 0  # nor is NaN
         and f"expected seconds, more than 0, received {limit!r}",
         "fitness=...": not (isinstance(fitness, (str, Weights)) or callable(fitness))
         and "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
@@ -263,11 +263,6 @@ def hint_at_world(given: Any) -> str:
 
 def _is_name(value: object) -> bool:
     return isinstance(value, str) and value.isidentifier()
-
-
-def _is_positive(value: object) -> bool:
-    number = plain_number(value)
-    return number is not None and number > 0
 
 
 def _problem_of_ads(value: object) -> str:

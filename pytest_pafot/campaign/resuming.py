@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.events import FindTold, Judged, Listener, SearchEvent
+from pytest_pafot.campaign.events import Judged, Listener, SearchEvent
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.campaign.request import RequestError
@@ -224,7 +224,11 @@ class Sessions:
         __tracebackhide__ = True
         saves = self.harness.request.settings.save != "none"
         for find in () if self._earlier is None else self._earlier.finds:
-            is_there = _is_there(find, saved)
+            # Under its name, or as the simpler one of a merge.
+            is_there = any(
+                each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
+                for each in saved
+            )
             if find.found is None or not (is_there or find.is_due or saves):
                 self._unsaved_before[find.id] = MAX_SAVED if find.found is None else SAVES_NONE
                 continue
@@ -258,7 +262,9 @@ class Sessions:
         loop = self.loop
         kept = loop.recorder.kept
         found = {each.id: each.found for each in (() if self._earlier is None else self._earlier.finds)}
-        found |= {id_: _found(each) for id_, each in kept.items()}
+        for id_, each in kept.items():  # as the search made it, whether it is simplified by now or not
+            finding = each.finding
+            found[id_] = (finding.original or finding.scenario, finding.found.generation, each.number)
         due = {id_ for id_, each in kept.items() if each.is_firm and not is_simplified}
         return Counts(
             before=self._before,
@@ -279,19 +285,6 @@ class Sessions:
             random=self.beginning.counts,
             health=loop.health,
         )
-
-
-def _is_there(find: EarlierFind, saved: Sequence[Saved]) -> bool:
-    """Whether a file has a find, under its name or as the simpler one of a merge."""
-    return any(
-        find.id == each.id or (each.finding is not None and each.finding.signature == find.signature) for each in saved
-    )
-
-
-def _found(kept: FindTold) -> tuple[Scenario, int, int]:
-    """A find as the search made it, whether it is simplified by now or not."""
-    finding = kept.finding
-    return finding.original or finding.scenario, finding.found.generation, kept.number
 
 
 def restore(counts: Counts, loop: SearchLoop, beginning: RandomBeginning) -> None:

@@ -251,7 +251,10 @@ class Search:
             raise RequestError(str(error)) from None
         self.sessions.beginning.most = getattr(algorithm, "random_at_first", 0.0)
         resumed = self.sessions.resume(algorithm, space, saved)
-        self._know([each for each in saved if not self.sessions.is_own(each)])
+        others = [each for each in saved if not self.sessions.is_own(each)]
+        loop.recorder.replayed = frozenset(each.path for each in others)
+        loop.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
+        loop.shown = self.replays.shown_by(others)  # Their failures are not new.
         self.sessions.find_again(saved)
         reads_near_misses = request.blame != "any" and request.algorithm.reads_near_misses
 
@@ -289,14 +292,6 @@ class Search:
             raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
-
-    def _know(self, saved: Sequence[Saved]) -> None:
-        """Replay saved scenarios, whose failures are not new then."""
-        __tracebackhide__ = True
-        loop = self.loop
-        loop.recorder.replayed = frozenset(each.path for each in saved)
-        loop.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
-        loop.shown = self.replays.shown_by(saved)
 
     def _simplify(self) -> None:
         """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""

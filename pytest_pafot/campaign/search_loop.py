@@ -121,7 +121,19 @@ class SearchLoop:
         self.recorder.release()
         if lost is not None:  # Outside of the handler: the find that is made of it is no consequence of it.
             self.verdicts["failed" if self.lose(lost) else "common"] += 1
-        return _not_run(scenario)
+        # All that is known of a scenario in which a process died: it is not run again.
+        return Evaluation(
+            scenario=scenario,
+            executed=scenario,
+            fitness=0.0,
+            failing=False,
+            outcome=Outcome.SAFE,
+            duration=0.0,
+            genes_started=0,
+            genes_reached=0,
+            interaction=False,
+            discarded=True,
+        )
 
     def follow(self, campaign: Iterable[events.Event], tick: Callable[[], None]) -> None:
         """Run a campaign to its end; ``tick`` is called after each event.
@@ -208,19 +220,3 @@ class SearchLoop:
             self.repeats[self.finds[signature]] += 1
         else:
             self.finds[signature] = keep()
-
-
-def _not_run(scenario: Scenario) -> Evaluation:
-    """What is known of a scenario in which a process died: it is not run again."""
-    return Evaluation(
-        scenario=scenario,
-        executed=scenario,
-        fitness=0.0,
-        failing=False,
-        outcome=Outcome.SAFE,
-        duration=0.0,
-        genes_started=0,
-        genes_reached=0,
-        interaction=False,
-        discarded=True,
-    )
