@@ -24,7 +24,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import AlgorithmClass, Evaluation, run_campaign
+from pytest_pafot.searching import Evaluation, run_campaign
 from pytest_pafot.searching.ask_tell import Algorithm, floors_of
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import Fitness, resolve
@@ -120,7 +120,10 @@ def run_rows(plan: Plan, algorithm: str, run: int, tick: Tick = lambda share: No
         PlanError: where the ADS fails alike at its first decision in the whole first generation.
     """
     (world, _), factory, chosen = plan.setting(algorithm), ads_factory(plan.ads), plan.entrant(algorithm).algorithm
-    seed, fitness = plan.run_seed(algorithm, run), _fitness(plan, chosen)
+    seed, name = plan.run_seed(algorithm, run), plan.fitness or chosen.fitness
+    # Blame steers all but AV-Fuzzer's fitness, which its authors did not steer.
+    is_steered = plan.blame != "any" and name != "av-fuzzer"
+    fitness = resolve(name, responsible=is_ego_responsible if is_steered else None)
     asks_for_near_misses = plan.blame != "any" and chosen.reads_near_misses
     budget = math.inf if plan.seconds is None else plan.seconds
     generations = plan.generations or UNBOUNDED
@@ -235,13 +238,6 @@ def row_of(event: Evaluated, *, algorithm: str, run: int, seed: int, clock: floa
         genes_reached=evaluation.genes_reached,
         executed=evaluation.executed.canonical(),
     )
-
-
-def _fitness(plan: Plan, algorithm: AlgorithmClass) -> Fitness:
-    """Of the plan, or the algorithm's own. Blame steers all but AV-Fuzzer's, which its authors did not steer."""
-    name = plan.fitness or algorithm.fitness
-    is_steered = plan.blame != "any" and name != "av-fuzzer"
-    return resolve(name, responsible=is_ego_responsible if is_steered else None)
 
 
 def check_set_up(world: WorldLike, factory: Callable[..., Any], first: Sequence[Evaluation]) -> None:

@@ -65,10 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--population", type=int, metavar="N", help="scenarios of a generation (default: each one's own)"
     )
-    _add_world_arguments(parser)
-
-
-def _add_world_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
     parser.add_argument("--lanes", type=int, metavar="N", help="3 to 6 (default: 4)")
     parser.add_argument("--speed-limit", type=float, metavar="V", help=f"[m/s] (default: {PAPER_SPEED_LIMIT})")

@@ -134,7 +134,9 @@ def report(results: Results, command: Sequence[str], wall: Mapping[str, float], 
 def _head(results: Results, command: Sequence[str], wall: Mapping[str, float]) -> str:
     plan = results.plan
     hours = results.whole["seconds"].sum() / SECONDS_PER_HOUR
-    computing = f", {_time(sum(wall.values()))} of computing" if wall else ""
+    spent = sum(wall.values())
+    time = f"{spent / 60:.1f} min" if spent < SECONDS_PER_HOUR else f"{spent / SECONDS_PER_HOUR:.1f} h"
+    computing = f", {time} of computing" if wall else ""
     budget = f"{plan.generations} generations" if plan.generations else f"{plan.seconds:g} simulated seconds"
     hits = HITS[plan.blame]
     wider = [name for name in plan.names if plan.drawn and not plan.entrant(name).has_papers_scenarios]
@@ -254,6 +256,7 @@ def _distinct(results: Results) -> str:
     for name in results.plan.names:
         whole, equal = of(name, results.whole), of(name, results.equal)
         median = statistics.survival(*first_failures(equal)).median
+        distance = equal["inverted_distance"].median()
         means = [runs[column].mean() for runs in (whole, equal) for column in ("distinct", "distinct_per_hour")]
         rows.append(
             [
@@ -261,7 +264,7 @@ def _distinct(results: Results) -> str:
                 *(f"{distinct_in_all(frame, name)}" for frame in (results.frame, faults)),
                 *(f"{mean:.2f}" for mean in means),
                 f"{(equal['distinct'] > 0).sum()} of {len(equal)}",
-                _distance(equal["inverted_distance"].median()),
+                f"{distance:.3f}" if math.isfinite(distance) else "no failure",
                 "not reached" if math.isinf(median) else f"{median:.0f} s",
             ]
         )
@@ -295,7 +298,8 @@ def _tests(results: Results) -> str:
     adjusted = statistics.holm([each.p for each in found])
     rows = [
         [
-            *(each.measure, each.at, each.first, each.second, *map(_value, each.values)),
+            *(each.measure, each.at, each.first, each.second),
+            *("none" if math.isinf(value) else f"{value:.4g}" for value in each.values),
             "" if each.effect is None else f"{each.effect.a12:.2f} [{each.effect.low:.2f}, {each.effect.high:.2f}]",
             *(_p(each.p), _p(p), each.test),
         ]
@@ -328,20 +332,8 @@ def _share(part: float, whole: float) -> str:
     return f"{100 * part / whole:.1f} %" if whole else ""
 
 
-def _distance(value: float) -> str:
-    return f"{value:.3f}" if math.isfinite(value) else "no failure"
-
-
-def _value(value: float) -> str:
-    return "none" if math.isinf(value) else f"{value:.4g}"
-
-
 def _p(value: float) -> str:
     return f"{value:.2g}" if value >= 0.0001 else "< 0.0001"
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds / 60:.1f} min" if seconds < SECONDS_PER_HOUR else f"{seconds / SECONDS_PER_HOUR:.1f} h"
 
 
 def wall_seconds(plan: Plan, folder: Path) -> dict[str, float]:

@@ -15,7 +15,6 @@ from pytest_pafot.comparison import statistics
 from pytest_pafot.comparison.plan import Plan, world_of
 from pytest_pafot.comparison.statistics import Effect
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import FloatArray
 
 # How much of all that fails a run of a search has shown, rather than how often: the coverage inverted distance.
 #
@@ -39,30 +38,20 @@ def inverted_distances(frame: pd.DataFrame, is_counted: pd.Series[bool]) -> pd.S
     not counted, such as those after a time, are part of the reference set all the same.
     """
     hits = frame[frame["failing"] & (frame["outcome"] == "collision") & ~frame["duplicate"]]
-    impacts = zip(hits["cell"], hits["side"], hits["closing_speed"], strict=True)
-    points = np.array([_point(Cell(int(cell)), side, speed) for cell, side, speed in impacts], dtype=np.float64)
+    cells = [Cell(int(cell)) for cell in hits["cell"]]
+    impacts = zip(cells, hits["side"], hits["closing_speed"], strict=True)
+    # Not when an impact was: that would tell against algorithms with short runs.
+    rows = [(cell.row, cell.column, *SIDES[side], round(speed / SPEED_STEP)) for cell, side, speed in impacts]
+    points = np.array(rows, dtype=np.float64)
     distances = dict.fromkeys(zip(frame["algorithm"], frame["run"], strict=True), math.inf)
     if len(points):
         points = points / np.maximum(np.ptp(points, axis=0), 1.0)
         reference, is_shown = np.unique(points, axis=0), is_counted[hits.index].to_numpy()
         for key, at in hits.groupby(["algorithm", "run"]).indices.items():
-            distances[cast("tuple[str, int]", key)] = _mean_distance(reference, points[at[is_shown[at]]])
+            shown = np.unique(points[at[is_shown[at]]], axis=0)
+            apart = np.linalg.norm(reference[:, None] - shown[None, :], axis=-1)
+            distances[cast("tuple[str, int]", key)] = float(apart.min(axis=1, initial=math.inf).mean())
     return pd.Series(distances, dtype=float)
-
-
-def _point(cell: Cell, side: str, closing_speed: float) -> tuple[float, ...]:
-    """What an impact is told by: where the NPC was, which side of the ego was hit, and how fast.
-
-    Not when: that would tell against algorithms with short runs.
-    """
-    return cell.row, cell.column, *SIDES[side], round(closing_speed / SPEED_STEP)
-
-
-def _mean_distance(reference: FloatArray, shown: FloatArray) -> float:
-    """Of each point of the reference set, shape [points, features], to the nearest one that is shown."""
-    shown = np.unique(shown, axis=0)
-    apart = np.linalg.norm(reference[:, None] - shown[None, :], axis=-1)
-    return float(apart.min(axis=1, initial=math.inf).mean())
 
 
 SECONDS_PER_HOUR = 3600.0
