@@ -59,15 +59,11 @@ def _of_the_vehicles(start: Start) -> Iterator[str]:
             yield f"a {type(each).__name__} has limits of speed of its own"
     if start.kind == "vehicle" and not isinstance(ego, ControlledVehicle) and hasattr(ego, "target_speed"):
         yield f"{type(ego).__name__} wants a speed and no lane"
-    if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or _speed_range(env) is not None):
+    has_range = getattr(env.action_type, "speed_range", None) is not None  # to which actions limit the ego's speed
+    if start.kind == "policy" and (type(ego) not in (MDPVehicle, Vehicle) or has_range):
         yield f"the actions drive a {type(ego).__name__} with limits of its own"
     if road.vehicles[0] is not ego:
         yield "the ego is not the first on its road"
-
-
-def _speed_range(env: Any) -> Any:
-    """What the actions of an environment limit the ego's speed to; None without."""
-    return getattr(env.action_type, "speed_range", None)
 
 
 def compiled(start: Start, seed: int, *, is_recorded: bool) -> Episode:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -132,11 +132,9 @@ def told(error: AdsError) -> str:
 
 def _text(plan: RatePlan, task: Task, tick: Tick) -> str:
     side, _, count = task[0].partition("-")
-    return text_of(_rows(plan, plan.policies[side], range(task[1], task[1] + int(count)), tick))
-
-
-def _rows(plan: RatePlan, name: str, seeds: range, tick: Tick) -> Iterator[EpisodeRow]:
+    name, rows = plan.policies[side], []
     factory, is_planner = factory_of(name)
-    for number, seed in enumerate(seeds):
-        yield driven(plan.world, name, factory, seed, is_planner=is_planner)
-        tick((number + 1) / len(seeds))
+    for number in range(int(count)):
+        rows.append(driven(plan.world, name, factory, task[1] + number, is_planner=is_planner))
+        tick((number + 1) / int(count))
+    return text_of(rows)

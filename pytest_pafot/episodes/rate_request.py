@@ -75,7 +75,13 @@ class RateRequest:
         patience = self.world.hang_limit + GRACE
         with WorkerPool[int, EpisodeRow](work, min(workers, len(seeds)), method=METHOD, patience=patience) as pool:
             pool.expect(seeds)
-            return Rate(ads=name, rows=tuple(_answered(pool.fetch(seed)) for seed in seeds))
+            rows = []
+            for seed in seeds:
+                answer = pool.fetch(seed)
+                if isinstance(answer, Exception):
+                    raise answer
+                rows.append(answer)
+        return Rate(ads=name, rows=tuple(rows))
 
     def objection(self, rate: Rate) -> str:
         """Why the rate is too high, in lines; empty where it is not."""
@@ -98,12 +104,6 @@ class RateRequest:
 def _row(request: RateRequest, name: str, factory: Callable[..., Any], seed: int, *_: object) -> EpisodeRow:
     """One episode; the pool tells more than is asked for."""
     return driven(request.world, name, factory, seed, is_planner=request.planner)
-
-
-def _answered(answer: EpisodeRow | Exception) -> EpisodeRow:
-    if isinstance(answer, Exception):
-        raise answer
-    return answer
 
 
 def checked_rate(arguments: Mapping[str, Any], positional: Sequence[object] = ()) -> RateRequest:
