@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
-from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SearchRecord, SessionRecord
+from pytest_pafot.report.session_record import ERROR, NEW, FindingRecord, SessionRecord
 from pytest_pafot.support.text import plural, visible
 
 MAX_LISTED = 20
@@ -64,9 +64,9 @@ def _lines(record: SessionRecord) -> Iterator[str]:
             for finding in group[:MAX_LISTED]:
                 yield from _finding_lines(finding)
             yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
-    yield from _listed(
-        "Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in _faulty(record)]
-    )
+    failed = [each for each in record.searches if each.result in ("failed", "error")]
+    faulty = [each for each in failed if not (each.finds or each.unsaved)]  # not failed by what they found
+    yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     yield from _listed("Crashes in ordinary traffic", [plain(" ".join(each.splitlines())) for each in record.rates])
     yield from _listed("Merged", [plain(" ".join(each.splitlines())) for each in record.merged])
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
@@ -97,11 +97,6 @@ def _finding_lines(finding: FindingRecord) -> Iterator[str]:
     yield f"- {': '.join(filter(None, [code(finding.test or finding.node_id), '; '.join(filter(None, told))]))}"
     missing = f"not saved: {plain(finding.detail)}; " if finding.file is None else ""
     yield f"  <br>{missing}{code(finding.replay)}"
-
-
-def _faulty(record: SessionRecord) -> list[SearchRecord]:
-    """Searches that failed, and not by what they found."""
-    return [each for each in record.searches if each.result in ("failed", "error") and not (each.finds or each.unsaved)]
 
 
 def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:

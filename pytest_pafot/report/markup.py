@@ -139,28 +139,22 @@ def _filter(findings: Sequence[FindingView]) -> str:
 
 def finding_article(finding: FindingView, index: int) -> str:
     """One finding in words; an empty place for its picture."""
+    claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
+    words = text(dedent(finding.explanation).strip())
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
-        _assertion(finding) if finding.check is None else _check_figures(finding.check),
-        f"{_tag_list(finding)}{_test(finding)}</header>",
+        claim if finding.check is None else _check_figures(finding.check),
+        _tag_list(finding),
+        f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
-        _explanation(finding),
+        f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
         "" if finding.shrink is None else _shrink_section(finding.shrink),
         details("Instructions as a table", instruction_table(finding.instructions)),
         _keep_section(finding) if finding.yaml else "",
         "</article>",
     ]
     return "".join(parts)
-
-
-def _explanation(finding: FindingView) -> str:
-    words = text(dedent(finding.explanation).strip())
-    return f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else ""
-
-
-def _test(finding: FindingView) -> str:
-    return f'<p class="test">{text(finding.node_id)}</p>' if finding.node_id else ""
 
 
 def _keep_section(finding: FindingView) -> str:
@@ -172,10 +166,6 @@ def _keep_section(finding: FindingView) -> str:
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
     )
-
-
-def _assertion(finding: FindingView) -> str:
-    return f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
 
 
 def _check_figures(check: CheckView) -> str:

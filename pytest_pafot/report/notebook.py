@@ -21,7 +21,7 @@ from pytest_pafot.report import animation
 from pytest_pafot.report.campaign_view import campaign_view
 from pytest_pafot.report.finding_view import finding_view, run_view
 from pytest_pafot.report.page import render_frame
-from pytest_pafot.report.page_data import CampaignView, FindingView, Report
+from pytest_pafot.report.page_data import FindingView, Report
 from pytest_pafot.searching.events import Event
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.limits import CLEARANCE
@@ -56,7 +56,12 @@ def animate(value: object) -> bytes:
 def report_of(value: object) -> Report:
     """What the page of a value has."""
     if isinstance(value, Exploration):
-        return _exploration(value)
+        views = tuple(_told_view(told, value) for told in value.told)
+        title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
+        started = next(event for event in value.events if isinstance(event, SearchStarted))
+        events = [event for event in value.events if isinstance(event, Event)]
+        campaign = campaign_view(started.node_id, events, speed_limit=started.speed_limit)
+        return Report(title=title, findings=views, campaigns=(campaign,))
     if isinstance(value, SavedScenario):
         view = _finding_view(value.finding)
         view = replace(view, path=str(value.path), command=f"pytest {shlex.quote(str(value.path))}")
@@ -85,12 +90,6 @@ def _event(expect: Expect) -> str:
     return f"{what} after {expect.time:.1f} s{npc}{cell}{side}"
 
 
-def _exploration(value: Exploration) -> Report:
-    views = tuple(_told_view(told, value) for told in value.told)
-    title = f"{plural(len(views), 'finding')} in {plural(value.summary.runs, 'run')}"
-    return Report(title=title, findings=views, campaigns=(_campaign(value),))
-
-
 def _told_view(told: FindTold, value: Exploration) -> FindingView:
     """A find of a search without pytest, which no test replays."""
     find = told.find
@@ -103,12 +102,6 @@ def _told_view(told: FindTold, value: Exploration) -> FindingView:
     )
     runs = next((1 + each.repeats for each in value.summary.finds if each.id == find.id), 1)
     return replace(view, runs=runs, path=find.path, label=find.remark, command="")
-
-
-def _campaign(value: Exploration) -> CampaignView:
-    started = next(event for event in value.events if isinstance(event, SearchStarted))
-    events = [event for event in value.events if isinstance(event, Event)]
-    return campaign_view(started.node_id, events, speed_limit=started.speed_limit)
 
 
 def _run_view(value: object) -> FindingView:
