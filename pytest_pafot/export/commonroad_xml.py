@@ -22,7 +22,7 @@ from commonroad.scenario.trajectory import Trajectory
 
 from pytest_pafot.export.exporter import edges, states_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace, X, Y
 
 DECIMALS = 9
 """To which the library cuts numbers off; with its own 4 a vehicle is up to 0.1 mm beside its place."""
@@ -35,11 +35,17 @@ NO_DATE = b"2000-01-01"
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """One file, a time step of which is a tick; its planning problem is to drive from the ego's start until its end."""
     scenario = Scenario(trace.dt)
-    lanelets = [_lanelet(FIRST_LANELET + number, lane) for number, lane in enumerate(trace.lanes)]
+    lanelets = []
+    for number, lane in enumerate(trace.lanes, FIRST_LANELET):
+        left, right = edges(lane)
+        lanelets.append(Lanelet(left, (left + right) / 2, right, number, lanelet_type={LaneletType.HIGHWAY}))
     scenario.add_objects(LaneletNetwork.create_from_lanelet_list(lanelets))
     states = states_of(trace)
     for vehicle, (length, width) in enumerate(trace.sizes.tolist()):
-        scenario.add_objects(_obstacle(vehicle + 1, Rectangle(length, width), states[:, vehicle]))
+        shape, first, later = Rectangle(length, width), _first(states[0, vehicle]), enumerate(states[1:, vehicle], 1)
+        rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
+        driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
+        scenario.add_objects(DynamicObstacle(vehicle + 1, ObstacleType.CAR, shape, first, driven))
     end = max(trace.ticks, 1)
     goal = GoalRegion([CustomState(time_step=Interval(end, end))])
     writer = CommonRoadFileWriter(
@@ -57,17 +63,6 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         writer.write_to_file(str(path), OverwriteExistingFile.ALWAYS)
         content = re.sub(rb' date="[^"]*"', b' date="' + NO_DATE + b'"', path.read_bytes(), count=1)
     return {f"{finding.id}.xml": content}
-
-
-def _lanelet(number: int, lane: Lane) -> Lanelet:
-    left, right = edges(lane)
-    return Lanelet(left, (left + right) / 2, right, number, lanelet_type={LaneletType.HIGHWAY})
-
-
-def _obstacle(number: int, shape: Rectangle, states: FloatArray) -> DynamicObstacle:
-    rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in enumerate(states[1:], start=1)]
-    driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
-    return DynamicObstacle(number, ObstacleType.CAR, shape, _first(states[0]), driven)
 
 
 def _first(state: FloatArray) -> InitialState:

@@ -7,14 +7,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pytest_pafot.campaign.saved_scenario import SavedScenario, load
+from pytest_pafot.campaign.saved_scenario import load
 from pytest_pafot.commands.policy_reference import BAD_USE, PlanError, ads_factory
 from pytest_pafot.commands.resumable import written_into
 from pytest_pafot.corpus.layout import SUFFIX, files_below
 from pytest_pafot.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.findings.replay import ending
 from pytest_pafot.model.scenario import ScenarioError
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import AdsFactoryError, CorpusError, WorldError
 from pytest_pafot.support.files import write_whole
 
@@ -51,7 +50,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     except (ExportError, PlanError, CorpusError, ScenarioError, WorldError, AdsFactoryError) as error:
         sys.stderr.write(f"export: {error}\n")
         return BAD_USE
-    sys.stderr.write(_departure(saved, driven))
+    if saved.expect.check is None and not saved.matches(driven):  # as far as a run tells that by itself
+        event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
+        sys.stderr.write(
+            f"export: {saved.id} was saved with {event}, and this is {ending(driven)}: with the policy of its test?\n"
+        )
     return 0
 
 
@@ -70,11 +73,3 @@ def _file_of(given: str) -> Path:
     told = ", ".join(str(file) for file in files)
     received = f"{given!r}, which {len(files)} files have: {told}" if files else f"{given!r}, which no file has"
     raise ExportError(field="FILE|FINDING", expected=expected, received=received, fix="give the path of the file")
-
-
-def _departure(saved: SavedScenario, driven: Run) -> str:
-    """A line where the run does not show what the file expects, as far as a run tells that by itself; else nothing."""
-    if saved.expect.check is not None or saved.matches(driven):
-        return ""
-    event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
-    return f"export: {saved.id} was saved with {event}, and this is {ending(driven)}: with the policy of its test?\n"

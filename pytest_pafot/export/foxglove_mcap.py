@@ -23,7 +23,7 @@ from foxglove.messages import (
 
 from pytest_pafot.export.exporter import edges, name_of, states_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import FloatArray, Trace
+from pytest_pafot.model.trace import Trace
 
 NANOSECONDS = 1_000_000_000
 HEIGHT = 1.5
@@ -52,7 +52,10 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     with open_mcap(content, context=context):
         road, vehicles = (SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles"))
         numbers = Channel("/states", schema=SCHEMA, context=context)
-        lines = [_edge(line) for lane in trace.lanes for line in edges(lane)]
+        lines = []
+        for line in (each for lane in trace.lanes for each in edges(lane)):
+            points = [Point3(x=x, y=y, z=0) for x, y in line.tolist()]
+            lines.append(LinePrimitive(points=points, thickness=0.15, color=EDGE))
         entity = SceneEntity(frame_id="world", id="road", timestamp=Timestamp(sec=0), lines=lines)
         road.log(SceneUpdate(entities=[entity]), log_time=0)
         for time, states in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
@@ -65,11 +68,6 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
             ]
             numbers.log({"time": time, "vehicles": told}, log_time=at)
     return {f"{finding.id}.mcap": content.getvalue()}
-
-
-def _edge(line: FloatArray) -> LinePrimitive:
-    points = [Point3(x=x, y=y, z=0) for x, y in line.tolist()]
-    return LinePrimitive(points=points, thickness=0.15, color=EDGE)
 
 
 def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:

@@ -100,13 +100,14 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     road = f"{finding.id}.xodr"
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("replay", _at("begin", 0))
+    at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
     for vehicle, size in enumerate(trace.sizes.tolist()):
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
         positions = _rear_axles(states, size[0])
         entities.add_scenario_object(name, _vehicle(name, *size))
         init.add_init_action(name, xosc.TeleportAction(positions[0]))
-        init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], _at_once()))
+        init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], at_once))
         if trace.ticks:  # A run that ends with its first decision has no trajectories.
             act.add_maneuver_group(_replay(name, trace.times.tolist(), positions))
     board = xosc.StoryBoard(init, _at("end", trace.duration, "stop"))
@@ -161,7 +162,3 @@ def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition]) 
 def _at(name: str, seconds: float, triggers: str = "start") -> xosc.ValueTrigger:
     condition = xosc.SimulationTimeCondition(seconds, xosc.Rule.greaterOrEqual)
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)
-
-
-def _at_once() -> xosc.TransitionDynamics:
-    return xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
