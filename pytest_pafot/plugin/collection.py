@@ -126,7 +126,11 @@ class Collection:
         arguments = arguments_of(item)
         if arguments is None:
             return True
-        folder = self._folder(item, arguments)
+        corpus, folder = corpus_name(self._config, arguments), None
+        if corpus is not None:
+            folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
+            self._collected.folders.add(folder)
+            self._collected.roots[folder.parents[1]] = item.path.parent
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
@@ -140,23 +144,17 @@ class Collection:
             item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
         return True
 
-    def _folder(self, item: pytest.Item, arguments: Mapping[str, Any]) -> Path | None:
-        """The folder of an item, parametrisation included, which is noted as that of a test."""
-        corpus = corpus_name(self._config, arguments)
-        if corpus is None:
-            return None
-        folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
-        self._collected.folders.add(folder)
-        self._collected.roots[folder.parents[1]] = item.path.parent
-        return folder
-
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Find what no item runs before any selection, drop known searches after all."""
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
         yield
-        self._drop_known_searches(items)
+        # Under --lf, a search that failed by finds which are items by now need not run again.
+        if self._config.getoption("lf", False) and getattr(self._config, "cache", None) is not None:
+            failed = self._config.cache.get("cache/lastfailed", {})
+            known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
+            self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
 
     def _find_unrun(self, items: list[pytest.Item]) -> None:
         corpus = corpus_name(self._config, {})
@@ -179,14 +177,6 @@ class Collection:
         """Whether its module is collected only for the sake of a corpus file that the item does not replay."""
         saved = saved_of(item)
         return item.path in self._modules_for_them and (saved is None or saved.path not in self._given_files)
-
-    def _drop_known_searches(self, items: list[pytest.Item]) -> None:
-        """Under ``--lf``, a search that failed by finds which are items by now need not run again."""
-        if not self._config.getoption("lf", False) or getattr(self._config, "cache", None) is None:
-            return
-        failed = self._config.cache.get("cache/lastfailed", {})
-        known = {base_id(item) for item in items if saved_of(item) is not None and item.nodeid in failed}
-        self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
 
     def _deselect(self, items: list[pytest.Item], is_dropped: Callable[[pytest.Item], bool]) -> None:
         dropped = list(filter(is_dropped, items))

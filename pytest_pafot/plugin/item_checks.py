@@ -32,7 +32,14 @@ class Checks:
         # Not hidden: pytest 9 adds a line on hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
         if arguments is None:
-            _refuse_raw_mark(item)
+            # The mark by which pytest selects searched tests makes none: that is the decorator's work.
+            if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
+                pytest.fail(
+                    f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
+                    f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and "
+                    "@pafot.search(...)",
+                    pytrace=False,
+                )
             return
         try:
             _check_function(item)
@@ -60,16 +67,6 @@ class Checks:
             available = told.partition("available fixtures: ")[2].partition("\n")[0].split(", ")
             report.longrepr = _missing_ads(str(error.argname), available, item.config.stash[SHARED].width)
         return report
-
-
-def _refuse_raw_mark(item: pytest.Item) -> None:
-    """The mark by which pytest selects searched tests makes none: that is the decorator's work."""
-    if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
-        pytest.fail(
-            f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
-            f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and @pafot.search(...)",
-            pytrace=False,
-        )
 
 
 def _check_function(item: pytest.Item) -> None:

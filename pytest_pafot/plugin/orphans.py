@@ -58,7 +58,9 @@ def find_orphans(collected: Collected) -> dict[Path, list[Path]]:
         folder: _own_files(folder, directory, collected.rootpath)
         for root, directory in sorted(collected.roots.items())
         for module in modules_in(root)
-        for folder in filter(_is_of_one_test, entries_of(module))
+        for folder in entries_of(module)
+        # A folder of one test has no folders: those of one corpus for all lie side by side with modules.
+        if files_in(folder) and not any(map(is_folder, entries_of(folder)))
         if _is_orphan(folder, directory, collected)
     }
 
@@ -96,11 +98,6 @@ def prune(files: Iterable[Path]) -> tuple[list[Path], list[str]]:
             folder.rmdir()
             folder.parent.rmdir()
     return removed, failures
-
-
-def _is_of_one_test(folder: Path) -> bool:
-    """Whether it holds saved scenarios and no folders: those of one corpus for all lie side by side with modules."""
-    return bool(files_in(folder)) and not any(map(is_folder, entries_of(folder)))
 
 
 def _is_orphan(folder: Path, directory: Path, collected: Collected) -> bool:

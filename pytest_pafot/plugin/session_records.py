@@ -123,12 +123,9 @@ class Records:
         elif report.failed and self._config.getoption(BY_NAME["merge"].key):
             self._texts["merge"].append(f"failed: {report.nodeid}: {self._reasons[report.nodeid]}")
         elif report.failed:
-            self._take_failed_search(report.nodeid)
+            from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
 
-    def _take_failed_search(self, node_id: str) -> None:
-        from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
-
-        self._searches.setdefault(node_id, SearchRecord(node_id=node_id))
+            self._searches.setdefault(report.nodeid, SearchRecord(node_id=report.nodeid))
 
     def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
         from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
