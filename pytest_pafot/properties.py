@@ -102,7 +102,17 @@ def stays_on_road(run: Run) -> None:
 
     On roads that bend the edge is not known while the ego is on them: half its lane's width counts there. No source.
     """
-    check(Signal(_to_edge(run.trace), hz=run.trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
+    trace, lane = run.trace, run.trace.ego[:, LANE].astype(np.intp)
+    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
+    if trace.track is not None:
+        to_edge = np.where(lane < 0, np.minimum(half - np.abs(trace.track_of(0)[:, OFFSET]), -1e-6), half)
+    else:
+        cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
+        across = trace.ego[:, Y] * cos - trace.ego[:, X] * sin
+        edges = [(each.y * cos - each.x * sin, each.width / 2) for each in trace.lanes]
+        left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
+        to_edge = np.minimum(across - left, right - across)
+    check(Signal(to_edge, hz=trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
 
 
 def keeps_up(
@@ -182,7 +192,11 @@ def brakes_for_a_reason(run: Run) -> None:
     lasts, back = math.ceil(HARD_SECONDS * trace.physics_hz), round(REASON_SECONDS * trace.physics_hz)
     later = np.concatenate((braking(trace)[1:], np.zeros(lasts)))
     lasting = np.lib.stride_tricks.sliding_window_view(later, lasts).min(axis=1)
-    reason = np.concatenate((np.zeros(back, dtype=np.bool_), _reasons(trace), np.zeros(lasts, dtype=np.bool_)))
+    # Whether the ego had a reason, at each tick, by the lane in which it is then.
+    bounds = [0, *(np.flatnonzero(np.diff(trace.ego[:, LANE])) + 1).tolist(), trace.ticks + 1]
+    parts, frame = (slice(first, end) for first, end in pairwise(bounds)), RoadFrame(trace)
+    by_lane = [reasons(trace, frame, DISTANCES, 0, part) for part in parts]
+    reason = np.concatenate((np.zeros(back, dtype=np.bool_), *by_lane, np.zeros(lasts, dtype=np.bool_)))
     excused = np.asarray(np.lib.stride_tricks.sliding_window_view(reason, back + lasts + 1).any(axis=1))
     stop = hard_braking(trace, 0, 0, trace.ticks)
     while stop is not None:
@@ -230,27 +244,6 @@ def _change(signal: Signal, seconds: float) -> Signal:
     before = np.concatenate((np.full(round(seconds * (signal.hz or 1)), signal[0]), signal))[: len(signal)]
     change: Signal = (signal - before) / seconds
     return change
-
-
-def _to_edge(trace: Trace) -> FloatArray:
-    """From the ego's centre to the nearer edge of the road [m], shape [ticks + 1]; negative beyond it."""
-    lane = trace.ego[:, LANE].astype(np.intp)
-    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
-    if trace.track is not None:
-        return np.asarray(np.where(lane < 0, np.minimum(half - np.abs(trace.track_of(0)[:, OFFSET]), -1e-6), half))
-    cos, sin = math.cos(trace.lanes[0].heading), math.sin(trace.lanes[0].heading)
-    across = trace.ego[:, Y] * cos - trace.ego[:, X] * sin
-    edges = [(each.y * cos - each.x * sin, each.width / 2) for each in trace.lanes]
-    left, right = min(centre - width for centre, width in edges), max(centre + width for centre, width in edges)
-    return np.asarray(np.minimum(across - left, right - across))
-
-
-def _reasons(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Whether the ego had a reason to brake, at each tick, by the lane in which it is then."""
-    frame, rows = RoadFrame(trace), trace.ticks + 1
-    bounds = [0, *(np.flatnonzero(np.diff(trace.ego[:, LANE])) + 1).tolist(), rows]
-    parts = (slice(first, end) for first, end in pairwise(bounds))
-    return np.concatenate([reasons(trace, frame, DISTANCES, 0, part) for part in parts])
 
 
 def _cut_ins(trace: Trace) -> Iterator[tuple[int, int, int]]:

@@ -214,13 +214,11 @@ def _saved_in(folder: Path, world: World) -> list[Scenario]:
         received = f"{folder}, {'which has none' if folder.is_dir() else 'which is no folder'}"
         fix = "a search saves them, as that of a test with @pafot.search, or pafot.explore(..., corpus=...)"
         raise ValueError(f"scenarios: expected a folder with saved scenarios, *{SUFFIX}, received {received}; {fix}")
-    return [_fitting(file, world) for file in files]
-
-
-def _fitting(file: Path, world: World) -> Scenario:
-    scenario = load(file).scenario
-    try:
-        world.check_fits(scenario)
-    except ScenarioError as error:
-        raise located(file, "scenario", error) from error
-    return scenario
+    scenarios = []
+    for file in files:
+        scenarios.append(load(file).scenario)
+        try:
+            world.check_fits(scenarios[-1])
+        except ScenarioError as error:
+            raise located(file, "scenario", error) from error
+    return scenarios
