@@ -148,21 +148,19 @@ class _Builder:
             received = f"{event.value!r:.60}, which YAML takes for a {tag.removeprefix(_PREFIX)}"
             raise self._error(event, "a number, text, true, false or null", received, "put it in quotes")
         if event.implicit[0]:
-            self._check_plain(tag.removeprefix(_PREFIX), event)
+            # What the versions of YAML, or people, read as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~.
+            text, kind = event.value, tag.removeprefix(_PREFIX)
+            is_number = kind in ("int", "float")
+            if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
+                fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes"
+                raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
+            if kind in ("bool", "null") and not _WORD.fullmatch(text):
+                raise self._error(event, "true, false or null", f"{text!r:.60}", "put text in quotes")
         try:
             return self.loader.construct_object(yaml.ScalarNode(tag, event.value, event.start_mark, event.end_mark))
         except (ValueError, OverflowError):
             fix = "write a smaller one, or put text in quotes"
             raise self._error(event, "a number", f"{event.value!r:.40}", fix) from None
-
-    def _check_plain(self, kind: str, event: Any) -> None:
-        """Refuse what the versions of YAML, or people, read as different values: 010, 1_0, 0x1F, 1:30, 1e3, yes, ~."""
-        text, is_number = event.value, kind in ("int", "float")
-        if (is_number and not _NUMBER.fullmatch(text)) or (kind == "str" and _NUMBER_LIKE.fullmatch(text)):
-            fix = "write it as 10, 0.5 or 1.0e-5, or put text in quotes"
-            raise self._error(event, "a number in decimal digits", f"{text!r:.60}", fix)
-        if kind in ("bool", "null") and not _WORD.fullmatch(text):
-            raise self._error(event, "true, false or null", f"{text!r:.60}", "put text in quotes")
 
     def _mapping(self, place: Place) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
