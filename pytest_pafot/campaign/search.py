@@ -172,7 +172,10 @@ class Search:
                 reason = self._searched(saved_in(harness.folder))
             recorder.release()
             self.sessions.store()
-            self._simplify()
+            plain = None if loop.space is None else (loop.space.ego_lane, loop.space.ego_speed)
+            work = Simplification(loop=loop, tell=self._tell_progress, plain=plain)
+            work.run_all()
+            self._shrink_runs = work.runs
             self.sessions.store(is_simplified=True)
         except SetupFaultError as error:
             reason, fault = "error", error
@@ -292,14 +295,6 @@ class Search:
             raise RequestError(no_skip("the fitness", error)) from None
         reasons = {"generations": DONE, "runs": ALL_RUN, "time": self.limit.flag, "stopped": "enough findings"}
         return "interrupted" if loop.finished is None else reasons[loop.finished.reason]
-
-    def _simplify(self) -> None:
-        """Simplify the finds, try reference drivers in their scenarios, and tell everybody what came of it."""
-        __tracebackhide__ = True
-        plain = None if self.loop.space is None else (self.loop.space.ego_lane, self.loop.space.ego_speed)
-        work = Simplification(loop=self.loop, tell=self._tell_progress, plain=plain)
-        work.run_all()
-        self._shrink_runs = work.runs
 
     def _tell_progress(self, phase: str = "") -> None:
         now, loop = time.monotonic(), self.loop

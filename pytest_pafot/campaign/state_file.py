@@ -232,18 +232,15 @@ class StateFile:
         }
         lines = [f"{json.dumps(name)}: {_json(part)}" for name, part in parts.items()]
         remembered = ",\n".join(text for _, text in self._texts.values())
-        lines += [f'"algorithm": {self._stored(checkpoint.state)}', f'"remembered": [{remembered}]']
-        return "{" + ",\n".join(lines) + "}\n"
-
-    def _stored(self, state: Any) -> str:
-        data = self.algorithm.stored(state)
+        data = self.algorithm.stored(checkpoint.state)
         try:
-            return _json(data)
+            lines += [f'"algorithm": {_json(data)}', f'"remembered": [{remembered}]']
         except (TypeError, ValueError) as error:
             raise RequestError(
                 f"{FLAG}: expected data that JSON can hold from the method stored of {type(self.algorithm).__name__}, "
                 f"received {data!r:.100} ({error}); see pytest_pafot.searching.plain"
             ) from None
+        return "{" + ",\n".join(lines) + "}\n"
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
         try:
