@@ -24,7 +24,18 @@ def road_file(name: str, trace: Trace) -> bytes:
     """One road where all lanes are straight and lie side by side; else a road for each lane, none joined to another."""
     drive = xodr.OpenDrive(name)
     for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
-        drive.add_road(_road(number, group))
+        # The reference line is the centre of the leftmost lane, with that and all others to the right of it.
+        plan, section, parts = xodr.PlanView(), xodr.LaneSection(0, xodr.standard_lane()), xodr.Lanes()
+        for geometry, start, heading in _geometries(group[0]):
+            plan.add_fixed_geometry(geometry, *start.tolist(), heading)
+        for lane in group:
+            section.add_right_lane(xodr.Lane(lane_type=xodr.LaneType.driving, a=lane.width))
+        parts.add_laneoffset(xodr.LaneOffset(0, group[0].width / 2))
+        parts.add_lanesection(section)
+        road = xodr.Road(number, plan, parts)
+        road.add_type(xodr.RoadType.motorway, 0, speed=max(lane.speed_limit for lane in group), speed_unit="m/s")
+        road.add_elevation(0, 0, 0, 0, 0)
+        drive.add_road(road)
     element = drive.get_element()
     element.find("header").set("date", NO_DATE)
     return text_of(element)
@@ -46,24 +57,6 @@ def text_of(element: ElementTree.Element) -> bytes:
     ElementTree.indent(element)
     content: bytes = ElementTree.tostring(element, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
-
-
-def _road(number: int, lanes: Sequence[Lane]) -> xodr.Road:
-    """A road whose reference line is the centre of its leftmost lane, with that and all others to the right of it."""
-    plan = xodr.PlanView()
-    for geometry, start, heading in _geometries(lanes[0]):
-        plan.add_fixed_geometry(geometry, *start.tolist(), heading)
-    section = xodr.LaneSection(0, xodr.standard_lane())
-    for lane in lanes:
-        section.add_right_lane(xodr.Lane(lane_type=xodr.LaneType.driving, a=lane.width))
-    parts = xodr.Lanes()
-    parts.add_laneoffset(xodr.LaneOffset(0, lanes[0].width / 2))
-    parts.add_lanesection(section)
-    road = xodr.Road(number, plan, parts)
-    limit = max(lane.speed_limit for lane in lanes)
-    road.add_type(xodr.RoadType.motorway, 0, speed=limit, speed_unit="m/s")
-    road.add_elevation(0, 0, 0, 0, 0)
-    return road
 
 
 def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
