@@ -37,16 +37,13 @@ def picture(episode: Episode, headline: str) -> bytes:
     """
     if episode.recording is None:
         raise ValueError("episode: expected one with a recording")
-    return animate(_view(episode, episode.recording, headline))
-
-
-def _view(episode: Episode, recording: EpisodeRecording, headline: str) -> FindingView:
+    recording = episode.recording
     states, hz = recording.states, recording.physics_hz
     last = len(states) - 1
     ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
     distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
     shown = [0, *(np.argsort(distance, kind="stable")[:NEAREST] + 1)]  # NaN, who has gone, comes last
-    return FindingView(
+    view = FindingView(
         id=f"seed-{episode.seed}",
         node_id="",
         test="",
@@ -62,6 +59,7 @@ def _view(episode: Episode, recording: EpisodeRecording, headline: str) -> Findi
         command="",
         grid=((None,) * CELLS,) * len(ticks) if recording.lanes[0].points else (),
     )
+    return animate(view)
 
 
 def _road(recording: EpisodeRecording) -> RoadView:
