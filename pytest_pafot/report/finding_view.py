@@ -94,19 +94,14 @@ def grid_poses(trace: Trace, ticks: Sequence[int], clearance: float) -> tuple[tu
     """Where the eight cells are at each of some ticks: x [m], y [m], direction [rad]; None for one without a lane."""
     other = float(trace.sizes[min(1, len(trace.sizes) - 1), 0])
     row = (float(trace.sizes[0, 0]) + other) / 2 + clearance
-    dense = _dense_points(trace.lanes)
-    return tuple(_cells_around(trace.ego[tick], row, trace.lanes, dense) for tick in ticks)
-
-
-def _dense_points(lanes: Sequence[Lane]) -> FloatArray:
-    """All lanes as many points: x [m], y [m], direction [rad] and number of the lane, shape [4, points]."""
     parts = []
-    for number, lane in enumerate(lanes):
+    for number, lane in enumerate(trace.lanes):
         points, length = _measured(lane)
         steps = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
         x, y = (np.interp(steps, length, points[:, column]) for column in (0, 1))
         parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
-    return np.concatenate(parts, axis=1)
+    dense = np.concatenate(parts, axis=1)  # x [m], y [m], direction [rad] and number of the lane, shape [4, points]
+    return tuple(_cells_around(trace.ego[tick], row, trace.lanes, dense) for tick in ticks)
 
 
 def _cells_around(ego: FloatArray, row: float, lanes: Sequence[Lane], dense: FloatArray) -> tuple[Pose | None, ...]:
@@ -356,6 +351,9 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
         heading = np.unwrap(heading, axis=0)
     views = []
     for vehicle in range(trace.states.shape[1]):
+        # The jerk farthest from 0 since the frame before: a peak lasts but a tick.
+        spans = [changes[vehicle][before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
+        peaks = np.array([span[np.argmax(np.abs(span))] for span in spans])
         view = VehicleView(
             name=f"NPC {vehicle - 1}" if vehicle else "ego",
             length=float(trace.sizes[vehicle, 0]),
@@ -365,7 +363,7 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             heading=_numbers(heading[ticks, vehicle], 3),
             speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
             acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
-            jerk=_numbers(_peaks(changes[vehicle], ticks), 1),
+            jerk=_numbers(peaks, 1),
         )
         if vehicle:
             npc = vehicle - 1
@@ -374,12 +372,6 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             view = replace(view, gap=gap, ttc=ttc, cells=cells)
         views.append(view)
     return tuple(views)
-
-
-def _peaks(values: FloatArray, ticks: Sequence[int]) -> FloatArray:
-    """The value farthest from 0 since the frame before; a peak of jerk lasts but a tick."""
-    spans = [values[before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
-    return np.array([span[np.argmax(np.abs(span))] for span in spans])
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
