@@ -114,8 +114,11 @@ class Records:
             return
         if report.when == "call" or not report.passed:  # One whose setup passed has not come to its end.
             self._results.setdefault(report.nodeid, []).append(_result(report))
-        if report.failed:
-            self._reasons.setdefault(report.nodeid, _reason(report))
+        if report.failed:  # by the line of the short summary, or the first one of the text
+            crash = getattr(report.longrepr, "reprcrash", None)
+            text = report.longreprtext if crash is None else str(crash.message)
+            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
+            self._reasons.setdefault(report.nodeid, reason)
         if report.nodeid in self._findings:
             return
         if report.failed and SAVED_MARK in report.keywords:
@@ -208,10 +211,3 @@ def _result(report: pytest.TestReport) -> str:
     if report.skipped:
         return "xfailed" if hasattr(report, "wasxfail") else "skipped"
     return "passed"
-
-
-def _reason(report: pytest.TestReport) -> str:
-    """The line of the short summary, or the first one of the text."""
-    crash = getattr(report.longrepr, "reprcrash", None)
-    text = report.longreprtext if crash is None else str(crash.message)
-    return next((line.strip() for line in text.splitlines() if line.strip()), "")

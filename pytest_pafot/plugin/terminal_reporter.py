@@ -148,7 +148,12 @@ class Reporter:
                 self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
         if self._config.getoption(BY_NAME["prune"].key):
             with self._lines.faults("--pafot-prune"):
-                self._prune()
+                files = [file for own in self._config.stash[UNRUN].orphans.values() for file in own]
+                if files:
+                    names = (f"  {self._relative(file)}" for file in files)
+                    self._live.write(["", "pafot: --pafot-prune removes", *names])
+                self._removed, failures = orphans.prune(files)
+                self._lines.problems.extend(failures)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """One section for searches, replays, orphans and problems."""
@@ -239,15 +244,6 @@ class Reporter:
                 if node is not None:
                     phase.__dict__["node"] = node  # As pytest-xdist marks reports of its workers.
                 self._config.hook.pytest_runtest_logreport(report=phase)
-
-    def _prune(self) -> None:
-        """Remove the saved scenarios of tests that are gone, once they are listed."""
-        files = [file for own in self._config.stash[UNRUN].orphans.values() for file in own]
-        if files:
-            names = (f"  {self._relative(file)}" for file in files)
-            self._live.write(["", "pafot: --pafot-prune removes", *names])
-        self._removed, failures = orphans.prune(files)
-        self._lines.problems.extend(failures)
 
     def _relative(self, path: Path) -> str:
         return relative(path, self._config.rootpath)
