@@ -14,7 +14,6 @@ the source itself was read; *second hand*, that others quote it so; all other nu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -32,7 +31,7 @@ from pytest_pafot.attribution.needless_braking import (
 from pytest_pafot.attribution.responsibility import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules, longitudinal_gap
 from pytest_pafot.criticality.signals import Signal
-from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, Trace, X, Y
+from pytest_pafot.model.trace import LANE, OFFSET, FloatArray, X, Y
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import checked_number
@@ -219,10 +218,26 @@ def answers_cut_ins(run: Run) -> None:
     Source: UN R157, 5.2.5.2 (formula read), for an NPC that keeps its speed. Choices are: up to that lower speed, half
     the NPC's width beside its centre in place of the tyre, visible once it moves sideways with 0.3 m/s, 0.1 m.
     """
-    gaps = np.full((len(run.npcs), run.trace.ticks + 1), np.inf)
-    for npc, first, end in _cut_ins(run.trace):
-        gaps[npc, first:end] = run.npcs[npc].gap[first:end]
-    _check_worst(run, gaps, name="UN R157 cut-in gap", at_least=CONTACT)
+    trace, frame = run.trace, RoadFrame(run.trace)
+    lane = trace.ego[:, LANE].astype(np.intp)
+    beside = frame.right + LanePlaces(trace, frame).offset(0)  # of the NPCs' centres from that of the ego's lane
+    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
+    is_in = half + trace.sizes[1:, 1:] / 2 - np.abs(beside) >= INTRUSION
+    keeps = (lane[1:] == lane[:-1]) & (lane[1:] >= 0)
+    closing = frame.speed[:1] - frame.speed[1:]
+    gaps = frame.ahead - frame.half_along[:1] - frame.half_along[1:]
+    checked = np.full((len(run.npcs), trace.ticks + 1), np.inf)
+    for each, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
+        npc, tick = int(each), int(before) + 1
+        towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
+        began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
+        slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
+        is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
+        if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and is_asked[0]:
+            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | ~is_asked
+            end = tick + int(over.argmax()) if over.any() else trace.ticks + 1
+            checked[npc, tick:end] = run.npcs[npc].gap[tick:end]
+    _check_worst(run, checked, name="UN R157 cut-in gap", at_least=CONTACT)
 
 
 def _refuse_odd(name: str, **given: object) -> None:
@@ -244,24 +259,3 @@ def _change(signal: Signal, seconds: float) -> Signal:
     before = np.concatenate((np.full(round(seconds * (signal.hz or 1)), signal[0]), signal))[: len(signal)]
     change: Signal = (signal - before) / seconds
     return change
-
-
-def _cut_ins(trace: Trace) -> Iterator[tuple[int, int, int]]:
-    """Cut-ins that UN R157 has avoided: the NPC, its first tick in the ego's lane, and the first that is none of it."""
-    frame = RoadFrame(trace)
-    lane = trace.ego[:, LANE].astype(np.intp)
-    beside = frame.right + LanePlaces(trace, frame).offset(0)  # of the NPCs' centres from that of the ego's lane
-    half = np.array([each.width for each in trace.lanes])[np.maximum(lane, 0)] / 2
-    is_in = half + trace.sizes[1:, 1:] / 2 - np.abs(beside) >= INTRUSION
-    keeps = (lane[1:] == lane[:-1]) & (lane[1:] >= 0)
-    closing = frame.speed[:1] - frame.speed[1:]
-    gaps = frame.ahead - frame.half_along[:1] - frame.half_along[1:]
-    for npc, before in zip(*np.nonzero(is_in[:, 1:] & ~is_in[:, :-1] & keeps), strict=True):
-        tick = int(before) + 1
-        towards = -np.sign(beside[npc, tick]) * frame.drift[npc + 1, : tick + 1]
-        began = int(np.flatnonzero(np.append(True, towards[1:] < DRIFTING))[-1])
-        slower = np.maximum(frame.speed[0, tick] - frame.speed[npc + 1, tick:], 0.0)
-        is_asked = gaps[npc, tick] > slower * (slower / (2 * 6.0) + 0.35)
-        if tick - began >= VISIBLE * trace.physics_hz and slower[0] > 0 and is_asked[0]:
-            over = (closing[npc, tick:] <= 0) | ~is_in[npc, tick:] | ~is_asked
-            yield int(npc), tick, tick + int(over.argmax()) if over.any() else trace.ticks + 1
