@@ -99,10 +99,7 @@ class Sheet:
 
     def draw(self) -> Image:
         """The frame, from the road at the bottom to the words on top."""
-        if self.is_bent:
-            self._bent_road()
-        else:
-            self._straight_road()
+        self._road()
         self._cells()
         self._trails()
         self._targets()
@@ -117,13 +114,13 @@ class Sheet:
         self._words()
         return self.image.reduce(SMOOTH)
 
-    def _bent_road(self) -> None:
-        # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
-        for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
-            for shape in self.finding.road.shapes:
-                self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
-
-    def _straight_road(self) -> None:
+    def _road(self) -> None:
+        if self.is_bent:
+            # All lanes wide, narrower and narrower still: what stays is an edge around them and a line between two.
+            for more, ink in ((0.5, EDGE), (0.0, DASH), (-0.3, ROAD)):
+                for shape in self.finding.road.shapes:
+                    self._line([self._at(*point) for point in shape.points], ink, (shape.width + more) * SCALE)
+            return
         top, bottom = self._y(self.left), self._y(self.right)
         self.pen.rectangle(_large([(0, top), (WIDTH, bottom)]), fill=ROAD)
         for y in (top, bottom):
