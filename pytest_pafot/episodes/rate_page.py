@@ -11,7 +11,6 @@ import numpy as np
 
 from pytest_pafot.episodes.rate import Pair, Rate, number, shown
 from pytest_pafot.episodes.rate_plan import RatePlan
-from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.report.animation import animate
 from pytest_pafot.report.finding_view import FRAMES_PER_SECOND
 from pytest_pafot.report.page_data import EventView, FindingView, LaneView, RoadView, VehicleView
@@ -38,7 +37,8 @@ def picture(episode: Episode, headline: str) -> bytes:
     if episode.recording is None:
         raise ValueError("episode: expected one with a recording")
     recording = episode.recording
-    states, hz = recording.states, recording.physics_hz
+    states, hz, lanes = recording.states, recording.physics_hz, recording.lanes
+    is_bent = bool(lanes[0].points)
     last = len(states) - 1
     ticks = sorted({*range(0, last + 1, max(1, round(hz / FRAMES_PER_SECOND))), last})
     distance = np.hypot(*(states[-1, 1:, :2] - states[-1, 0, :2]).T)
@@ -50,32 +50,30 @@ def picture(episode: Episode, headline: str) -> bytes:
         headline=headline,
         explanation="",
         responsibility="none",
-        road=_road(recording),
+        road=RoadView(
+            lanes=() if is_bent else tuple(lane.y for lane in lanes),
+            lane_width=lanes[0].width,
+            speed_limit=max(lane.speed_limit for lane in lanes),
+            clearance=0.0,
+            shapes=tuple(LaneView(points=lane.points, width=lane.width) for lane in lanes) if is_bent else (),
+        ),
         vehicles=tuple(_vehicle(recording, int(index), ticks) for index in shown),
         times=tuple(round(tick / hz, 3) for tick in ticks),
         instructions=(),
         event=EventView(kind=str(episode.outcome), time=episode.seconds, npc=0 if len(shown) > 1 else None),
         yaml="",
         command="",
-        grid=((None,) * CELLS,) * len(ticks) if recording.lanes[0].points else (),
+        grid=((None,) * CELLS,) * len(ticks) if is_bent else (),
     )
     return animate(view)
 
 
-def _road(recording: EpisodeRecording) -> RoadView:
-    lanes, bent = recording.lanes, bool(recording.lanes[0].points)
-    return RoadView(
-        lanes=() if bent else tuple(lane.y for lane in lanes),
-        lane_width=lanes[0].width,
-        speed_limit=max(lane.speed_limit for lane in lanes),
-        clearance=0.0,
-        shapes=tuple(LaneView(points=lane.points, width=lane.width) for lane in lanes) if bent else (),
-    )
-
-
 def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> VehicleView:
     length, width = recording.sizes[index]
-    along, across, heading, speed = (_numbers(recording.states[ticks, index, column]) for column in range(4))
+    along, across, heading, speed = (
+        tuple(round(float(value), 3) if np.isfinite(value) else None for value in column)
+        for column in recording.states[ticks, index, :4].T
+    )
     return VehicleView(
         name=f"NPC {index - 1}" if index else "ego",
         length=float(length),
@@ -85,10 +83,6 @@ def _vehicle(recording: EpisodeRecording, index: int, ticks: list[int]) -> Vehic
         heading=heading,
         speed=speed,
     )
-
-
-def _numbers(values: FloatArray) -> tuple[float | None, ...]:
-    return tuple(round(float(value), 3) if np.isfinite(value) else None for value in values)
 
 
 HOW_TO_READ = """
