@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+import scipy  # which imports its parts when they are first used, for that takes a second
 
 from pytest_pafot.model.trace import FloatArray
 
@@ -40,7 +40,7 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Effect:
     """Effect size, its interval and the test of two samples; infinite values are the largest, and equal."""
     low, high = a12_interval(a12(first, second), len(first), len(second))
     is_one_value = len({*first, *second}) == 1
-    p = 1.0 if is_one_value else float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    p = 1.0 if is_one_value else float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
     return Effect(a12=a12(first, second), low=low, high=high, p=p)
 
 
@@ -57,7 +57,7 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
     in Medicine 25(4), 2006, method 5: the values whose own standard error, by Hanley and McNeil with the mean of the
     two sizes, allows the estimate. ``first`` and ``second`` are the sizes of the samples.
     """
-    z = float(stats.norm.ppf((1 + confidence) / 2))
+    z = float(scipy.stats.norm.ppf((1 + confidence) / 2))
     others = (first + second) / 2 - 1
 
     def excess(value: float) -> float:
@@ -65,20 +65,20 @@ def a12_interval(estimate: float, first: int, second: int, confidence: float = C
         return float((value - estimate) ** 2 - z**2 * value * (1 - value) * spread / (first * second))
 
     # At an estimate of 0 or 1 that value itself is a root, and the other one is the limit.
-    low = 0.0 if estimate <= 0 else float(optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
-    high = 1.0 if estimate >= 1 else float(optimize.brentq(excess, max(estimate, 1e-9), 1.0))
+    low = 0.0 if estimate <= 0 else float(scipy.optimize.brentq(excess, 0.0, min(estimate, 1 - 1e-9)))
+    high = 1.0 if estimate >= 1 else float(scipy.optimize.brentq(excess, max(estimate, 1e-9), 1.0))
     return low, high
 
 
 def found_in(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Fisher's exact test, two-sided, of (runs that found something, all runs) of two algorithms: p."""
     table = np.array([[found, runs - found] for found, runs in (first, second)])
-    return float(stats.fisher_exact(table).pvalue)
+    return float(scipy.stats.fisher_exact(table).pvalue)
 
 
 def survival(times: Sequence[float], is_censored: Sequence[bool]) -> Survival:
     """Of times to an event, or, where censored, times until which there was none (Kaplan, Meier, JASA 53, 1958)."""
-    estimate = stats.ecdf(_censored(times, is_censored)).sf
+    estimate = scipy.stats.ecdf(_censored(times, is_censored)).sf
     at = np.asarray(estimate.quantiles, dtype=np.float64)
     shares = np.asarray(estimate.probabilities, dtype=np.float64)
     half = np.flatnonzero(shares <= 0.5 + 1e-12)
@@ -92,7 +92,7 @@ def log_rank(
     if all(first_censored) and all(second_censored):
         return 1.0
     with np.errstate(invalid="ignore"):  # Where all have their events at once, it is 0 over a variance of 0.
-        result = stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
+        result = scipy.stats.logrank(_censored(first, first_censored), _censored(second, second_censored))
     return 1.0 if np.isnan(result.pvalue) else float(result.pvalue)
 
 
@@ -104,5 +104,5 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return [float(p) for p in stepped[np.argsort(order)]]
 
 
-def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> stats.CensoredData:
-    return stats.CensoredData.right_censored(np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool))
+def _censored(times: Sequence[float], is_censored: Sequence[bool]) -> scipy.stats.CensoredData:
+    return scipy.stats.CensoredData.right_censored(np.asarray(times, dtype=float), np.asarray(is_censored, dtype=bool))

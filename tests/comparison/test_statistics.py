@@ -5,9 +5,9 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from pytest_pafot.comparison.statistics import a12, a12_interval, compared, found_in, holm, log_rank, survival
 
@@ -21,7 +21,7 @@ class TestEffect:
 
     @given(samples, samples)
     def test_a12_is_the_u_statistic_over_the_pairs(self, x, y):
-        u = stats.mannwhitneyu(x, y, method="asymptotic").statistic if len({*x, *y}) > 1 else len(x) * len(y) / 2
+        u = scipy.stats.mannwhitneyu(x, y, method="asymptotic").statistic if len({*x, *y}) > 1 else len(x) * len(y) / 2
         assert a12(x, y) == pytest.approx(u / (len(x) * len(y)))
 
     @given(samples, samples)
@@ -52,14 +52,14 @@ class TestEffect:
 
     def test_the_interval_covers_the_truth_about_as_often_as_it_says(self):
         rng = np.random.default_rng(0)
-        truth = float(stats.norm.cdf(1 / math.sqrt(2)))
+        truth = float(scipy.stats.norm.cdf(1 / math.sqrt(2)))
         intervals = (a12_interval(a12(rng.normal(1, 1, 10), rng.normal(0, 1, 10)), 10, 10) for _ in range(300))
         covered = sum(low <= truth <= high for low, high in intervals) / 300
         assert 0.92 < covered < 0.985
 
     def test_the_test_is_scipys_two_sided_one(self):
         x, y = [1.0, 4.0, 6.0, 7.0], [2.0, 3.0, 5.0, 0.0]
-        assert compared(x, y).p == stats.mannwhitneyu(x, y, alternative="two-sided").pvalue
+        assert compared(x, y).p == scipy.stats.mannwhitneyu(x, y, alternative="two-sided").pvalue
 
     def test_samples_of_one_value_show_no_difference(self):
         assert compared([3.0] * 5, [3.0] * 5).p == 1.0
@@ -112,7 +112,7 @@ class TestSurvival:
             expected += at_risk_x / at_risk
             variance += at_risk_x * at_risk_y / at_risk**2
         z = (observed - expected) / math.sqrt(variance)
-        assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * stats.norm.sf(abs(z)))
+        assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * scipy.stats.norm.sf(abs(z)))
 
     @pytest.mark.filterwarnings("error")
     def test_where_all_failed_at_once_nothing_differs(self):

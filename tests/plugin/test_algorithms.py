@@ -3,11 +3,7 @@
 import re
 import sys
 
-# pytester forgets modules that a run imports; compiled ones of libraries cannot be loaded a second time
-import cmaes  # noqa: F401
-import pymoo.operators.survival.rank_and_crowding  # noqa: F401
 import pytest
-import ribs.archives  # noqa: F401
 
 from tests.helpers.sessions import section
 
@@ -30,7 +26,18 @@ def test_a_find_without_cells_is_saved_confirmed_shrunk_and_replayed(project, al
     again.stdout.fnmatch_lines(["*still failing*"])
 
 
-def test_the_algorithms_of_libraries_search_too(project):
+@pytest.fixture(scope="module")
+def libraries():
+    """Libraries of algorithms, imported before pytester notes which modules it forgets after a session.
+
+    Compiled ones cannot be loaded a second time.
+    """
+    import cmaes  # noqa: F401
+    import pymoo.operators.survival.rank_and_crowding  # noqa: F401
+    import ribs.archives  # noqa: F401
+
+
+def test_the_algorithms_of_libraries_search_too(libraries, project):
     algorithms = ("nsga2", "map-elites", "cma-es")
     project.write("\n".join(TEST.format(each).replace("test_it", f"test_{n}") for n, each in enumerate(algorithms)))
     project.run(generations=8).assert_outcomes(failed=2 * len(algorithms))

@@ -15,8 +15,12 @@ from tests.helpers.tables import table
 
 NAMES = [name for name in ALGORITHMS if resolve_algorithm(name).library]
 
-for each in NAMES:
-    pytest.importorskip(resolve_algorithm(each).library)
+
+@pytest.fixture(autouse=True, scope="module")
+def libraries():
+    """All of them, imported by the first test, since that takes a second."""
+    for name in NAMES:
+        pytest.importorskip(resolve_algorithm(name).library)
 
 
 def hit(cell=Cell.FRONT, closing=10.0):
