@@ -14,6 +14,7 @@ import traceback
 import types
 import warnings
 
+import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pytest
@@ -74,6 +75,7 @@ def quick_sessions(monkeypatch):
     """Let sessions of this process look up once what is the same in all: else that is a third of a short one."""
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
+    monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
@@ -105,6 +107,20 @@ def _in_file(code, name):
     """The code, and all code in it, as if it had been read from a file of this name."""
     constants = tuple(_in_file(each, name) if isinstance(each, types.CodeType) else each for each in code.co_consts)
     return code.replace(co_filename=name, co_consts=constants)
+
+
+KNOWN_RANGES = {}
+STATEMENT_RANGE = _pytest._code.code.getstatementrange_ast
+
+
+def _statement_range(line, source, astnode=None):
+    """What pytest finds out of a statement that a failure shows, for which it parses the whole file."""
+    key = str(source), line
+    if key in KNOWN_RANGES:
+        return None, *KNOWN_RANGES[key]  # without the tree of the file: pytest keeps it, to parse no file twice
+    tree, start, end = STATEMENT_RANGE(line, source, astnode=astnode)
+    KNOWN_RANGES[key] = start, end
+    return tree, start, end
 
 
 def _is_shared(source):
