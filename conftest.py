@@ -68,6 +68,7 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return put
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_unconfigure() -> None:
     """Let the interpreter find all garbage at its end."""
     gc.unfreeze()
