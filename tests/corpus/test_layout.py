@@ -195,7 +195,9 @@ def test_the_test_file_of_a_folder_is_the_one_whose_name_gives_it(tmp_path):
     assert module_named(tmp_path, "test_gone") == tmp_path / "test_gone.py"
 
 
-IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True) | st.sampled_from(["con", "_", "test_\u00e9", "test_a"])
+IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACTERS) | st.sampled_from(
+    ["con", "_", "test_\u00e9", "test_a"]
+)
 
 
 @given(test=st.lists(IDENTIFIERS, min_size=1, max_size=3).map("::".join), parameters=st.text(CHARACTERS, max_size=20))
