@@ -209,20 +209,6 @@ class StateFile:
             # Each is put into words once: there may be ten thousand, of which few are new.
             self._texts[id(run)] = known.get(id(run)) or (run, _json(plain(run)))
         began = self.clock()
-        content = self._text(checkpoint, counts).encode()
-        try:
-            if len(content) > MAX_BYTES:
-                self.problem = f"{self.path}: expected a state of at most {MAX_BYTES} bytes, received {len(content)}"
-            else:
-                write_whole(self.path, content)
-                self.problem = ""
-        except OSError as error:
-            reason, fix = error.strerror or error, way_out(error, f"or give another folder with {FLAG}")
-            self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
-        self._written_at = self.clock()
-        self._cost = self._written_at - began
-
-    def _text(self, checkpoint: Checkpoint[Any], counts: Counts) -> str:
         parts = {
             "version": VERSION,
             "settings": self.settings,
@@ -240,7 +226,18 @@ class StateFile:
                 f"{FLAG}: expected data that JSON can hold from the method stored of {type(self.algorithm).__name__}, "
                 f"received {data!r:.100} ({error}); see pytest_pafot.searching.plain"
             ) from None
-        return "{" + ",\n".join(lines) + "}\n"
+        content = ("{" + ",\n".join(lines) + "}\n").encode()
+        try:
+            if len(content) > MAX_BYTES:
+                self.problem = f"{self.path}: expected a state of at most {MAX_BYTES} bytes, received {len(content)}"
+            else:
+                write_whole(self.path, content)
+                self.problem = ""
+        except OSError as error:
+            reason, fix = error.strerror or error, way_out(error, f"or give another folder with {FLAG}")
+            self.problem = f"{self.path}: expected to write the state of the search, received: {reason}; {fix}"
+        self._written_at = self.clock()
+        self._cost = self._written_at - began
 
     def _part(self, data: Mapping[str, Any], name: str, read: Callable[[Any], Any]) -> Any:
         try:
