@@ -84,8 +84,20 @@ class Records:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write both, also when the session was interrupted."""
         self._write_json(int(session.exitstatus))
+        path = os.environ.get(SUMMARY)
+        if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
+            return  # Nothing is imported for it in a session that has nothing to tell.
         with self._lines.faults(f"the summary in {SUMMARY}"):
-            self._append_summary(int(session.exitstatus))
+            from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
+            from pytest_pafot.support.files import way_out  # noqa: PLC0415
+
+            text = markdown(self._record(int(session.exitstatus)))
+            try:
+                with Path(path).open("a", encoding="utf-8") as file:
+                    file.write(text)
+            except OSError as error:
+                fix = way_out(error, "or name another file")
+                self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
 
     def _take(self, node_id: str, message: messages.Message) -> None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
@@ -122,26 +134,23 @@ class Records:
         if report.nodeid in self._findings:
             return
         if report.failed and SAVED_MARK in report.keywords:
-            self._findings[report.nodeid] = self._unreadable(report)
+            from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
+
+            told = json.loads(getattr(report, AS_SAVED, "{}"))  # without one where a worker of pytest-xdist died
+            self._findings[report.nodeid] = FindingRecord(
+                node_id=report.nodeid,
+                id=told.get("id", ""),
+                status=ERROR,
+                file=told.get("file"),
+                replay=command_for(told.get("file", report.nodeid)),
+                detail=self._reasons[report.nodeid],
+            )
         elif report.failed and self._config.getoption(BY_NAME["merge"].key):
             self._texts["merge"].append(f"failed: {report.nodeid}: {self._reasons[report.nodeid]}")
         elif report.failed:
             from pytest_pafot.report.session_record import SearchRecord  # noqa: PLC0415
 
             self._searches.setdefault(report.nodeid, SearchRecord(node_id=report.nodeid))
-
-    def _unreadable(self, report: pytest.TestReport) -> FindingRecord:
-        from pytest_pafot.report.session_record import ERROR, FindingRecord, command_for  # noqa: PLC0415
-
-        told = json.loads(getattr(report, AS_SAVED, "{}"))  # without one where a worker of pytest-xdist died
-        return FindingRecord(
-            node_id=report.nodeid,
-            id=told.get("id", ""),
-            status=ERROR,
-            file=told.get("file"),
-            replay=command_for(told.get("file", report.nodeid)),
-            detail=self._reasons[report.nodeid],
-        )
 
     def _record(self, code: int | None) -> SessionRecord:
         from pytest_pafot.report.session_record import SessionRecord, worst  # noqa: PLC0415
@@ -186,22 +195,6 @@ class Records:
             return
         if code is not None:
             self._lines.reports.append(f"json: {self._file}")
-
-    def _append_summary(self, code: int) -> None:
-        """Nothing is imported for it in a session that has nothing to tell."""
-        path = os.environ.get(SUMMARY)
-        if not path or not any((self._searches, self._findings, *self._texts.values(), self._lines.problems)):
-            return
-        from pytest_pafot.report.job_summary import markdown  # noqa: PLC0415
-        from pytest_pafot.support.files import way_out  # noqa: PLC0415
-
-        text = markdown(self._record(code))
-        try:
-            with Path(path).open("a", encoding="utf-8") as file:
-                file.write(text)
-        except OSError as error:
-            fix = way_out(error, "or name another file")
-            self._lines.problems.append(f"{SUMMARY}={path}: not written: {error.strerror or error}; {fix}")
 
 
 def _result(report: pytest.TestReport) -> str:
