@@ -95,7 +95,16 @@ def finding_list(findings: Sequence[FindingView]) -> str:
         return ""
     groups: dict[str, list[str]] = {}
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
-        groups.setdefault(finding.test, []).append(_list_item(finding, key, index))
+        meta = ", ".join(_tags(finding))
+        # What the filter looks through.
+        words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
+        groups.setdefault(finding.test, []).append(
+            f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
+            f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
+            f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
+            f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">'
+            f'{text(finding.headline)}</span><span class="meta">{text(meta)}</span></span></a></li>'
+        )
     counts = Counter(map(_who, findings))
     names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
     summary = ", ".join(
@@ -109,19 +118,6 @@ def finding_list(findings: Sequence[FindingView]) -> str:
         name = f'<h3 id="group-{number}">{text(test.rpartition("::")[2])} <span class="count">{len(items)}</span></h3>'
         listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
     return listed
-
-
-def _list_item(finding: FindingView, key: str, index: int) -> str:
-    meta = ", ".join(_tags(finding))
-    # What the filter looks through.
-    words = " ".join([finding.node_id, finding.headline, finding.assertion, meta, finding.path]).lower()
-    return (
-        f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
-        f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
-        f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-        f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">{text(finding.headline)}'
-        f'</span><span class="meta">{text(meta)}</span></span></a></li>'
-    )
 
 
 def _filter(findings: Sequence[FindingView]) -> str:
@@ -140,12 +136,15 @@ def _filter(findings: Sequence[FindingView]) -> str:
 def finding_article(finding: FindingView, index: int) -> str:
     """One finding in words; an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
+    who, *tags = _tags(finding)
+    tags += [each for each in (finding.prevention, finding.perception) if each]
+    mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     words = text(dedent(finding.explanation).strip())
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
         claim if finding.check is None else _check_figures(finding.check),
-        _tag_list(finding),
+        f'<ul class="tags"><li>{mark} {text(who)}</li>{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
@@ -200,14 +199,6 @@ def _tags(finding: FindingView) -> list[str]:
     tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.generation is None else [f"first in generation {finding.generation}"]
     return [*tags, finding.label] if finding.label else tags
-
-
-def _tag_list(finding: FindingView) -> str:
-    who, *tags = _tags(finding)
-    tags += [each for each in (finding.prevention, finding.perception) if each]
-    mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-    items = "".join(f"<li>{text(tag)}</li>" for tag in tags)
-    return f'<ul class="tags"><li>{mark} {text(who)}</li>{items}</ul>'
 
 
 def _shrink_section(shrink: ShrinkView) -> str:

@@ -37,6 +37,14 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     is_open = len(report.campaigns) == 1 and not embedded
     if embedded:  # A frame may not save files.
         report = replace(report, findings=tuple(replace(finding, drive=None) for finding in report.findings))
+    # What failed by no finding, with what pytest says of it.
+    ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
+    errors = "".join(
+        f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
+        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows that.')}</p>"
+        f"<pre>{text(told.strip())}</pre></article>"
+        for node_id, told in report.errors
+    )
     campaigns = "".join(campaign_article(view, index, is_open=is_open) for index, view in enumerate(report.campaigns))
     searches = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{campaigns}</section>'
     return Template(_asset("page.html")).substitute(
@@ -47,7 +55,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         kind=kind if len(report.findings) == 1 else f"{kind} listed",
         facts=facts(report.facts) + (copyable(report.command) if report.command else ""),
         count=len(report.findings),
-        errors=_errors(report),
+        errors=errors,
         list=finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>',
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
         campaigns=searches if campaigns else "",
@@ -80,17 +88,6 @@ def data_json(report: Report) -> str:
     data = asdict(replace(report, findings=findings, errors=()))
     plain = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _errors(report: Report) -> str:
-    """What failed by no finding, with what pytest says of it; empty where nothing did."""
-    ended = {view.node_id: "The search ended with an error." for view in report.campaigns if view.reason == "error"}
-    return "".join(
-        f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
-        f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows that.')}</p>"
-        f"<pre>{text(told.strip())}</pre></article>"
-        for node_id, told in report.errors
-    )
 
 
 def _nothing_found(report: Report) -> str:
