@@ -128,7 +128,16 @@ class Start:
             return
         if self.kind == "planner":
             _ = self.straight  # refuses any other road now
-        self._put(self.ads if self.kind == "vehicle" else StockVehicle)
+        # A vehicle of the wanted class takes the place of the environment's own ego.
+        env, old, vehicle_class = self.env, self.env.vehicle, self.ads if self.kind == "vehicle" else StockVehicle
+        ego = vehicle_class(env.road, old.position, old.heading, old.speed)
+        give_route(ego, getattr(old, "route", None))
+        env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
+        env.controlled_vehicles = [ego]
+        try:
+            env.define_spaces()
+        except Exception as error:
+            raise self.unfit(error) from error
 
     @property
     def straight(self) -> StraightRoad:
@@ -144,18 +153,6 @@ class Start:
                 "vehicle class"
             )
         return self.road
-
-    def _put(self, vehicle_class: Callable[..., Any]) -> None:
-        """Put a vehicle in the place of the environment's own ego."""
-        env, old = self.env, self.env.vehicle
-        ego = vehicle_class(env.road, old.position, old.heading, old.speed)
-        give_route(ego, getattr(old, "route", None))
-        env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
-        env.controlled_vehicles = [ego]
-        try:
-            env.define_spaces()
-        except Exception as error:
-            raise self.unfit(error) from error
 
     def unfit(self, error: Exception) -> WorldError:
         """What to say of an environment that raises by itself, as it may with another vehicle than its own."""

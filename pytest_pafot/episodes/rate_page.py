@@ -102,12 +102,19 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     """The whole text, with the command that made it, and the file name of the picture of a crash of a policy."""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
+    rows = []
+    for rate in rates:
+        low, high = interval(len(rate.crashed), rate.episodes)
+        share = percent(rate.share) if rate.episodes else ""
+        bounds = f"{percent(low)} to {percent(high)}" if rate.crashed else f"at most {percent(high)}"
+        hours = number(rate.per_hour), number(rate.hours)
+        rows.append([rate.ads, rate.episodes, len(rate.crashed), share, bounds, *hours])
     parts = [
         f"# How often {' and '.join(rate.ads for rate in rates)} crash{'es' if len(rates) == 1 else ''}",
         f"```sh\n{shlex.join(command)}\n```",
         f"{plan.episodes} episodes of {plan.env_id}{config}, seeds {plan.seed} to {plan.seed + plan.episodes - 1}. "
         f"{packages}.",
-        _table(rates),
+        markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows),
     ]
     if len(rates) == 2:
         pair = Pair.of(*rates)
@@ -121,14 +128,3 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
         if rate.ads in pictures:
             parts.append(f"![The first crash]({pictures[rate.ads]})")
     return "\n\n".join(part.strip() for part in [*parts, HOW_TO_READ]) + "\n"
-
-
-def _table(rates: Sequence[Rate]) -> str:
-    rows = []
-    for rate in rates:
-        low, high = interval(len(rate.crashed), rate.episodes)
-        share = percent(rate.share) if rate.episodes else ""
-        bounds = f"{percent(low)} to {percent(high)}" if rate.crashed else f"at most {percent(high)}"
-        hours = number(rate.per_hour), number(rate.hours)
-        rows.append([rate.ads, rate.episodes, len(rate.crashed), share, bounds, *hours])
-    return markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows)
