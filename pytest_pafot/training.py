@@ -84,7 +84,17 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
     """
 
     def __init__(self, world: World, scenarios: Scenarios = None, share: float = 0.5) -> None:
-        _check_world(world)
+        if not isinstance(world, World):
+            expected = 'an environment, such as pafot.World("highway-fast-v0"), whose reward there is to learn from'
+            raise WorldError(field="world", expected=expected, received=f"{world!r:.200}")
+        if world.wrappers is not None:
+            expected, fix = "a world without wrappers", "put them around the training environment instead"
+            raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
+        world.check()
+        if world.environment.steps_itself(drives_itself=False):
+            expected = "an environment that highway-env steps, with the NPCs in place of its traffic"
+            received = f"{world.env_id!r}, whose class has steps of its own"
+            raise WorldError(field="world", expected=expected, received=received)
         share = checked_number(share, "share", "that of scenarios among the episodes, 0 to 1", least=0.0, most=1.0)
         self.trace: Trace | None = None
         self.observation_space = copy.deepcopy(world.observation_space)
@@ -168,20 +178,6 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
 def random_scenarios(world: Any) -> Sampler:
     """What draws scenarios of the kind that a search of a world begins with, where nothing else is asked for."""
     return partial(sample, space_on(world, drawn_space(world, {}), road_start(world)))
-
-
-def _check_world(world: Any) -> None:
-    if not isinstance(world, World):
-        expected = 'an environment, such as pafot.World("highway-fast-v0"), whose reward there is to learn from'
-        raise WorldError(field="world", expected=expected, received=f"{world!r:.200}")
-    if world.wrappers is not None:
-        expected, fix = "a world without wrappers", "put them around the training environment instead"
-        raise WorldError(field="world.wrappers", expected=expected, received=f"{world.wrappers!r:.200}", fix=fix)
-    world.check()
-    if world.environment.steps_itself(drives_itself=False):
-        expected = "an environment that highway-env steps, with the NPCs in place of its traffic"
-        received = f"{world.env_id!r}, whose class has steps of its own"
-        raise WorldError(field="world", expected=expected, received=received)
 
 
 def _sampler(world: World, scenarios: Scenarios) -> Sampler:
