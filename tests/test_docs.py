@@ -48,7 +48,7 @@ import pytest_pafot.world.engines.object_engine
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
-from tests.helpers.sessions import in_process
+from tests.helpers.sessions import in_process, program_in_a_copy, quick_sessions
 from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
@@ -220,7 +220,7 @@ class Folder:
         assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if program == "python":
-            done = self.pytester.run(sys.executable, *arguments)
+            done = program_in_a_copy(self.pytester, *arguments)
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return
@@ -243,6 +243,7 @@ class Folder:
 
 @pytest.fixture
 def folder(pytester, monkeypatch, document):
+    quick_sessions(monkeypatch)
     for name in (
         "CI",
         "BUILD_NUMBER",

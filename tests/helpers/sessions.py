@@ -6,6 +6,7 @@ import inspect
 import json
 import os
 import re
+import runpy
 import signal
 import sys
 import tempfile
@@ -13,11 +14,13 @@ import time
 import traceback
 import types
 import warnings
+from importlib import metadata
 
 import _pytest._code.code
 import _pytest.assertion.rewrite
 import _pytest.fixtures
 import pytest
+from _pytest.assertion.rewrite import AssertionRewritingHook
 
 from pytest_pafot.report.session_record import VERSION, FindingRecord, SearchRecord, SessionRecord
 
@@ -54,14 +57,25 @@ def in_a_copy(pytester, *args):
     """
     if not hasattr(os, "fork"):
         return pytester.runpytest_subprocess(*args)
+    base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
+    return _in_a_copy(pytester, lambda: _with_room(pytest.main, [f"--basetemp={base}", *map(str, args)]))
+
+
+def program_in_a_copy(pytester, *args):
+    """``pytester.run(sys.executable, ...)`` in such a copy, of a script or of ``-m`` and a module."""
+    if not hasattr(os, "fork"):
+        return pytester.run(sys.executable, *args)
+    return _in_a_copy(pytester, lambda: _be_a_program(args))
+
+
+def _in_a_copy(pytester, call):
     begun = time.monotonic()
     streams = [pytester.path / name for name in ("stdout", "stderr")]
-    base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of threads: that of a worker of pytest-xdist only waits
         pid = os.fork()
     if not pid:
-        _be_a_session(streams, [f"--basetemp={base}", *map(str, args)])
+        _be_a_copy(streams, call)
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     out, err = (stream.read_text(encoding="utf-8") for stream in streams)
     print(out, err, sep="\n")
@@ -73,11 +87,29 @@ FIXTURE = type(pytest.fixture(lambda: None))
 
 def quick_sessions(monkeypatch):
     """Let sessions of this process look up once what is the same in all: else that is a third of a short one."""
+    monkeypatch.setattr(metadata, "distributions", lambda **which: iter(_installed()))
     monkeypatch.setattr(_pytest.fixtures, "dir", _names_of_fixtures, raising=False)
     monkeypatch.setattr(_pytest.assertion.rewrite, "_rewrite_test", _rewritten)
     monkeypatch.setattr(_pytest._code.code, "getstatementrange_ast", _statement_range)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # what is rewritten is known
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
+
+
+class Installed(metadata.PathDistribution):
+    """An installed package whose files are read once."""
+
+    entry_points = functools.cached_property(metadata.PathDistribution.entry_points.fget)
+    files = functools.cached_property(metadata.PathDistribution.files.fget)
+    metadata = functools.cached_property(metadata.PathDistribution.metadata.fget)
+
+
+ALL_INSTALLED = metadata.distributions
+
+
+@functools.cache
+def _installed():
+    """Packages in which pytest may find plugins, of all that it would read again in each session."""
+    return [Installed(each._path) for each in ALL_INSTALLED() if each.entry_points.select(group="pytest11")]
 
 
 def _names_of_fixtures(plugin):
@@ -131,8 +163,24 @@ def _is_shared(source):
     )
 
 
-def _be_a_session(streams, args):
-    """To the end of this process, with standard output and errors in files."""
+def _be_a_program(args):
+    """As Python's command line does it."""
+    is_module = args[0] == "-m"
+    sys.argv = list(args[is_module:])
+    sys.path.insert(0, "")
+    sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, AssertionRewritingHook)]
+    try:
+        if is_module:
+            runpy.run_module(args[1], run_name="__main__", alter_sys=True)
+        else:
+            runpy.run_path(args[0], run_name="__main__")
+    except SystemExit as end:
+        return end.code or 0
+    return 0
+
+
+def _be_a_copy(streams, call):
+    """Call to the end of this process, with standard output and errors in files; it returns the exit status."""
     status = 1
     try:
         for number, path in enumerate((os.devnull, *streams)):
@@ -142,7 +190,7 @@ def _be_a_session(streams, args):
         warnings.resetwarnings()
         faulthandler.disable()
         signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # pygame has a handler that aborts
-        status = int(_with_room(pytest.main, args))
+        status = int(call())
     except BaseException:  # noqa: BLE001
         traceback.print_exc()
     finally:

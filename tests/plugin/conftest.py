@@ -1,10 +1,8 @@
 """A project with a cheap ADS and short scenarios, in which pytest runs in this process."""
 
-import functools
 import importlib
 import os
 import pkgutil
-from importlib import metadata
 from pathlib import Path
 
 import highway_env.road.road  # noqa: F401  pytester forgets modules that a run imports; compiled ones must stay
@@ -192,21 +190,6 @@ class Project:
         return self.only_file.name.removesuffix(".pafot.yaml")
 
 
-class Installed(metadata.PathDistribution):
-    """An installed package whose files are read once."""
-
-    entry_points = functools.cached_property(metadata.PathDistribution.entry_points.fget)
-    files = functools.cached_property(metadata.PathDistribution.files.fget)
-    metadata = functools.cached_property(metadata.PathDistribution.metadata.fget)
-
-
-@pytest.fixture(scope="session")
-def distributions():
-    """Installed packages in which pytest may find plugins, of all that it would read again in each session."""
-    found = (each for each in metadata.distributions() if each.entry_points.select(group="pytest11"))
-    return [Installed(each._path) for each in found]
-
-
 @pytest.fixture(scope="session")
 def found():
     """What every session showed and left behind that is run once for all tests."""
@@ -214,13 +197,12 @@ def found():
 
 
 @pytest.fixture
-def project(request, pytester, monkeypatch, distributions, found):
+def project(request, pytester, monkeypatch, found):
     """A project in which sessions do what takes long only for a test that asks for it.
 
     Finds are saved as they were found, without reference drivers, and are not run again in highway-env's own
     environment. Tests of several processes have whole sessions: what one process does, the others must do as well.
     """
-    monkeypatch.setattr(metadata, "distributions", lambda **which: iter(distributions))
     quick_sessions(monkeypatch)
     if not request.node.get_closest_marker("processes"):
         monkeypatch.setattr(recorder, "_difference_in_gym", lambda run, simulation: "")
