@@ -67,7 +67,8 @@ def summary(result):
     """What a session says, without times, process ids, progress, and the note that workers were in use."""
     depends = re.compile(r"pafot-workers| \d+/s$").search
     lines = [line for line in result.stdout.lines if not depends(line)]
-    return [re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line) for line in lines]
+    rule = re.compile(r"(?<= )=+$|^=+(?= )")  # which is shorter where a time has more digits
+    return [rule.sub("", re.sub(r"\d+\.\d+ ?s\b|0x[0-9a-f]+|pid \d+", "...", line)) for line in lines]
 
 
 def session(project, workers, *args, **options):
