@@ -7,7 +7,7 @@ clause by clause, with their sources.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
 
@@ -93,15 +93,14 @@ SPED_UP = 0.3
 """What they call speeding up, or slowing down in a lane change, at least [m/s]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Attribution:
-    """Who is responsible, and why.
+    """Who is responsible, and why. Two are equal that say the same.
 
     Attributes:
         responsibility: for the collision.
         tick, time: of what the reason begins with [s]: a lane change, a braking, or when the danger began; None without
             a collision.
-        reason: the end of a sentence that begins with "because".
         fault: of the ego; None where it does not answer for the collision.
         facts: that the reason tells.
     """
@@ -109,9 +108,27 @@ class Attribution:
     responsibility: Responsibility
     tick: int | None
     time: float | None
-    reason: str
     fault: Fault | None = None
-    facts: Reason = field(default=(), repr=False, compare=False)
+    facts: Reason = ()
+
+    @property
+    def reason(self) -> str:
+        """The end of a sentence that begins with "because"."""
+        return sentence(self.facts)  # worded when it is asked for: a search judges many collisions and shows few
+
+    def __repr__(self) -> str:
+        told = (f"{name}={getattr(self, name)!r}" for name in ("responsibility", "tick", "time", "reason", "fault"))
+        return f"Attribution({', '.join(told)})"
+
+    def __eq__(self, other: object) -> bool:
+        return self._said == other._said if isinstance(other, Attribution) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._said)
+
+    @property
+    def _said(self) -> tuple[object, ...]:
+        return self.responsibility, self.tick, self.time, self.reason, self.fault
 
 
 def rss_rule(trace: Trace) -> Attribution:
@@ -130,7 +147,7 @@ def rss_rule(trace: Trace) -> Attribution:
     (numbers of a careful driver); Vienna Convention on Road Traffic, Art. 17 (braking for nothing).
     """
     if trace.collision is None:
-        return Attribution(responsibility="none", tick=None, time=None, reason=sentence(()))
+        return Attribution(responsibility="none", tick=None, time=None)
     return trace.reading("attribution", lambda trace: dangers_of(trace).impact)
 
 
@@ -325,7 +342,9 @@ class Conflict:
         if min(self._gap(tick), self._gap(max(self._onset, tick))) <= 0:
             return self._excused_behind(tick, (crossed,), pursuit, change)
         late = crossed, Fact(What.CUT_IN_TOO_LATE, self._npc + 1, self._at(tick))
-        if self._is_blocked(tick):
+        at_once = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
+        is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
+        if is_close and self._npc_braked_hard(tick, min(at_once, self._end)):
             return self._excused_behind(tick, late, pursuit, change)
         since = None if self._is_too_late(seen) else pursuit.avoided_from(seen, CUT_OFF, EMERGENCY)
         if since is not None:
@@ -346,12 +365,6 @@ class Conflict:
         slowed = -np.diff(self._frame.speed[self._npc + 1, first : last + 1]) * self._hz
         is_hard = first_lasting(slowed > HARD_BRAKING, math.ceil(HARD_SECONDS * self._hz)) is not None
         return float(slowed.max()) if is_hard else 0.0
-
-    def _is_blocked(self, tick: int) -> bool:
-        """Whether an NPC moved in with next to no headway and began to brake hard at once."""
-        last = tick + round(AT_ONCE * self._hz) + math.ceil(HARD_SECONDS * self._hz)
-        is_close = self._gap(tick) < BLOCKED * self._frame.speed[0, tick]
-        return bool(is_close and self._npc_braked_hard(tick, min(last, self._end)))
 
     def _strayed(self) -> Attribution:
         """Side by side without a lane change: by slow drift, or in lanes that come together."""
@@ -376,7 +389,9 @@ class Conflict:
     def _room(self, tick: int, speed: float, behind: int | None = None) -> float:
         """What a lane change at some speed ahead of another has to leave at a tick [m] (UN R79, 5.6.4.7)."""
         follower = self._frame.speed[self._npc + 1 if behind is None else behind, tick]
-        return max(_braking_room(float(follower) - speed) + speed * HEADWAY, 0.0)
+        faster = max(float(follower) - speed, 0.0)
+        slowing_down = faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration)
+        return max(slowing_down + speed * HEADWAY, 0.0)
 
     def _lowest(self, change: LaneChange) -> float:
         """Speed of the ego during its lane change [m/s]: who slows down in it asks more of the one behind."""
@@ -513,8 +528,7 @@ class Conflict:
     def _attributed(
         self, responsibility: Responsibility, tick: int, facts: Reason, fault: Fault | None = None
     ) -> Attribution:
-        time, reason = self._at(tick), sentence(facts)
-        return Attribution(responsibility=responsibility, tick=tick, time=time, reason=reason, fault=fault, facts=facts)
+        return Attribution(responsibility=responsibility, tick=tick, time=self._at(tick), fault=fault, facts=facts)
 
     def _blamed_unless_standing(self, tick: int, reason: Reason, fault: Fault) -> Attribution:
         """An ego that rolls until it touches does not stand."""
@@ -601,9 +615,3 @@ class Conflict:
             hz=self._hz,
             goes_on=goes_on,
         )
-
-
-def _braking_room(faster: float) -> float:
-    """What the one behind needs to slow down with 3 m/s^2 after 0.4 s [m]; 0 where it is not faster."""
-    faster = max(faster, 0.0)
-    return faster * GIVING_WAY.delay + faster**2 / (2 * GIVING_WAY.deceleration)

@@ -63,7 +63,7 @@ def test_every_fault_but_an_entered_lane_tells_the_mistake():
 )
 def test_who_is_up_to_two_metres_ahead_or_level_is_beside(gap, expected):
     ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
-    verdict = Attribution(responsibility="ego", tick=0, time=0.0, reason="", fault="entered-lane")
+    verdict = Attribution(responsibility="ego", tick=0, time=0.0, fault="entered-lane")
     assert mistake(trace_of(ego, npc, outcome=Outcome.COLLISION), verdict) == expected
 
 

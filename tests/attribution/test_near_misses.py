@@ -152,7 +152,7 @@ def test_the_collision_of_a_run_is_judged_once(monkeypatch):
     monkeypatch.setattr(
         Conflict,
         "_in_one_lane",
-        lambda conflict: judged.append(conflict) or Attribution(responsibility="npc", tick=0, time=0.0, reason=""),
+        lambda conflict: judged.append(conflict) or Attribution(responsibility="npc", tick=0, time=0.0),
     )
     assert rss_rule(trace) == rss_rule(trace)
     assert not is_ego_responsible(trace)

@@ -1,3 +1,4 @@
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -248,6 +249,16 @@ def test_without_a_collision_nobody_is_responsible():
     assert (found.responsibility, found.tick, found.time) == ("none", None, None)
     assert position_rule(trace) == "none"
     assert found.reason == "there was no collision"
+
+
+def test_verdicts_are_equal_that_say_the_same_in_any_process():
+    found = rss_rule(crash(driven(0.0, speed=25.0), driven(60.0, speed=15.0)))
+    (first, *others) = found.facts
+    same, other = (replace(found, facts=(first._replace(time_s=first.time_s + s), *others)) for s in (1e-9, 0.1))
+    assert found == same == pickle.loads(pickle.dumps(found))
+    assert hash(found) == hash(same)
+    assert found != other
+    assert f"reason={found.reason!r}" in repr(found)
 
 
 def mirrored(trace):
