@@ -108,17 +108,13 @@ class Pursuit:
         is_alike = self.speeds[0][since:] <= speeds[:recorded] + ALIKE
         if is_alike.all() or (is_alike[-1] and lost[recorded - 1] <= MARGIN * self.speeds[0][-1]):
             return None
-        mastered = self._mastered(since + round(response.delay * self.hz), since + int(is_alike.argmin()))
-        if response.headway > 0 and mastered is not None:
-            return self.avoided_from(mastered, response, emergency)
+        answered = slice(since + round(response.delay * self.hz), since + int(is_alike.argmin()))
+        no_faster = np.flatnonzero(self.speeds[0][answered] <= self.speeds[1][answered])
+        if response.headway > 0 and no_faster.size:
+            return self.avoided_from(answered.start + int(no_faster[-1]), response, emergency)
         is_hit = self._touches(slice(since, end + 1), lost[:recorded])
         is_hit = is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())  # here lost counts what the other gained
         return None if is_hit else since
-
-    def _mastered(self, first: int, end: int) -> int | None:
-        """The last tick of some, before an end, at which the recorded responder was no faster than the other."""
-        slow = np.flatnonzero(self.speeds[0][first:end] <= self.speeds[1][first:end])
-        return first + int(slow[-1]) if slow.size else None
 
     def _driven(self, since: int, response: Braking, emergency: Emergency | None) -> tuple[FloatArray, FloatArray]:
         """Speeds of the reference [m/s], and by how much it is further back than recorded [m], tick by tick.

@@ -132,16 +132,15 @@ class LanePlaces:
             crosses = over[1:] & ~over[:-1] & (side * self.frame.drift[mover, 1:] >= DRIFTING)
             self._crossings[mover, side] = (np.flatnonzero(crosses) + 1).tolist()
         for tick in reversed(self._crossings[mover, side]):
-            if first < tick <= last and self._is_next_to(mover, other, side, tick - 1):
-                return self._made(mover, side, first, tick)
+            if first < tick <= last:
+                before = tick - 1
+                ego_leads = self.frame.ahead[max(mover, other) - 1, before] < 0
+                centres = (self._across[each, before] - self._offsets[each, before] for each in (mover, other))
+                lanes_apart = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, before]))
+                are_in_lanes = self._lanes[[mover, other], before].min() >= 0
+                if ego_leads == (mover == 0) and lanes_apart == 1 and are_in_lanes:
+                    return self._made(mover, side, first, tick)
         return None
-
-    def _is_next_to(self, mover: int, other: int, side: float, tick: int) -> bool:
-        """Whether the mover is ahead of the other, and that in the next lane on a side."""
-        leads = bool(self.frame.ahead[max(mover, other) - 1, tick] < 0)
-        centres = (self._across[each, tick] - self._offsets[each, tick] for each in (mover, other))
-        beyond = np.round(side * -np.subtract(*centres) / (2 * self._half_widths[mover, tick]))
-        return bool(leads == (mover == 0) and beyond == 1 and self._lanes[[mover, other], tick].min() >= 0)
 
     def _made(self, vehicle: int, side: float, began: int, moment: int) -> LaneChange:
         """A lane change at a moment, and since when it could be seen, at the earliest when it began."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from pytest_pafot.attribution.responsibility import Fault, is_ego_responsible
 from pytest_pafot.attribution.sentences import last_chance_sentence
-from pytest_pafot.model.trace import ACCELERATION, STEERING, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import ACCELERATION, STEERING, Outcome, Trace
 
 DRIVER = "careful-human"
 """The reference driver that takes over."""
@@ -72,23 +72,15 @@ def last_chance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> LastC
     every, first = trace.physics_hz // trace.ads_hz, max(trace.ticks - round(SCANNED * trace.physics_hz), 0)
     for tick in range((trace.ticks - 1) // every * every, first - 1, -every):
         taken = take_over(trace, tick, DRIVER)
-        if not _is_near(taken.states[: tick + 1], trace.states[: tick + 1]):
+        repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
+        if repeated.shape != recorded.shape or not (np.abs(repeated - recorded) <= ROUNDING).all():
             return None
-        if _is_free(taken, trace.collision):
+        hit, impact = taken.collision, trace.collision
+        is_same = hit is not None and hit.npc == impact.npc and hit.time <= impact.time + SAME_IMPACT
+        if taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken):
             time = round(tick / trace.physics_hz, 3)
             return LastChance(time=time, driver=DRIVER, action=_action(taken, tick), ego_action=_action(trace, tick))
     return None
-
-
-def _is_free(taken: Trace, impact: Collision) -> bool:
-    """Whether the driver is free of fault, other than by a verdict that turns on the same impact."""
-    hit, until = taken.collision, impact.time + SAME_IMPACT
-    is_same = hit is not None and hit.npc == impact.npc and hit.time <= until
-    return taken.outcome is not Outcome.INVALID and not is_same and not is_ego_responsible(taken)
-
-
-def _is_near(states: FloatArray, recorded: FloatArray) -> bool:
-    return states.shape == recorded.shape and bool((np.abs(states - recorded) <= ROUNDING).all())
 
 
 def _action(trace: Trace, tick: int) -> tuple[float, float]:

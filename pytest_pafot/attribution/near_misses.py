@@ -110,19 +110,14 @@ def _dangers(trace: Trace) -> list[Danger]:
     """All but that of the impact, in the order of the NPCs and of time."""
     passes = Encounters(trace).passes
     found = None if passes is None else passes.dangers(DISTANCES, trace.physics_hz, NEAR_SECONDS, NEAR_METRES)
-    dangers = _by_arrays(trace) if found is None else [Danger(*each) for each in found]
+    dangers = [Danger(*each) for each in found or ()]
+    if found is None:  # the compiled pass does not answer
+        is_dangerous, encounters = dangers_of(trace).is_dangerous, Encounters(trace)
+        risks = 1 / (1 + encounters.ttc.T / NEAR_SECONDS), 1 / (1 + encounters.gap.T / NEAR_METRES)
+        severity = (risks[0] + risks[1]) / 2
+        for npc in range(is_dangerous.shape[1]):
+            for start, end in stretches(is_dangerous[:, npc]):
+                tick = start + int(np.argmax(severity[start:end, npc]))
+                dangers.append(Danger(npc, start, end, tick, float(severity[tick, npc])))
     last = None if trace.collision is None else (trace.collision.npc, trace.ticks + 1)
     return [each for each in dangers if (each.npc, each.end) != last]
-
-
-def _by_arrays(trace: Trace) -> list[Danger]:
-    """Where the compiled pass does not answer."""
-    is_dangerous, encounters = dangers_of(trace).is_dangerous, Encounters(trace)
-    risks = 1 / (1 + encounters.ttc.T / NEAR_SECONDS), 1 / (1 + encounters.gap.T / NEAR_METRES)
-    severity = (risks[0] + risks[1]) / 2
-    found = []
-    for npc in range(is_dangerous.shape[1]):
-        for start, end in stretches(is_dangerous[:, npc]):
-            tick = start + int(np.argmax(severity[start:end, npc]))
-            found.append(Danger(npc, start, end, tick, float(severity[tick, npc])))
-    return found

@@ -96,7 +96,9 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
     """
     speeds, drifts = frame.speed[:, ticks], frame.drift[:, ticks]
     speed, drift = speeds[vehicle], drifts[vehicle]
-    ahead, right = (_from(vehicle, places[:, ticks]) for places in (frame.ahead, frame.right))
+    of_npcs = frame.ahead[:, ticks], frame.right[:, ticks]  # from the ego
+    from_ego = (np.concatenate((np.zeros_like(places[:1]), places)) for places in of_npcs)
+    ahead, right = (places - places[vehicle] for places in from_ego)
     along = np.abs(ahead) - frame.half_along[vehicle, ticks] - frame.half_along[:, ticks]
     across = np.abs(right) - frame.half_across[vehicle, ticks] - frame.half_across[:, ticks]
     is_ahead = (ahead > 0) | (along <= 0)
@@ -116,12 +118,6 @@ def reasons(trace: Trace, frame: RoadFrame, rules: RssRules, vehicle: int, ticks
     is_entering = (across > 0) & (across < lane.width) & (np.sign(right) * (drift - drifts) >= DRIFTING) & is_near
     found = (is_ahead & (((across <= 0) & is_close) | is_entering)).any(axis=0)
     return np.asarray(found | _is_near_end(trace.states[ticks, vehicle], trace.lanes, lane))
-
-
-def _from(vehicle: int, places: FloatArray) -> FloatArray:
-    """Places of all vehicles from one of them, by those of the NPCs from the ego, shape [vehicles, ticks]."""
-    every = np.concatenate((np.zeros_like(places[:1]), places))
-    return np.asarray(every - every[vehicle])
 
 
 def _is_near_end(states: FloatArray, lanes: tuple[Lane, ...], lane: Lane) -> npt.NDArray[np.bool_]:
