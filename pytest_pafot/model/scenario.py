@@ -296,13 +296,28 @@ def _checked_whole(name: str, value: object, top: int) -> int:
 
 
 def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
+    """Refuse NPCs without genes, and what are no genes of one kind."""
     try:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
         expected = "one chain of Position-Instructions per NPC"
         fix = "write [[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
-    _check_genes(chains)
+    if not 1 <= len(chains) <= 8:
+        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))
+    for npc, chain in enumerate(chains):
+        if not chain:
+            expected = "at least one Position-Instruction"
+            raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
+        for gene, each in enumerate(chain):
+            if not isinstance(each, (PositionInstruction, LaneInstruction)):
+                expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
+            elif type(each) is not (kind := type(chains[0][0])):
+                expected = f"a {kind.__name__} like npcs[0][0]"
+                fix = "give all NPCs of a scenario instructions of one kind"
+            else:
+                continue
+            raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
     return chains
 
 
@@ -318,25 +333,6 @@ def with_cells(npcs: Sequence[Chromosome], cells: Sequence[Sequence[Cell]]) -> t
         (*(PositionInstruction(c, g.speed) for c, g in zip(row, chain, strict=False)), *chain[len(row) :])
         for chain, row in zip_longest(npcs, cells, fillvalue=())
     )
-
-
-def _check_genes(npcs: Sequence[Sequence[Gene]]) -> None:
-    """Refuse NPCs without genes, and what are no genes of one kind."""
-    if not 1 <= len(npcs) <= 8:
-        raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(npcs)))
-    for npc, chain in enumerate(npcs):
-        if not chain:
-            expected = "at least one Position-Instruction"
-            raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received="an empty chain")
-        for gene, each in enumerate(chain):
-            if not isinstance(each, (PositionInstruction, LaneInstruction)):
-                expected, fix = "a PositionInstruction", "write PositionInstruction(cell, speed)"
-            elif type(each) is not (kind := type(npcs[0][0])):
-                expected = f"a {kind.__name__} like npcs[0][0]"
-                fix = "give all NPCs of a scenario instructions of one kind"
-            else:
-                continue
-            raise ScenarioError(field=f"npcs[{npc}][{gene}]", expected=expected, received=repr(each), fix=fix)
 
 
 def _check_adjacency(npcs: Sequence[tuple[PositionInstruction, ...]]) -> None:

@@ -218,17 +218,13 @@ def _publish(temporary: Path, path: Path) -> bool:
         path.hardlink_to(temporary)
     except FileExistsError:
         return False
-    except (OSError, NotImplementedError):
-        return _rename_if_free(temporary, path)
-    return True
-
-
-def _rename_if_free(temporary: Path, path: Path) -> bool:
-    """Without hard links. Windows refuses to rename onto a file; elsewhere the later of two equal files stays."""
-    if os.path.lexists(path):
-        return False
-    try:
-        temporary.rename(path)
-    except FileExistsError:
-        return False
+    except (OSError, NotImplementedError):  # without hard links
+        if os.path.lexists(path):
+            return False
+        try:
+            temporary.rename(
+                path
+            )  # Windows refuses to rename onto a file; elsewhere the later of two equal files stays
+        except FileExistsError:
+            return False
     return True
