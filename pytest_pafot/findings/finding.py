@@ -22,7 +22,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, Outcome, Side, Trace
-from pytest_pafot.oracle.checks import Check, CheckFailed
+from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
@@ -157,10 +157,14 @@ class Expect:
         text = portable(failure.traceback[-4 * MAX_TRACEBACK :], root)
         if len(text) > MAX_TRACEBACK:
             text = "...\n" + text[-MAX_TRACEBACK:].split("\n", 1)[-1]
+        bounded, check = None, failure.check
+        if check is not None:
+            bounds = {name: _told(bound, 6) for name, bound in check.bounds.items()}
+            bounded = Bounded(value=_told(check.value, 3), unit=check.unit, **bounds)
         return cls(
             failure=failure.kind,
             assertion=failure.assertion if failure.check else normalised(failure.assertion, failure.message),
-            check=None if failure.check is None else _bounded(failure.check),
+            check=bounded,
             message="" if is_told else _portable_line(failure, root),
             outcome=run.outcome,
             time=round(event.time, 3),
@@ -325,11 +329,6 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
         return FailureEvent(time=run.event_time if check.time is None else check.time, npc=check.npc)
     time = run.event_time if check is None or check.time is None else check.time
     return FailureEvent(time=time, npc=None if run.event_cell is None else run.event_npc, cell=run.event_cell)
-
-
-def _bounded(check: Check) -> Bounded:
-    bounds = {name: _told(bound, 6) for name, bound in check.bounds.items()}
-    return Bounded(value=_told(check.value, 3), unit=check.unit, **bounds)
 
 
 def _told(value: float | None, digits: int) -> float | None:

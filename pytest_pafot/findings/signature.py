@@ -136,17 +136,18 @@ class Signature:
             return "entered-behind" if is_behind else self.fault
         if self.failure == CHECK_FAILED:
             return _kebab(self.assertion.lower()) or "check"
-        subject = self.side if self.outcome is Outcome.COLLISION and self.side else self._subject()
+        outcome = self.outcome.replace("_", "-")
+        if self.outcome is Outcome.COLLISION and self.side:
+            subject: str = self.side
+        elif self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
+            subject = outcome
+        elif self.failure == SLOW_DECISION:
+            subject = "slow-decision"
+        else:
+            words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
+            subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
+            subject = _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or outcome
         return subject if self.cell is None else f"{subject}-{int(self.cell)}"
-
-    def _subject(self) -> str:
-        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
-            return self.outcome.replace("_", "-")
-        if self.failure == SLOW_DECISION:
-            return "slow-decision"
-        words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
-        subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))
-        return _kebab("-".join(subjects[:3])) or _kebab(self.failure.lower()) or self.outcome.replace("_", "-")
 
 
 def normalised(assertion: str, message: str = "") -> str:

@@ -158,13 +158,14 @@ def check(
         ValueError: for a check that cannot be made, in words for the user.
     """
     __tracebackhide__ = True  # by pytest: the line of the test function is the last one then
-    is_margin = hasattr(value, "is_formula")
+    what, is_margin = f"check {name!r}", hasattr(value, "is_formula")
     if is_margin and at_most is None and at_least is None:
         at_least = 0.0
     if at_most is None and at_least is None:
-        raise ValueError(f"check {name!r}: expected at_most=, at_least= or both, received neither; see pafot.target")
+        raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither; see pafot.target")
     values = _values(value, name)
-    bounds = [(_bound(name, bound), sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
+    signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
+    bounds = [(checked_number(bound, what, "a finite bound"), sign) for bound, sign in signed]
     with np.errstate(invalid="ignore"):
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
     margins = np.where(np.isnan(margins), -np.inf, margins)
@@ -180,7 +181,7 @@ def check(
         at_most=None if at_most is None else float(at_most),
         at_least=None if at_least is None else float(at_least),
         unit=_unit(name, unit or str(getattr(value, "unit", ""))),
-        time=time if at is None else _moment(name, at),
+        time=time if at is None else checked_number(at, what, "at= as seconds since the run began", least=0.0),
         npc=_npc(name, npc),
         values=None if clock is None else values,
         start=0 if clock is None else clock[0],
@@ -228,10 +229,6 @@ def _named(name: str) -> str:
     return name.strip()
 
 
-def _bound(name: str, bound: float) -> float:
-    return checked_number(bound, f"check {name!r}", "a finite bound")
-
-
 def _scale(name: str, bound: float, scale: float | None) -> float:
     divisor = abs(bound) or 1.0 if scale is None else scale
     return checked_number(divisor, f"check {name!r}", "a scale above 0", least=POSITIVE)
@@ -241,10 +238,6 @@ def _unit(name: str, unit: object) -> str:
     if not isinstance(unit, str) or len(unit) > LONGEST_NAME or not unit.isprintable():
         raise ValueError(f"check {name!r}: expected a short printable unit such as 'm/s^3', received {unit!r:.100}")
     return unit
-
-
-def _moment(name: str, at: object) -> float:
-    return checked_number(at, f"check {name!r}", "at= as seconds since the run began", least=0.0)
 
 
 def _npc(name: str, npc: Any) -> int | None:

@@ -375,7 +375,8 @@ class Run(Drawn):
                 sentence += f" (the PAFOT authors' position rule says: {self.second_opinion})"
             lines += wrap(sentence, LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", max_lines=4)
         lines += [*_gene_table(self.trace), f"  scenario {self.scenario.id}, repair seed {self.scenario.seed}"]
-        return "\n".join(_ascii(line) for line in lines)
+        texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
+        return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
@@ -465,8 +466,3 @@ def _gene(trace: Trace, npc: int, gene: int, reached: str) -> str:
     arrival = arrivals[gene] if gene < len(arrivals) else None
     end = "not reached" if arrival is None else f"{reached}{arrival / trace.physics_hz:.1f} s"
     return f"{instruction.goal} {instruction.speed:.1f} m/s {end}"
-
-
-def _ascii(line: str) -> str:
-    text = ascii_text(" ".join(line.splitlines()))
-    return text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..."
