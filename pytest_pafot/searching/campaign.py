@@ -185,7 +185,12 @@ class _Campaign(Generic[StateT]):
                     reused=reused,
                 )
                 told.append((evaluation, reused))
-                end = _with_one_more(end, event)
+                end = replace(
+                    end,
+                    evaluated=end.evaluated + 1,
+                    simulated=end.simulated + (not reused),
+                    best=evaluation if improves(evaluation, end.best) else end.best,
+                )
                 yield event
             here = Checkpoint(state=last, sums=end, begun=tuple(told))
             state, events = self._finished(algorithm, state, told, rng, reason)
@@ -206,7 +211,10 @@ class _Campaign(Generic[StateT]):
         """The scenarios of a generation, of which the first may run while the last is drawn."""
         if told:
             drawing.finished()
-            _check_begun(told, drawing.scenarios)
+            try:  # a resumed search may ask otherwise than the one that began the generation
+                check_order("begun", drawing.scenarios[: len(told)], [evaluation for evaluation, _ in told])
+            except ValueError as error:
+                raise CheckpointError(str(error)) from None
             self.evaluator.foresee(drawing.scenarios[len(told) :], left)
         else:
             self.evaluator.forget()
@@ -231,24 +239,6 @@ class _Campaign(Generic[StateT]):
             generation=state.generation, local_generation=state.local_generation, population=evaluations, elites=0
         )
         return state, (finished,)
-
-
-def _check_begun(begun: Sequence[tuple[Evaluation, bool]], scenarios: Sequence[Scenario]) -> None:
-    """Refuse evaluations of a generation that the algorithm asks otherwise for."""
-    try:
-        check_order("begun", scenarios[: len(begun)], [evaluation for evaluation, _ in begun])
-    except ValueError as error:
-        raise CheckpointError(str(error)) from None
-
-
-def _with_one_more(end: CampaignFinished, event: Evaluated) -> CampaignFinished:
-    """The sums of a campaign after one more evaluation."""
-    return replace(
-        end,
-        evaluated=end.evaluated + 1,
-        simulated=end.simulated + (not event.reused),
-        best=event.evaluation if improves(event.evaluation, end.best) else end.best,
-    )
 
 
 class _Evaluator:

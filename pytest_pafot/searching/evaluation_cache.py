@@ -112,17 +112,11 @@ class EvaluationCache:
                 return replace(runs[None], scenario=scenario, executed=scenario)
             if scenario.seed in runs:
                 known = runs[scenario.seed]
-                return replace(known, scenario=scenario, executed=_driven(known, scenario, depth))
+                pairs = zip(known.executed.npcs, scenario.npcs, strict=True)
+                mixed = [driven[:depth] + own[depth:] for driven, own in pairs]
+                # The first own gene may need repair, since it follows other cells than those asked for.
+                return replace(known, scenario=scenario, executed=repaired(mixed, scenario.seed, scenario))
         return None
-
-
-def _driven(known: Evaluation, scenario: Scenario, depth: int) -> Scenario:
-    """The chains that a known run drove, and then the scenario's own genes.
-
-    The first of these may need repair, since it follows other cells than those asked for.
-    """
-    chains = [driven[:depth] + own[depth:] for driven, own in zip(known.executed.npcs, scenario.npcs, strict=True)]
-    return repaired(chains, scenario.seed, scenario)
 
 
 def plain_chains(scenario: Scenario) -> Chains:

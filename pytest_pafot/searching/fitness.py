@@ -161,7 +161,10 @@ def av_fuzzer(trace: Trace) -> float:
     code goes on sampling after an impact, so the tick of the collision counts as well. It divides by the number of NPCs
     less one; with a single NPC, for which it fails, nothing is divided.
     """
-    ticks = _sampled(trace)
+    count = int(trace.duration * SAMPLES_PER_SECOND + 1e-9) + 1
+    samples = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
+    hit = [] if trace.collision is None else [trace.collision.tick]
+    ticks = sorted({min(tick, trace.ticks) for tick in (*samples, *hit)})
     frame = RoadFrame(trace)
     ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
     cos, sin = Encounters(trace).road
@@ -177,14 +180,6 @@ def av_fuzzer(trace: Trace) -> float:
     least_distance = min(float(distance.min()), FAR)
     least_room = float(np.minimum(front, rear).min())
     return (FAR - 0.5 * least_distance - 0.5 * least_room) / max(len(trace.scenario.npcs) - 1, 1)
-
-
-def _sampled(trace: Trace) -> list[int]:
-    """Ticks nearest to every quarter of a second, and that of a collision."""
-    count = int(trace.duration * SAMPLES_PER_SECOND + 1e-9) + 1
-    ticks = [round(sample * trace.physics_hz / SAMPLES_PER_SECOND) for sample in range(count)]
-    hit = [] if trace.collision is None else [trace.collision.tick]
-    return sorted({min(tick, trace.ticks) for tick in (*ticks, *hit)})
 
 
 FITNESSES: Mapping[str, Fitness] = MappingProxyType(

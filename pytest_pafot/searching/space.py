@@ -121,24 +121,21 @@ def space_on(world: Any, given: Mapping[str, Any], start: tuple[int, float, int]
         TypeError, ValueError: when a field is unknown or out of range, or the world cannot be built.
     """
     speed_limit, longest_run = float(world.speed_limit), float(world.longest_run)
-    wanted = given if start is None else _shared_out(given, start, longest_run)
+    wanted = dict(given)
+    if start is not None:
+        lane, speed, physics_hz = start
+        wanted = {"ego_lane": lane, "ego_speed": speed, **given}
+        if "genes" not in wanted:
+            least = 1 if "gene_seconds" in wanted else LEAST_GENES
+            about = wanted.get("gene_seconds", SearchSpace().gene_seconds)
+            wanted["genes"] = max(least, math.ceil(longest_run / about - 1e-9))
+        if "gene_seconds" not in wanted:
+            ticks = math.floor(longest_run * physics_hz / wanted["genes"] + 1e-9)
+            wanted["gene_seconds"] = max(ticks, 1) / physics_hz
     space = SearchSpace(**wanted, speed_limit=speed_limit)
     if "genes" in wanted:
         return space
     return replace(space, genes=max(1, math.ceil(longest_run / space.gene_seconds - 1e-9)))
-
-
-def _shared_out(given: Mapping[str, Any], start: tuple[int, float, int], longest_run: float) -> dict[str, Any]:
-    lane, speed, physics_hz = start
-    wanted = {"ego_lane": lane, "ego_speed": speed, **given}
-    if "genes" not in wanted:
-        least = 1 if "gene_seconds" in wanted else LEAST_GENES
-        about = wanted.get("gene_seconds", SearchSpace().gene_seconds)
-        wanted["genes"] = max(least, math.ceil(longest_run / about - 1e-9))
-    if "gene_seconds" not in wanted:
-        ticks = math.floor(longest_run * physics_hz / wanted["genes"] + 1e-9)
-        wanted["gene_seconds"] = max(ticks, 1) / physics_hz
-    return wanted
 
 
 def sample(space: SearchSpace, rng: Generator) -> Scenario:

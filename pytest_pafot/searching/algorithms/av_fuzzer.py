@@ -164,7 +164,10 @@ class AvFuzzerSearch:
         stagnant = earlier[-self.restart_after :]
         if age >= self.restart_after and sum(stagnant) / len(stagnant) >= fitness:
             events.append(Restarted(generation=generation + 1, stagnant=self.restart_after))
-            return self._restarted(state, rng), tuple(events)
+            candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
+            fresh, after = farthest(candidates, np.concatenate(state.checkpoints), self.population), generation + 1
+            state = replace(state, generation=after, population=(), restarted_at=after, bests=(), fresh=fresh)
+            return state, tuple(events)
         improves = fitness > max(earlier, default=-math.inf)
         incumbent = state.global_best
         if age == 0 or not improves or age <= self.local_after or self.local_generations == 0 or incumbent is None:
@@ -172,12 +175,6 @@ class AvFuzzerSearch:
         events.append(LocalSearchStarted(generation=generation, incumbent=incumbent))
         copies = (incumbent,) * self.population
         return replace(state, local_generation=1, local_population=copies, local_best=None), tuple(events)
-
-    def _restarted(self, state: AvFuzzerState, rng: Generator) -> AvFuzzerState:
-        candidates = [sample_manoeuvres(self.sliced, rng) for _ in range(RESTART_CANDIDATES)]
-        fresh = farthest(candidates, np.concatenate(state.checkpoints), self.population)
-        generation = state.generation + 1
-        return replace(state, generation=generation, population=(), restarted_at=generation, bests=(), fresh=fresh)
 
     def _after_local_generation(
         self, state: AvFuzzerState, selected: tuple[Evaluation, ...], rng: Generator

@@ -70,22 +70,20 @@ class CmaEsSearch(GenerationalSearch[CmaEsState]):
         """Scenarios drawn from the optimiser's distribution."""
         optimiser = copy.deepcopy(state.optimiser)
         solutions = tuple(optimiser.ask() for _ in range(self.population))
-        state = replace(state, optimiser=optimiser, solutions=solutions)
-        return state, [self._decoded(solution, fresh_seed(rng)) for solution in solutions]
+        space, shape, proposed = self.space, (self.space.npcs, self.space.genes), []
+        for solution in solutions:
+            choices = np.argmax(solution.c, axis=1)[: space.npcs * space.genes].reshape(shape)
+            speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
+            # The first choice is a cell, each further one a step on the ring: -1, 0 or 1.
+            cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
+            proposed.append(repaired(chains_of(cells.tolist(), speeds.tolist()), fresh_seed(rng), space))
+        return replace(state, optimiser=optimiser, solutions=solutions), proposed
 
     def learn(self, state: CmaEsState, evaluations: Sequence[Evaluation], rng: Generator) -> CmaEsState:
         """The distribution moved towards what is worse for the ego."""
         optimiser = copy.deepcopy(state.optimiser)
         optimiser.tell(list(zip(state.solutions, losses(evaluations), strict=True)))
         return replace(state, optimiser=optimiser, solutions=())
-
-    def _decoded(self, solution: Any, seed: int) -> Scenario:
-        space = self.space
-        shape = (space.npcs, space.genes)
-        choices = np.argmax(solution.c, axis=1)[: space.npcs * space.genes].reshape(shape)
-        speeds = np.asarray(solution.z).round().astype(int).reshape(shape)
-        cells = np.cumsum(np.hstack([choices[:, :1], choices[:, 1:] - 1]), axis=1) % 8 + 1
-        return repaired(chains_of(cells.tolist(), speeds.tolist()), seed, space)
 
 
 def losses(evaluations: Sequence[Evaluation]) -> list[float]:

@@ -59,8 +59,13 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     def propose(self, state: Nsga2State, rng: Generator) -> tuple[Nsga2State, Sequence[Scenario]]:
         """Children of the survivors, random scenarios before there are any."""
         proposed: list[Scenario] = []
+        while not state.population and len(proposed) < self.population:
+            proposed.append(sample(self.space, rng))
         while len(proposed) < self.population:
-            proposed += self._children(state.population, rng) if state.population else [sample(self.space, rng)]
+            # Tournaments of two: the population is in the order in which they prefer it.
+            first, second = (int(rng.integers(len(state.population), size=2).min()) for _ in range(2))
+            pair = state.population[first].executed, state.population[second].executed
+            proposed += varied(pair, self.space, self.crossover_rate, self.mutation_rate, rng)
         return state, proposed[: self.population]
 
     def kept(self, state: Nsga2State) -> Sequence[Evaluation]:
@@ -70,12 +75,6 @@ class Nsga2Search(GenerationalSearch[Nsga2State]):
     def learn(self, state: Nsga2State, evaluations: Sequence[Evaluation], rng: Generator) -> Nsga2State:
         """Those who survive the generation."""
         return replace(state, population=surviving((*state.population, *evaluations), self.population, rng))
-
-    def _children(self, population: Sequence[Evaluation], rng: Generator) -> tuple[Scenario, Scenario]:
-        """Two children; the population is in the order in which tournaments prefer it."""
-        first, second = (int(rng.integers(len(population), size=2).min()) for _ in range(2))
-        pair = population[first].executed, population[second].executed
-        return varied(pair, self.space, self.crossover_rate, self.mutation_rate, rng)
 
 
 def surviving(evaluations: Sequence[Evaluation], count: int, rng: Generator) -> tuple[Evaluation, ...]:
