@@ -74,7 +74,13 @@ class Sb3Policy(PolicyLoader):
         return BaselineModel(model, statistics, self.frame_stack, self.deterministic)
 
     def _class(self, zipped: dict[str, Any]) -> Any:
-        name = self.algorithm or _algorithm(self.file, zipped)
+        name = self.algorithm
+        if not name:
+            module = str(dict(zipped.get("policy_class", {})).get("__module__", ""))
+            marks = {*zipped, *module.split(".")}
+            name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
+        if name is None:
+            raise refused("a zip of a known algorithm", str(self.file), 'give algorithm="PPO", or a class')
         if not isinstance(name, str):
             return name
         own = getattr(library("stable_baselines3", "sb3"), name, None)
@@ -242,12 +248,3 @@ def _parameters(file: Path) -> dict[str, Any]:
         received = f"{file} ({type(error).__name__}: {error})"
         raise refused("a zip that the save() of a Stable-Baselines3 model wrote", received, "save it again") from None
     return parameters
-
-
-def _algorithm(file: Path, zipped: dict[str, Any]) -> str:
-    module = str(dict(zipped.get("policy_class", {})).get("__module__", ""))
-    marks = {*zipped, *module.split(".")}
-    name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
-    if name is None:
-        raise refused("a zip of a known algorithm", str(file), 'give algorithm="PPO", or a class')
-    return name

@@ -240,7 +240,10 @@ class Program:
             if timeout is not None and time.monotonic() - started > timeout:
                 raise ProgramTimeout(f"{self._name} did not answer within {timeout:g} s")
             if self._hear(SLICE, is_asking=bool(pending)):
-                pending = pending[self._write(pending[: select.PIPE_BUF]) :]
+                try:  # of so much a pipe always takes all at once where it takes anything
+                    pending = pending[os.write(self._to, pending[: select.PIPE_BUF]) :]
+                except BrokenPipeError:
+                    self._gone("input")
         answer = self._line()
         if self._buffer:
             raise _more(self._line())
@@ -266,13 +269,6 @@ class Program:
         elif not self.is_running and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
             self._gone()  # A process that it has started may hold the pipe open.
         return False
-
-    def _write(self, part: memoryview) -> int:
-        """Of so much a pipe always takes all at once where it takes anything."""
-        try:
-            return os.write(self._to, part)
-        except BrokenPipeError:
-            self._gone("input")
 
     def _read(self) -> None:
         part = os.read(self._from, CHUNK)
