@@ -203,8 +203,10 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
-        longest = _longest(data, own)
-        if min(_asked(data), scenario.genes * scenario.gene_seconds) > longest + 1e-9:
+        config, longest = data.get("config"), _longest(data, own)
+        given = data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None
+        asked = next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
+        if min(asked, scenario.genes * scenario.gene_seconds) > longest + 1e-9:
             limits["duration"] = longest
     return {**data, **limits}
 
@@ -226,13 +228,6 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
     if own_rate is None or not isinstance(rate, int) or not PHYSICS_HZ[0] <= rate <= PHYSICS_HZ[1]:
         return seconds
     return float(seconds * own_rate / rate)
-
-
-def _asked(data: Mapping[str, Any]) -> float:
-    """How long a run of a built-in world lasts by its file, where nothing ends it early [s]."""
-    config = data.get("config")
-    given = [data.get("duration"), config.get("duration") if isinstance(config, Mapping) else None]
-    return next((each for each in given if isinstance(each, (int, float))), LONGEST_RUN)
 
 
 def is_code(data: Mapping[str, Any]) -> bool:

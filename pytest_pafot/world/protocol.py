@@ -39,18 +39,16 @@ def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: S
     if not seen or trace.error is None:
         return None
     expected = trace.error.message.removeprefix("expected ").partition(", received")[0]
-    is_si = isinstance(seen[0], Observation)
-    return FirstDecision(is_si, f"The ADS was given {_described(seen[0])}, and must return {expected}.")
-
-
-def _described(observation: Any) -> str:
-    if isinstance(observation, Observation):
+    observation = seen[0]
+    is_si = isinstance(observation, Observation)
+    if is_si:
         fields = "time, ego, others, lanes, lane_width, speed_limit"
-        return f"a pafot.Observation ({fields}, and .array of shape {observation.array.shape})"
-    shape = getattr(observation, "shape", None)
-    if shape is None:
-        return f"a {type(observation).__name__}"
-    return f"an array of shape {tuple(shape)} and type {observation.dtype}"
+        given = f"a pafot.Observation ({fields}, and .array of shape {observation.array.shape})"
+    elif (shape := getattr(observation, "shape", None)) is None:
+        given = f"a {type(observation).__name__}"
+    else:
+        given = f"an array of shape {tuple(shape)} and type {observation.dtype}"
+    return FirstDecision(is_si, f"The ADS was given {given}, and must return {expected}.")
 
 
 REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")

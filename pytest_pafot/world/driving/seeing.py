@@ -14,7 +14,6 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observation, Observer
@@ -187,7 +186,9 @@ class PolicySight:
 
     def _others(self, then: list[Any]) -> Iterator[Any]:
         network = self._env.road.network
-        for glimpse in self._sight.glimpses(_states(then), self._seed, self._env.steps):
+        # Columns as in pytest_pafot.VehicleState; nobody looks at the lane.
+        states = np.array([(*each.position, each.heading, each.speed, 0.0, each.LENGTH, each.WIDTH) for each in then])
+        for glimpse in self._sight.glimpses(states, self._seed, self._env.steps):
             vehicle = _copied(then[glimpse.other + 1])
             vehicle.position = np.add(vehicle.position, (glimpse.x, glimpse.y))
             vehicle.speed += glimpse.speed
@@ -205,8 +206,3 @@ def _copied(vehicle: Any) -> Any:
     copied = copy.copy(vehicle)
     copied.position = np.array(vehicle.position)  # highway-env moves vehicles in place
     return copied
-
-
-def _states(vehicles: list[Any]) -> FloatArray:
-    """Columns as in :class:`pytest_pafot.VehicleState`; nobody looks at the lane."""
-    return np.array([(*each.position, each.heading, each.speed, 0.0, each.LENGTH, each.WIDTH) for each in vehicles])

@@ -42,7 +42,11 @@ class Record:
 
     def trace(self, ended: Outcome | None = None, error: AdsError | None = None) -> Trace:
         """The finished trace of a run that ended so, by an error of the ADS, or where neither is given in peace."""
-        states = self._states()
+        shape = (self.tick + 1, len(self.sizes), COLUMNS)
+        rows = np.frombuffer(self.rows, count=shape[0] * shape[1] * COLUMNS)
+        # Read-only, and without a copy where they fill their room.
+        states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
+        states.flags.writeable = False
         track = None if self.frame is None else self.frame.track()
         off_road = states[:, 0, -1] < 0
         off_road_tick = int(off_road.argmax()) if off_road.any() else None
@@ -67,14 +71,6 @@ class Record:
             track=track,
             driven=self.director.driven,
         )
-
-    def _states(self) -> FloatArray:
-        """The rows so far, read-only; without a copy where they fill their room."""
-        shape = (self.tick + 1, len(self.sizes), COLUMNS)
-        rows = np.frombuffer(self.rows, count=shape[0] * shape[1] * COLUMNS)
-        states = (rows if rows.size == len(self.rows) else rows.copy()).reshape(shape)
-        states.flags.writeable = False
-        return states
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])

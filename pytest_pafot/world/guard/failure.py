@@ -73,19 +73,15 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
         return AdsError(kind="BadAction", message=str(error), traceback="", tick=tick)
     if isinstance(error, AdsHang):
         guard.decision_ends()
+        frames = traceback.extract_tb(_users_part(error))
+        kept = [frame for frame in frames if frame.filename != hang_guard.__file__]  # what interrupted it
+        where = "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
         message = "one decision took longer than the hang limit of the world and was interrupted"
-        return AdsError(kind="Hang", message=message, traceback=_where(error), tick=tick, interrupted=True)
+        return AdsError(kind="Hang", message=message, traceback=where, tick=tick, interrupted=True)
     report = traceback.TracebackException(type(error), error, _users_part(error))
     return AdsError(
         kind=type(error).__name__, message=one_line(str(report)), traceback="".join(report.format()), tick=tick
     )
-
-
-def _where(hang: AdsHang) -> str:
-    """The stack at which a decision was interrupted, without the frames of the interruption."""
-    frames = traceback.extract_tb(_users_part(hang))
-    kept = [frame for frame in frames if frame.filename != hang_guard.__file__]
-    return "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
 
 
 def _users_part(error: BaseException) -> TracebackType | None:

@@ -78,7 +78,13 @@ class OneProcess:
             self._noticed[0] = 1
             os._exit(1)  # Nothing is flushed: what the buffers hold is also in those of the other process.
         if self.forked_at is not None:
-            self._wait_for_copies(self.forked_at)
+            # A copy has as much time as this process has taken since, while there is any child.
+            now = time.perf_counter()
+            until, self.forked_at = now + (now - self.forked_at) + COPY_LATE, None
+            with suppress(ChildProcessError, AttributeError):  # Not every system can look without taking what it sees.
+                while not self._noticed[0] and time.perf_counter() < until:
+                    os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                    time.sleep(0.001)
         if self._noticed[0] and kind is None:
             self._noticed[0] = 0
             raise AdsFactoryError(
@@ -86,15 +92,6 @@ class OneProcess:
                 "process run on; the copy was ended and has written nothing. End it by os._exit() where os.fork() "
                 "gives 0, or use multiprocessing or subprocess"
             )
-
-    def _wait_for_copies(self, forked_at: float) -> None:
-        """Give a copy as much time as this process has taken since, while there is any child."""
-        now, self.forked_at = time.perf_counter(), None
-        until = now + (now - forked_at) + COPY_LATE
-        with suppress(ChildProcessError, AttributeError):  # Not every system can look without taking what it sees.
-            while not self._noticed[0] and time.perf_counter() < until:
-                os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
-                time.sleep(0.001)
 
 
 class AdsHang(BaseException):
@@ -170,7 +167,13 @@ class HangGuard:
         with self._lock:
             sent, self._sent = self._sent, False
         if sent:
-            _let_it_arrive()
+            # It cannot be taken back: CPython 3.11 then looks for an exception for ever, and hangs as soon as a
+            # debugger or a coverage tool traces the thread.
+            try:
+                for _ in range(100):  # an exception for this thread is raised between two instructions of it
+                    pass
+            except AdsHang:
+                return
 
     def look(self) -> float:
         """From the watching thread, interrupt a decision that takes too long; for how long it has ignored that [s]."""
@@ -297,19 +300,6 @@ def _waits_in_a_debugger(frame: FrameType | None) -> bool:
     while frame is not None and frame.f_globals.get("__name__") not in DEBUGGERS:
         frame = frame.f_back
     return frame is not None
-
-
-def _let_it_arrive() -> None:
-    """Take an interruption that is on its way to this thread; without one, nothing happens.
-
-    It cannot be taken back: CPython 3.11 then looks for an exception for ever, and hangs as soon as a debugger or
-    a coverage tool traces the thread.
-    """
-    try:
-        for _ in range(100):  # an exception for this thread is raised between two instructions of it
-            pass
-    except AdsHang:
-        return
 
 
 def one_process() -> OneProcess:
