@@ -348,6 +348,10 @@ def test_a_cut_in_that_is_seen_for_less_than_a_second_is_judged():
     assert not only(properties.answers_cut_ins, hit(*cut_in(LEAST + 1.0, lasts=2.5))).holds
 
 
+def test_a_cut_in_of_an_npc_that_is_hardly_slower_is_judged():
+    assert not only(properties.answers_cut_ins, hit(*cut_in(5.0, slower=0.5))).holds
+
+
 def test_what_happens_once_it_is_out_of_the_lane_again_is_not_judged():
     ego, npc = driven(0.0), driven(80.0, LEFT, speed=10.0, shifts=[(2.0, OWN, 3.0), (5.1, LEFT, 1.0)])
     made = only(properties.answers_cut_ins, trace_of(ego, npc))

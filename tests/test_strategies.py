@@ -39,6 +39,11 @@ def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
     assert Scenario.repaired(scenario.npcs, seed=scenario.seed, ego_lane=scenario.ego_lane) == scenario
 
 
+@given(strategies.scenarios())
+def test_scenarios_have_two_npcs_at_most_unless_told_otherwise(scenario):
+    assert len(scenario.npcs) <= 2
+
+
 @given(strategies.scenarios(lanes=3, max_npcs=5))
 def test_every_npc_starts_in_a_lane_that_exists(scenario):
     assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.npcs)

@@ -169,7 +169,8 @@ def may_be_of(folder: str, test: str) -> bool:
     """Whether the folder of this name can be that of a test, given without parameters, or of one with parameters."""
     if "~" not in folder:
         return folder.partition("@")[0] == safe_name(test)
-    return re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[@~-]", folder) is not None
+    # At its end "-" and "." are stripped, which stay where parameters follow.
+    return re.match(rf"_?{re.escape(_readable(test).removeprefix('_'))}[-.]*[@~-]", folder) is not None
 
 
 def _readable(text: str) -> str:

@@ -123,10 +123,10 @@ class TestInOneLane:
 class TestStanding:
     """Whoever stands is excused; not who has only just rolled there, and not who stops for nothing."""
 
-    @pytest.mark.parametrize(("last", "responsible"), [(0.0, "npc"), (0.4, "ego")])
-    def test_an_ego_that_rolls_into_a_standing_vehicle_does_not_stand(self, last, responsible):
-        """It creeps up with 0.4 m/s, and has 0.05 m/s when they touch: at once, or after a second with that."""
-        speed = np.concatenate((np.full(150, 0.4), np.full(30, 0.05 if last == 0 else last), [0.05]))
+    @pytest.mark.parametrize(("stood", "responsible"), [(30, "npc"), (2, "ego"), (0, "ego")])
+    def test_an_ego_that_rolls_into_a_standing_vehicle_does_not_stand(self, stood, responsible):
+        """It creeps up with 0.4 m/s, and has had 0.05 m/s for so many ticks when they touch."""
+        speed = np.concatenate((np.full(180 - stood, 0.4), np.full(stood + 1, 0.05)))
         along = np.concatenate(([0.0], np.cumsum(speed[:-1]) / 15))
         ego = vehicle(along, OWN, speed=speed)
         npc = vehicle(np.full(181, along[-1] + 5.0), OWN)

@@ -67,6 +67,7 @@ def test_names_stay_readable(text, name):
         ("test_it[é]", "test_it[e\u0301]"),
         ("test_it[x" + "1" * 300 + "a]", "test_it[x" + "1" * 300 + "b]"),
         ("A.test_b", "A::test_b"),
+        ("T@4", "T[4]"),
         ("test_it", "test_it "),
         ("con", "_con"),
     ],
@@ -204,6 +205,10 @@ IDENTIFIERS = st.from_regex(r"[^\W\d]\w{0,70}", fullmatch=True, alphabet=CHARACT
 def test_each_folder_of_a_test_can_be_of_it(test, parameters):
     assert may_be_of(safe_name(test), test)
     assert may_be_of(safe_name(f"{test}[{parameters}]"), test)
+
+
+def test_a_name_whose_end_is_not_readable_finds_its_folder_with_parameters():
+    assert may_be_of(safe_name("TestA::\u00aa[0]"), "TestA::\u00aa")
 
 
 def test_a_folder_that_begins_with_the_name_of_a_test_is_of_another():

@@ -340,3 +340,16 @@ def test_the_furthest_step_is_found_exactly():
     steps = [(reach, most, direction) for reach in range(40) for most in (0, 1, 7, 10, 33) for direction in (1, -1)]
     found = [_furthest(lambda step: step * direction <= reach, direction, most) for reach, most, direction in steps]  # noqa: B023
     assert found == [min(reach, most) for reach, most, _ in steps]
+
+
+def test_runs_are_left_for_the_speeds_that_still_fail_however_much_there_is_to_try():
+    """Nothing can be left out or be slower, and there are more ways to try than runs."""
+
+    def fails(each):
+        now, then = ([gene for chain in of.npcs for gene in chain] for of in (each, BUSY))
+        same = [gene.cell for gene in now] == [gene.cell for gene in then] and len(each.npcs) == 2
+        return same and all(gene.speed >= old.speed for gene, old in zip(now, then, strict=True))
+
+    _, how = shrunk(BUSY, fails, rollouts=60)
+    assert how.rollouts == 60
+    assert how.speeds

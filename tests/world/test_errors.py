@@ -359,7 +359,7 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
         (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
         (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
         (hold(1, gene_seconds=0.01), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.01; the"),
-        (hold(1, speed=35.0), "npcs[0][0].speed: expected at most the speed limit of "),
+        (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
     ])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])
 def test_a_scenario_that_does_not_fit_the_world_is_refused_by_field(world, scenario, message):

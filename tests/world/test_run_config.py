@@ -16,6 +16,7 @@ from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.scenario import PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
+from pytest_pafot.world.run_config import BEND_SHARE, start_places, start_speeds
 from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
 
@@ -93,6 +94,22 @@ def test_a_long_ego_starts_with_the_same_gaps(speed):
     outside = [cell.row != 0 for cell in Cell]
     assert gaps[outside] == pytest.approx(max(3.0, 2.0 * speed))
     assert trace.duration == pytest.approx(0.2)
+
+
+def test_an_npc_starts_no_faster_than_it_can_turn_in_its_bend():
+    """Lying in its lane as in the bend it turns by v sin(lean) / (length / 2) [rad/s], which v times is sideways."""
+    world = World("racetrack-v0")
+    rules, scenario, slowed = world.rules, hold(*Cell, ego_lane=0, ego_speed=20.0), 0
+    cells = tuple(Cell)
+    places = start_places(rules, scenario, cells, LENGTH)[1:]
+    for speed, (along, lane) in zip(start_speeds(rules, scenario, cells, LENGTH), places, strict=True):
+        sideways = speed**2 * np.sin(abs(rules.road.lane_at(lane, along)[2])) / (LENGTH / 2)
+        most = BEND_SHARE * rules.limits.lateral_acceleration
+        assert sideways <= most + 1e-9
+        if speed < min(scenario.ego_speed, rules.road.speed_at(lane, along)):
+            assert sideways == pytest.approx(most)
+            slowed += 1
+    assert slowed
 
 
 def test_the_cells_ahead_of_and_behind_a_long_ego_are_reached_without_contact():
