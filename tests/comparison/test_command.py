@@ -1,12 +1,14 @@
 """The command from its arguments to its report."""
 
 import csv
+import io
 import json
 import os
 import re
 import struct
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from itertools import pairwise
 
 import numpy as np
@@ -23,19 +25,6 @@ SMALL = ["--ads", "constant_speed", "--runs", "3", "--generations", "4", "--dura
 
 def compare(folder, *arguments):
     return main(["compare", *SMALL, "--out", str(folder), *arguments])
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """The folder of a comparison that was made."""
-    folder = tmp_path_factory.mktemp("comparison")
-    assert compare(folder) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def report(made):
-    return (made / "report.md").read_text()
 
 
 @pytest.fixture
@@ -55,7 +44,7 @@ def tables_of(report):
     return found
 
 
-def test_the_report_gives_the_command_the_versions_and_the_hours(report):
+def the_report_gives_the_command_the_versions_and_the_hours(made, report):
     assert "python -m pytest_pafot compare --ads constant_speed" in report
     assert re.search(
         r"3 runs of each algorithm, 4 generations each, base seed 0; \d+\.\d h of simulated driving", report
@@ -63,7 +52,7 @@ def test_the_report_gives_the_command_the_versions_and_the_hours(report):
     assert re.search(r"pytest-pafot \S+, highway-env \S+, numpy \S+", report)
 
 
-def test_all_rows_of_a_table_have_as_many_cells_as_its_head(report):
+def all_rows_of_a_table_have_as_many_cells_as_its_head(made, report):
     found = tables_of(report)
     assert len(found) == 5
     for rows in found.values():
@@ -71,7 +60,7 @@ def test_all_rows_of_a_table_have_as_many_cells_as_its_head(report):
         assert not any("nan" in cell or "inf" in cell.split() for row in rows for cell in row)
 
 
-def test_the_papers_numbers_stand_beside(report):
+def the_papers_numbers_stand_beside(made, report):
     found = tables_of(report)
     first = {row[0]: row for row in found["How many collisions"]}
     for name, told in PAPER.items():
@@ -84,22 +73,82 @@ def test_the_papers_numbers_stand_beside(report):
     assert "20.65 s (60 / 3)" in second["pafot"]
 
 
+def the_report_warns_of_the_conditional_time_to_collision(made, report):
+    assert "**The time to collision is conditional**" in report
+
+
+def every_test_has_its_p_value(made, report):
+    rows = tables_of(report)["Statistics"][2:]
+    assert len(rows) == 3 * 17
+    assert all(re.fullmatch(r"(1|0\.\d+|\d\.?\d*e-\d+|< 0\.0001)", row[7]) for row in rows)
+    assert {row[3] for row in rows} == {"av-fuzzer", "random-manoeuvre", "random"}
+
+
+def the_clock_on_the_wall_is_told_beside_the_simulated_one(made, report):
+    head, _, *rows = tables_of(report)["How fast"]
+    assert [head.index(f"wall clock per {each}") for each in ("scenario", "collision")] == [11, 12]
+    assert all(re.fullmatch(r"\d+\.\d ms", row[11]) for row in rows)
+
+
+def every_figure_is_there_as_png_and_svg_and_shown(made, report):
+    shown = re.findall(r"!\[[^]]+\]\(figures/([a-z-]+)\.png\)", report)
+    assert len(shown) == 7
+    assert sorted(path.name for path in (made / "figures").iterdir()) == sorted(
+        f"{name}.{ending}" for name in shown for ending in ("png", "svg")
+    )
+    for name in shown:
+        image = (made / "figures" / f"{name}.png").read_bytes()
+        width, height = struct.unpack(">II", image[16:24])
+        assert image.startswith(b"\x89PNG")
+        assert width > 800
+        assert height > 500
+
+
+def axes_have_names_with_units(made, report):
+    texts = (made / "figures" / "first-failure.svg").read_text()
+    assert texts.count("<!--") > 5
+    for name in ("runs without an ego-responsible failure [%]", "simulated time of a run [h]", "pafot", "random"):
+        assert f"<!-- {name} -->" in texts
+
+
+def the_same_again_changes_nothing_but_takes_no_time(made, report):
+    before = {
+        path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")
+    }
+    with redirect_stdout(io.StringIO()) as printed:
+        assert compare(made) == 0
+    after = {path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")}
+    assert after == before
+    assert printed.getvalue() == f"{made / 'report.md'}\n"
+
+
+CHECKS = (
+    the_report_gives_the_command_the_versions_and_the_hours,
+    all_rows_of_a_table_have_as_many_cells_as_its_head,
+    the_papers_numbers_stand_beside,
+    the_report_warns_of_the_conditional_time_to_collision,
+    every_test_has_its_p_value,
+    the_clock_on_the_wall_is_told_beside_the_simulated_one,
+    every_figure_is_there_as_png_and_svg_and_shown,
+    axes_have_names_with_units,
+    the_same_again_changes_nothing_but_takes_no_time,
+)
+
+
+def test_the_report_of_a_comparison_and_its_figures(tmp_path, subtests):
+    """All in one item, so that of several workers only one makes the comparison, most of which is drawing."""
+    assert compare(tmp_path) == 0
+    report = (tmp_path / "report.md").read_text()
+    for check in CHECKS:
+        with subtests.test(check.__name__):
+            check(tmp_path, report)
+
+
 def test_the_papers_numbers_agree_with_each_other():
     for told in PAPER.values():
         assert told.hours * 3600 / told.scenarios == pytest.approx(told.seconds_per_scenario, rel=0.002)
         assert told.collisions / 10 == pytest.approx(told.per_run[0], abs=1.0)
     assert all(a.collisions / a.scenarios > b.collisions / b.scenarios for a, b in pairwise(PAPER.values()))
-
-
-def test_the_report_warns_of_the_conditional_time_to_collision(report):
-    assert "**The time to collision is conditional**" in report
-
-
-def test_every_test_has_its_p_value(report):
-    rows = tables_of(report)["Statistics"][2:]
-    assert len(rows) == 3 * 17
-    assert all(re.fullmatch(r"(1|0\.\d+|\d\.?\d*e-\d+|< 0\.0001)", row[7]) for row in rows)
-    assert {row[3] for row in rows} == {"av-fuzzer", "random-manoeuvre", "random"}
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -128,43 +177,6 @@ def test_each_algorithm_has_the_scenarios_of_a_test_unless_the_papers_are_asked_
     assert drawn == {"distinct": (16, {4}, drawn["distinct"][2]), "distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
     assert drawn["distinct"][2] > 8, "first speeds of the ego"
     assert "; of distinct with `{" in (tmp_path / "report.md").read_text()
-
-
-def test_the_clock_on_the_wall_is_told_beside_the_simulated_one(report):
-    head, _, *rows = tables_of(report)["How fast"]
-    assert [head.index(f"wall clock per {each}") for each in ("scenario", "collision")] == [11, 12]
-    assert all(re.fullmatch(r"\d+\.\d ms", row[11]) for row in rows)
-
-
-def test_every_figure_is_there_as_png_and_svg_and_shown(made, report):
-    shown = re.findall(r"!\[[^]]+\]\(figures/([a-z-]+)\.png\)", report)
-    assert len(shown) == 7
-    assert sorted(path.name for path in (made / "figures").iterdir()) == sorted(
-        f"{name}.{ending}" for name in shown for ending in ("png", "svg")
-    )
-    for name in shown:
-        image = (made / "figures" / f"{name}.png").read_bytes()
-        width, height = struct.unpack(">II", image[16:24])
-        assert image.startswith(b"\x89PNG")
-        assert width > 800
-        assert height > 500
-
-
-def test_axes_have_names_with_units(made):
-    texts = (made / "figures" / "first-failure.svg").read_text()
-    assert texts.count("<!--") > 5
-    for name in ("runs without an ego-responsible failure [%]", "simulated time of a run [h]", "pafot", "random"):
-        assert f"<!-- {name} -->" in texts
-
-
-def test_the_same_again_changes_nothing_but_takes_no_time(made, capsys):
-    before = {
-        path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")
-    }
-    assert compare(made) == 0
-    after = {path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")}
-    assert after == before
-    assert capsys.readouterr().out == f"{made / 'report.md'}\n"
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
