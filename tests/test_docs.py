@@ -220,7 +220,11 @@ class Folder:
         assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if program == "python":
-            done = program_in_a_copy(self.pytester, *arguments)
+            # A script that forgets an import must fail, so it has an interpreter of its own.
+            if arguments[0] == "-m":
+                done = program_in_a_copy(self.pytester, *arguments)
+            else:
+                done = self.pytester.run(sys.executable, *arguments)
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return
