@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any, NoReturn
@@ -149,7 +149,7 @@ def action_of(line: bytes) -> Any:
     if isinstance(answer, dict) and "action" in answer:
         return answer["action"]
     if isinstance(answer, dict) and "lane" in answer:
-        return Drive(lane=answer["lane"], speed=answer.get("speed"), acceleration=answer.get("acceleration"))
+        return Drive(**{field.name: answer[field.name] for field in fields(Drive) if field.name in answer})
     if isinstance(answer, dict) and answer.keys() >= {"acceleration", "steering"}:
         return answer["acceleration"], answer["steering"]
     raise BadAction(

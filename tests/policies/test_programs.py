@@ -102,9 +102,9 @@ def test_a_policy_of_an_environment_gets_and_gives_what_the_environment_has(tmp_
 
 
 def test_a_program_may_answer_with_a_lane(tmp_path):
-    trace = ROAD.rollout(CUT_IN, program(tmp_path, "answer(lane=2, speed=20.0)"))
+    trace = ROAD.rollout(CUT_IN, program(tmp_path, "answer(lane=2, speed=20.0, lateral_jerk=2)"))
     assert trace.error is None
-    assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0)
+    assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0, lateral_jerk=2.0)
 
 
 def test_a_program_that_is_kept_hears_of_the_next_scenario(tmp_path, capfd):

@@ -22,9 +22,9 @@ from pytest_pafot.world.kernel.action import (
     checked_si_action,
     possible_acceleration,
     possible_steering,
-    steering_to_lane,
     without_reversing,
 )
+from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.observation import Observation, VehicleState, lateral_velocity
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -259,6 +259,10 @@ class Planner:
     def __post_init__(self) -> None:
         # What there was in the last ticks, the oldest as far back as the latency, or at the start.
         self._past: deque[Observation] = deque(maxlen=0 if self.sight is None else self.sight.delay)
+        self._drive: Drive | None = None
+        self._angle = 0.0  # of the wheels, on a road that bends beside what following the lane takes
+        self._tracker = LaneTracker(self.vehicle.LENGTH, 1 / self.physics_hz)
+        self._tracks = False
 
     def decide(self, tick: int) -> tuple[float, float] | Drive:
         """Observe, ask, check and apply."""
@@ -273,6 +277,7 @@ class Planner:
         else:
             self._wanted = possible_acceleration(checked[0])
             self._steer(possible_steering(checked[1]))
+            self._tracks = False
         return checked
 
     def actuate(self) -> None:
@@ -282,13 +287,23 @@ class Planner:
         car, drive = self.vehicle, self._drive
         if drive is not None:
             across, heading = self._place()
-            self._steer(steering_to_lane(across - drive.lane * self.lanes.lane_width, heading, car.speed, car.LENGTH))
+            most, jerk = drive.lateral_acceleration, drive.lateral_jerk
+            if not self._tracks:
+                self._tracker.begin(heading, self._angle, car.speed, most)
+                self._tracks = True
+            offset = across - drive.lane * self.lanes.lane_width
+            self._steer(self._tracker.steering(offset, heading, car.speed, most, jerk))
             if drive.speed is not None:
                 self._wanted = acceleration_to_speed(drive.speed, car.speed)
         car.acceleration = without_reversing(self._wanted, car.speed, 1 / self.physics_hz)
 
     def _steer(self, angle: float) -> None:
-        self.vehicle.control(self._wanted, angle)
+        self._angle = angle
+        self.vehicle.control(self._wanted, angle + self._bend())
+
+    def _bend(self) -> float:
+        """Return the steering that following the lane takes [rad]."""
+        return 0.0
 
     def _place(self) -> tuple[float, float]:
         """Across the road [m] and the heading to it [rad], now."""

@@ -64,9 +64,8 @@ class RoadPlanner(Planner):
             road_length=network.end,
         )
 
-    def _steer(self, angle: float) -> None:
-        """With the steering that the bend takes."""
-        super()._steer(angle + math.atan(2 * math.tan(-self._lean)))
+    def _bend(self) -> float:
+        return math.atan(2 * math.tan(-self._lean))
 
     def _place(self) -> tuple[float, float]:
         return self._own.y, self._own.heading

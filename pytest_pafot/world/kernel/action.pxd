@@ -3,13 +3,12 @@ from libc cimport math
 from pytest_pafot.world.kernel.driver cimport clamped
 
 cdef double EGO_ACCELERATION, EGO_BRAKING, EGO_STEERING
-cdef double KP_HEADING, KP_LATERAL, KP_SPEED, STEEPEST
+cdef double KP_SPEED, STEEPEST
 
 cpdef checked_si_action(object action, int lanes)
 cpdef double possible_acceleration(double wanted) except? -1
 cpdef double possible_steering(double wanted) except? -1
 cpdef double without_reversing(double wanted, double speed, double dt) except? -1
-cpdef double steering_to_lane(double offset, double heading, double speed, double length) except? -1
 cpdef double acceleration_to_speed(double wanted, double speed) except? -1
 
 @cython.locals(divisor=double, sideways=double, turn=double, slip=double)

@@ -1,7 +1,4 @@
-"""What a planner returns, checked, what of it a car can do, and how :class:`Drive` is driven.
-
-The controllers are those of highway-env's ``ControlledVehicle``, operation by operation.
-"""
+"""What a planner returns, checked, what of it a car can do, and how :class:`Drive` is driven."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import operator
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_pafot.support.errors import BadAction
+from pytest_pafot.support.errors import BadAction, plain_number
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamped
 
@@ -23,33 +20,36 @@ EGO_BRAKING = 9.81
 EGO_STEERING = math.pi / 4
 """Largest steering angle that a planner's action has an effect up to [rad]."""
 
-# Of highway-env's ``ControlledVehicle``, whose lateral and longitudinal controllers stand below.
-KP_HEADING = 1.0 / 0.2
-"""Turning rate per heading error [1/s]; highway-env's, like the two others."""
-KP_LATERAL = 1.0 / 0.6
-"""Lateral speed per distance to the lane's centre [1/s]."""
 KP_SPEED = 1.0 / 0.6
-"""Acceleration per speed error [1/s]."""
+"""Acceleration per speed error [1/s], as of highway-env's ``ControlledVehicle``."""
 STEEPEST = math.pi / 4
-"""Largest heading to the lane that is steered for [rad]."""
+"""Largest heading to the lane that highway-env's vehicles steer for [rad]."""
+
+LATERAL_ACCELERATION, LATERAL_JERK = 2.5, 3.0
+"""Limits where a :class:`Drive` names none [m/s^2, m/s^3]: those of UN R79, 5.6.2.1.3, are 3 and 5. The rest is for
+what braking and speeding up in a turn add, so that ``properties.comfort`` finds fault with no lane change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
     """What a planner may return in place of acceleration and steering: a lane, and either a speed or an acceleration.
 
-    The controllers of highway-env's ``ControlledVehicle`` steer to the centre of the lane and drive the speed, in every
-    physics tick until the next decision; the acceleration is held.
+    In every physics tick until the next decision it is steered to the centre of the lane, under the limits, and
+    driven to the speed; the acceleration is held.
 
     Attributes:
         lane: 0 at the left, as in :class:`VehicleState`.
         speed: [m/s], 0 or more.
         acceleration: [m/s^2].
+        lateral_acceleration: largest speed times turning rate that steering takes [m/s^2], 0.1 to 100.
+        lateral_jerk: largest change of that per second [m/s^3], 0.1 to 1000.
     """
 
     lane: int
     speed: float | None = None
     acceleration: float | None = None
+    lateral_acceleration: float = LATERAL_ACCELERATION
+    lateral_jerk: float = LATERAL_JERK
 
 
 def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:
@@ -77,11 +77,6 @@ def possible_acceleration(wanted: float) -> float:
 def possible_steering(wanted: float) -> float:
     """A wanted steering angle, cut to what has an effect [rad]."""
     return min(max(wanted, -EGO_STEERING), EGO_STEERING)
-
-
-def steering_to_lane(offset: float, heading: float, speed: float, length: float) -> float:
-    """The angle that steers to the centre of a lane [rad], with arguments as of :func:`lane_steering`."""
-    return possible_steering(lane_steering(offset, heading, speed, length, KP_HEADING, KP_LATERAL))
 
 
 def acceleration_to_speed(wanted: float, speed: float) -> float:
@@ -147,11 +142,16 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
         raise _bad_drive(f"a lane from 0, at the left, to {lanes - 1}", drive)
     if not math.isfinite(value):
         raise _bad_drive("finite numbers", drive)
+    most, jerk = plain_number(drive.lateral_acceleration), plain_number(drive.lateral_jerk)
+    if most is None or not 0.1 <= most <= 100.0:
+        raise _bad_drive("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", drive)
+    if jerk is None or not 0.1 <= jerk <= 1000.0:
+        raise _bad_drive("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", drive)
     if drive.speed is None:
-        return Drive(lane=lane, acceleration=value)
+        return Drive(lane=lane, acceleration=value, lateral_acceleration=float(most), lateral_jerk=float(jerk))
     if value < 0.0:
         raise _bad_drive("a speed of at least 0 m/s", drive)
-    return Drive(lane=lane, speed=value)
+    return Drive(lane=lane, speed=value, lateral_acceleration=float(most), lateral_jerk=float(jerk))
 
 
 def _bad_drive(expected: str, drive: Drive) -> BadAction:

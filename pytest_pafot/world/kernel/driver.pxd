@@ -3,6 +3,7 @@ from libc cimport math
 
 cdef double SPEED_GAIN, GAP_GAIN, GAP_BRAKING, LATERAL_GAIN, HEADING_GAIN, LATERAL_SHARE
 cdef double TURNED_SHARE, MARGIN, FOLLOWING_GAP, FOLLOWING_TIME, FOLLOWING_BRAKING, MAX_SLIP, LEAST_SPARE
+cdef double LANE_ANGLE, TRACKING_SHARE, TRACKING_GAIN, CLOSEST_GAIN, SPEEDING_UP
 
 cpdef double gap_speed(double distance) except? -1
 cpdef double following_speed(double gap, double leader_speed, double own_speed) except? -1
@@ -28,3 +29,20 @@ cdef class NpcDriver:
                    wanted=double, fastest=double, rate=double, slip=double, new_course=double)
     cpdef double steering_in_bend(self, double offset, double heading, double course, double speed, double lean,
                                   double turn, double sharpest) except? -1
+
+cdef double _turn(double angle) except? -1
+
+@cython.final
+cdef class LaneTracker:
+    cdef double _dt, _half_length, _tightest, _gain, _course, _acceleration, _angle
+
+    @cython.locals(slip=double, rate=double)
+    cpdef void begin(self, double heading, double angle, double speed, double most) except *
+
+    @cython.locals(turning=double, share=double, limit=double, step=double, planned=double, ramp=double,
+                   lateral_speed=double, slope=double, missing=double, wanted=double, change=double, reach=double,
+                   slip=double)
+    cpdef double steering(self, double offset, double heading, double speed, double most, double jerk) except? -1
+
+    @cython.locals(size=double)
+    cdef double _towards(self, double missing, double jerk) except? -1

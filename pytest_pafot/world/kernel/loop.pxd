@@ -1,10 +1,10 @@
 cimport cython
 from pytest_pafot.world.kernel.action cimport (
-    acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, steering_to_lane,
-    without_reversing,
+    acceleration_to_speed, checked_si_action, possible_acceleration, possible_steering, without_reversing,
 )
 from pytest_pafot.world.kernel.bodies cimport Body, overlap
 from pytest_pafot.world.kernel.director cimport Director
+from pytest_pafot.world.kernel.driver cimport LaneTracker
 from pytest_pafot.world.kernel.idm cimport IdmEgo
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Observer
@@ -27,12 +27,13 @@ cdef class GivenPilot(Pilot):
     cdef Body _ego
     cdef Lanes _lanes
     cdef int _lane
-    cdef double _dt, _wanted, _speed
+    cdef LaneTracker _tracker
+    cdef double _dt, _wanted, _speed, _most, _jerk
 
-    @cython.locals(acceleration=double, steering=double)
+    @cython.locals(acceleration=double, steering=double, ego=Body)
     cpdef take(self, action, double seconds)
 
-    @cython.locals(ego=Body)
+    @cython.locals(ego=Body, offset=double)
     cpdef void actuate(self) except *
 
 cdef class PlannerPilot(GivenPilot):

@@ -17,11 +17,11 @@ from pytest_pafot.world.kernel.action import (
     checked_si_action,
     possible_acceleration,
     possible_steering,
-    steering_to_lane,
     without_reversing,
 )
 from pytest_pafot.world.kernel.bodies import Body, overlap
 from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.driver import LaneTracker
 from pytest_pafot.world.kernel.idm import IdmEgo
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer
@@ -80,6 +80,8 @@ class GivenPilot(Pilot):
         self._wanted = 0.0
         self._lane = -1  # none, as for a pair
         self._speed = -1.0  # none, as where the acceleration is given
+        self._tracker = LaneTracker(ego.length, dt)
+        self._most = self._jerk = 0.0  # lateral limits of the drive
         self.actions: list[tuple[float, float] | Drive] = []
         self.slowest = 0.0
 
@@ -92,13 +94,17 @@ class GivenPilot(Pilot):
         checked = checked_si_action(action, self._lanes.count)
         self.actions.append(checked)
         self.slowest = max(self.slowest, seconds)
-        self._lane, self._speed = -1, -1.0
+        self._speed = -1.0
         if type(checked) is tuple:  # quicker than isinstance
             acceleration, steering = checked  # quicker than two indices
+            self._lane = -1
             self._wanted = possible_acceleration(acceleration)
             self._ego.steering = possible_steering(steering)
             return
-        drive = cast("Drive", checked)
+        drive, ego = cast("Drive", checked), self._ego
+        self._most, self._jerk = drive.lateral_acceleration, drive.lateral_jerk
+        if self._lane < 0:
+            self._tracker.begin(ego.heading, ego.steering, ego.speed, self._most)
         self._lane = drive.lane
         if drive.acceleration is not None:
             self._wanted = possible_acceleration(drive.acceleration)
@@ -109,7 +115,8 @@ class GivenPilot(Pilot):
         """Steer to a lane and drive a speed, where so decided; brake to a standstill, never into reverse."""
         ego = self._ego
         if self._lane >= 0:
-            ego.steering = steering_to_lane(ego.y - self._lane * self._lanes.width, ego.heading, ego.speed, ego.length)
+            offset = ego.y - self._lane * self._lanes.width
+            ego.steering = self._tracker.steering(offset, ego.heading, ego.speed, self._most, self._jerk)
         if self._speed >= 0.0:
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
         ego.acceleration = without_reversing(self._wanted, ego.speed, self._dt)

@@ -1,4 +1,4 @@
-"""A planner that names a lane, and a speed or an acceleration, is driven there as highway-env's vehicles drive."""
+"""A planner that names a lane, and a speed or an acceleration, is driven there as a car drives."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from highway_env.vehicle.controller import ControlledVehicle
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pytest_pafot import Drive, Highway, PositionInstruction, Scenario, World
 from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.model.trace import ACCELERATION, OFFSET, SPEED, STEERING, Outcome, Y
+from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.world.engines.selection import rollout_planner
 from tests.helpers.c_library import c_library
 from tests.helpers.engine_cases import Case, differences
@@ -34,8 +36,13 @@ def changing(seed):
         rng = random.Random(seed)
 
         def drive(observation):
-            lane = rng.randrange(observation.lanes)
-            drives = Drive(lane=lane, speed=rng.uniform(0, 40)), Drive(lane=lane, acceleration=rng.uniform(-12, 8))
+            lane, limits = rng.randrange(observation.lanes), {}
+            if rng.random() < 0.3:
+                limits = {"lateral_acceleration": rng.uniform(0.1, 9.0), "lateral_jerk": rng.uniform(0.1, 50.0)}
+            drives = (
+                Drive(lane=lane, speed=rng.uniform(0, 40), **limits),
+                Drive(lane=lane, acceleration=rng.uniform(-12, 8), **limits),
+            )
             return rng.choice([*drives, (rng.uniform(-3, 2), rng.uniform(-0.1, 0.1))])
 
         return drive
@@ -57,28 +64,133 @@ def test_env_step_of_highway_env_drives_to_lanes_the_same():
         assert abs(fast.states[..., :2] - stock.states[..., :2]).max() < 0.01
 
 
-class ToLane2At25(ControlledVehicle):
+class ToSpeed25(ControlledVehicle):
     """highway-env's own controllers, with a goal."""
 
     def act(self, action=None):
-        self.target_lane_index = (*self.lane_index[:2], 2)
         self.target_speed = 25.0
         super().act()
 
 
-def test_the_controllers_are_those_of_highway_envs_controlled_vehicles():
+def test_a_speed_is_driven_by_the_controller_of_highway_envs_vehicles():
     world = Highway(duration=8.0)
     with c_library():
-        stock = world.rollout(BEHIND, ToLane2At25)
-    mine = world.rollout(BEHIND, always(Drive(lane=2, speed=25.0)))
+        stock = world.rollout(BEHIND, ToSpeed25)
+    mine = world.rollout(BEHIND, always(Drive(lane=1, speed=25.0)))
     assert np.array_equal(mine.states, stock.states)
 
 
-def test_a_lane_is_reached_within_three_seconds_and_kept_at_the_speed_that_is_wanted():
-    ego = Highway(duration=8.0).rollout(BEHIND, always(Drive(lane=np.int64(2), speed=25))).ego
-    assert abs(ego[0, Y] - 8.0) == 4.0
-    assert abs(ego[45:, Y] - 8.0).max() < 0.2
-    assert abs(ego[-1, SPEED] - 25.0) < 0.01
+# --- lane changes under limits, measured by where the car is
+
+
+def alone(decide, *, speed, seconds, physics_hz=15, ads_hz=15):
+    """The run of an ego in lane 1 of 4, with an NPC that falls behind."""
+    world = Highway(duration=seconds, speed_limit=36.0, physics_hz=physics_hz, ads_hz=ads_hz)
+    npcs = [[PositionInstruction(6, 0.0)]]
+    scenario = Scenario(npcs=npcs, ego_lane=1, ego_speed=speed, gene_seconds=seconds)
+    return world.rollout(scenario, lambda: decide)
+
+
+def pulls(trace):
+    """Lateral acceleration by the way of the centre, and by the turning of the body [m/s^2], 0 before the start."""
+    hz, ego = trace.physics_hz, trace.ego
+    along, across = np.diff(ego[:, [X, Y]].T) * hz
+    speed = np.hypot(along, across)
+    course = np.where(speed > 1e-9, np.arctan2(across, along), 0.0)
+    moves = (speed > 1e-9) & np.append(True, speed[:-1] > 1e-9)
+    by_way = np.where(moves, np.diff(np.unwrap(course), prepend=0.0) * hz * speed, 0.0)
+    by_body = np.diff(ego[:, HEADING]) * hz * ego[:-1, SPEED]
+    return np.array([np.append(0.0, by_way), np.append(0.0, by_body)])
+
+
+lanes, frequencies = (
+    st.integers(0, 3),
+    st.sampled_from([(15, 1), (15, 3), (15, 15), (12, 4), (20, 10), (30, 5), (5, 1)]),
+)
+limits = st.fixed_dictionaries(
+    {"lateral_acceleration": st.sampled_from([0.5, 1.0, 3.0, 4.0]), "lateral_jerk": st.sampled_from([1.0, 5.0, 20.0])}
+)
+
+
+@given(st.lists(st.tuples(lanes, st.floats(0, 40)), min_size=5, max_size=5), st.floats(0, 39), frequencies, limits)
+def test_no_turn_is_sharper_than_the_limit_while_lanes_and_speeds_change(goals, speed, frequency, limits):
+    physics_hz, ads_hz = frequency
+
+    def decide(seen):
+        lane, speed = goals[int(seen.time / 2.3) % 5]
+        return Drive(lane=lane, speed=speed, **limits)
+
+    trace = alone(decide, speed=speed, seconds=20.0, physics_hz=physics_hz, ads_hz=ads_hz)
+    assert abs(pulls(trace)).max() <= 1.05 * limits["lateral_acceleration"]  # more than 1 at full throttle alone
+
+
+@given(st.lists(lanes, min_size=5, max_size=5), st.floats(0.5, 3.0), st.floats(1, 39), frequencies, limits)
+def test_the_pull_changes_no_faster_than_the_limit_at_a_constant_speed(goals, every, speed, frequency, limits):
+    physics_hz, ads_hz = frequency
+
+    def decide(seen):
+        return Drive(lane=goals[int(seen.time / every) % 5], speed=speed, **limits)
+
+    trace = alone(decide, speed=speed, seconds=20.0, physics_hz=physics_hz, ads_hz=ads_hz)
+    assert abs(np.diff(pulls(trace)) * physics_hz).max() <= limits["lateral_jerk"]
+
+
+@table(("speed", "seconds"), [(2.0, 7.5), (5.0, 4.5), (7.0, 4.0), (10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (39.0, 4.0)])
+@table("physics_hz", [5, 15, 60])
+def test_the_next_lane_is_reached_in_time_and_not_overshot(speed, seconds, physics_hz):
+    trace = alone(always(Drive(lane=2, speed=speed))(), speed=speed, seconds=12.0, physics_hz=physics_hz, ads_hz=5)
+    y = trace.ego[:, Y]
+    assert abs(y[round(seconds * physics_hz) :] - 8.0).max() < 0.2
+    assert y.max() < 8.01
+    assert y[physics_hz // 5] - 4.0 < 0.05, "after 0.2 s it has hardly begun"
+
+
+@given(st.floats(0.1, 4.0), st.floats(3, 39), st.sampled_from([5, 15, 30]), limits)
+def test_who_goes_back_leaves_neither_lane_to_the_other_side(turns, speed, physics_hz, limits):
+    def decide(seen):
+        return Drive(lane=2 if seen.time < turns else 1, speed=speed, **limits)
+
+    y = alone(decide, speed=speed, seconds=40.0, physics_hz=physics_hz, ads_hz=5).ego[:, Y]
+    assert y.max() < 8.01
+    assert y.min() > 3.99
+    assert abs(y[-1] - 4.0) < 0.01
+
+
+@table("speed", [0.0, 1.0, 10.0, 30.0])
+def test_a_lane_change_is_the_same_however_often_it_is_decided(speed):
+    drives = always(Drive(lane=2, speed=speed))()
+    runs = [alone(drives, speed=speed, seconds=6.0, ads_hz=hz).states for hz in (1, 3, 5, 15)]
+    assert all(np.array_equal(runs[0], run) for run in runs)
+
+
+def test_a_car_that_stands_stays_where_it_is_and_changes_lanes_once_it_moves():
+    def decide(seen):
+        return Drive(lane=2, speed=0.0 if seen.time < 3.0 else 15.0)
+
+    trace = alone(decide, speed=0.0, seconds=12.0)
+    stands, last = trace.ego[:46], trace.ego[-1]
+    assert (stands[:, [X, Y, HEADING, SPEED]] == stands[0, [X, Y, HEADING, SPEED]]).all()
+    assert abs(last[Y] - 8.0) < 0.1
+
+
+@table(("angle", "speed"), [(0.7, 1.0), (-0.7, 8.0), (-0.1, 15.0), (0.03, 25.0), (0.1, 25.0)])
+def test_a_drive_takes_over_from_any_steering_and_finds_its_lane(angle, speed):
+    def decide(seen):
+        return (0.0, angle) if seen.time < 1.0 else Drive(lane=1, speed=speed)
+
+    trace = alone(decide, speed=speed, seconds=60.0)
+    assert abs(pulls(trace)[0, 18:]).max() <= 2.5
+    last = trace.ego[-1]
+    assert (abs(last[Y] - 4.0), abs(math.remainder(last[HEADING], math.tau))) < (0.05, 0.01)
+
+
+def test_a_gentle_drive_takes_longer_and_a_sporty_one_is_there_sooner():
+    def seconds(**limits):
+        y = alone(always(Drive(lane=2, speed=25.0, **limits))(), speed=25.0, seconds=12.0).ego[:, Y]
+        return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
+
+    assert seconds(lateral_acceleration=1.0) > 1.2 * seconds()
+    assert seconds(lateral_acceleration=5.0, lateral_jerk=20.0) < 0.8 * seconds()
 
 
 @table("lane", [2.0, np.float32(2), np.int64(2), Fraction(2)])
@@ -118,6 +230,11 @@ def test_a_pair_after_a_drive_is_held_as_any_pair():
         (Drive(lane=None, speed=20.0), "numbers, that of the lane a whole one"),
         (Drive(lane=1, speed="20"), "numbers, that of the lane a whole one"),
         (Drive(lane=1, acceleration=10**400), "numbers, that of the lane a whole one"),
+        (Drive(lane=1, speed=20.0, lateral_acceleration=0.0), r"lateral_acceleration= from 0.1 to 100 m/s\^2"),
+        (Drive(lane=1, speed=20.0, lateral_acceleration=None), "lateral_acceleration= from 0.1"),
+        (Drive(lane=1, speed=20.0, lateral_acceleration=math.nan), "lateral_acceleration= from 0.1"),
+        (Drive(lane=1, speed=20.0, lateral_jerk=-5.0), r"lateral_jerk= from 0.1 to 1000 m/s\^3, or without it"),
+        (Drive(lane=1, speed=20.0, lateral_jerk="5"), "lateral_jerk= from 0.1"),
     ],
 )
 @table("engine", ["kernel", "highway-env"])
@@ -189,7 +306,7 @@ def test_another_lane_of_a_bend_is_driven_to():
     seen = []
     _, trace = driven_on("racetrack-v0", lambda now: seen.append(now) or Drive(lane=int(now.time < 4), speed=9.0), 9.0)
     assert trace.outcome is Outcome.SAFE
-    kept = [abs(now.ego.y - now.lane_centres[now.time < 4]) for now in seen if now.time % 4 > 3]
+    kept = [abs(now.ego.y - now.lane_centres[now.time < 4]) for now in seen if now.time % 4 > 3.9]
     assert max(kept) < 0.4
 
 
