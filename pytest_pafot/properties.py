@@ -81,19 +81,44 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     _check_worst(run, np.where(is_judged, beyond, np.inf), name="RSS margin", at_least=0.0)
 
 
-def comfort(run: Run, *, jerk: float | None = 2.5, braking: float | None = 3.5) -> None:
-    """Gentle for who sits in it: jerk, the mean of 1 s, and deceleration, the mean of 2 s, are at most so much.
+def comfort(
+    run: Run,
+    *,
+    jerk: float | None = 2.5,
+    braking: float | None = 3.5,
+    lateral_acceleration: float | None = 3.0,
+    lateral_jerk: float | None = 5.0,
+) -> None:
+    """Gentle for who sits in it: along and across its way, the ego's acceleration and its change are at most so much.
 
-    [m/s^3] and [m/s^2]; None leaves one out. Before the run it drove as at its first tick. A mean over time does not
-    punish a policy for deciding only a few times a second. Who has to brake for others is not comfortable.
+    Jerk, the mean of 1 s [m/s^3], and deceleration, the mean of 2 s [m/s^2]; ``run.ego.lateral_acceleration`` to either
+    side [m/s^2], and how it changes [m/s^3], each the mean of 0.5 s. None leaves one out. What a bend of the road takes
+    counts, as who sits there feels it and the policy chooses the speed. Before the run it drove as at its first tick. A
+    mean over time does not punish a policy for deciding only a few times a second. Who has to brake for others is not
+    comfortable.
 
-    Source: ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: of jerk it speaks only in braking).
+    Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: of jerk it speaks only in
+    braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only the jerk is a mean there).
     """
-    _refuse_odd("comfort", jerk=0.0 if jerk is None else jerk, braking=0.0 if braking is None else braking)
+    asked = {
+        "jerk": jerk,
+        "braking": braking,
+        "lateral_acceleration": lateral_acceleration,
+        "lateral_jerk": lateral_jerk,
+    }
+    _refuse_odd("comfort", **{name: 0.0 if most is None else most for name, most in asked.items()})
+    ego = run.ego
     if jerk is not None:
-        check(abs(_change(run.ego.acceleration, 1.0)), name="jerk", at_most=jerk, unit="m/s^3")
+        check(abs(_change(ego.acceleration, 1.0)), name="jerk", at_most=jerk, unit="m/s^3")
     if braking is not None:
-        check(-_change(run.ego.speed, 2.0), name="braking", at_most=braking, unit="m/s^2")
+        check(-_change(ego.speed, 2.0), name="braking", at_most=braking, unit="m/s^2")
+    if lateral_acceleration is not None:
+        hz = run.trace.physics_hz
+        mean = _change(Signal(np.cumsum(ego.lateral_acceleration) / hz, hz=hz), 0.5)
+        check(abs(mean), name="lateral acceleration", at_most=lateral_acceleration, unit="m/s^2")
+    if lateral_jerk is not None:
+        mean = _change(ego.lateral_acceleration, 0.5)
+        check(abs(mean), name="lateral jerk", at_most=lateral_jerk, unit="m/s^3")
 
 
 def stays_on_road(run: Run) -> None:
@@ -256,6 +281,8 @@ def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) ->
 
 def _change(signal: Signal, seconds: float) -> Signal:
     """Mean change per second over the seconds up to each tick; before the first one it was as there."""
-    before = np.concatenate((np.full(round(seconds * (signal.hz or 1)), signal[0]), signal))[: len(signal)]
-    change: Signal = (signal - before) / seconds
+    hz = signal.hz or 1
+    ticks = round(seconds * hz)
+    before = np.concatenate((np.full(ticks, signal[0]), signal))[: len(signal)]
+    change: Signal = (signal - before) / (ticks / hz)  # half a second is no whole number of ticks at 15 Hz
     return change

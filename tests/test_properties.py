@@ -2,13 +2,15 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot import properties
 from pytest_pafot.attribution.needless_braking import braking, reasons
 from pytest_pafot.attribution.responsibility import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.model.trace import ACCELERATION, LANE, AdsError, Outcome
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
 from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.drives import HZ, bent
@@ -124,11 +126,14 @@ def test_every_collision_is_below_it_when_it_happens():
 
 # Comfort.
 
+ONLY_SIDEWAYS = {"jerk": None, "braking": None}
+STRAIGHT_ON = {"lateral_acceleration": None, "lateral_jerk": None}
+
 
 @table(("seconds", "mean"), [(1.0, 2.0), (1.6, 3.2), (2.0, 4.0), (3.0, 4.0)])
 def test_braking_is_the_mean_of_two_seconds(seconds, mean):
     trace = trace_of(driven(0.0, brakes=[(5.0, 4.0, 20.0 - 4.0 * seconds)]), driven(FARTHER))
-    made = only(properties.comfort, trace, jerk=None)
+    made = only(properties.comfort, trace, jerk=None, **STRAIGHT_ON)
     assert made.value == pytest.approx(mean)
     assert made.margin == pytest.approx((3.5 - mean) / 3.5)
     assert made.holds == (mean <= 3.5)
@@ -138,7 +143,7 @@ def test_braking_is_the_mean_of_two_seconds(seconds, mean):
 def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
     ego = driven(0.0)
     ego[60:90, ACCELERATION] = step
-    made = only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None)
+    made = only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON)
     assert (made.value, made.holds) == (pytest.approx(abs(step)), holds)
     assert (made.name, made.unit, made.time) == ("jerk", "m/s^3", 4.0)
 
@@ -146,8 +151,70 @@ def test_jerk_is_the_mean_of_one_second_either_way(step, holds):
 def test_a_jerk_that_is_over_at_once_does_not_count_in_full():
     ego = driven(0.0)
     ego[60, ACCELERATION], ego[61:, ACCELERATION] = -2.0, 0.0
-    assert only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None).value == pytest.approx(2.0)
-    assert [made.name for made in judged(properties.comfort, trace_of(ego, driven(FARTHER)))] == ["jerk", "braking"]
+    assert only(properties.comfort, trace_of(ego, driven(FARTHER)), braking=None, **STRAIGHT_ON).value == pytest.approx(
+        2.0
+    )
+    names = [made.name for made in judged(properties.comfort, trace_of(ego, driven(FARTHER)))]
+    assert names == ["jerk", "braking", "lateral acceleration", "lateral jerk"]
+    assert judged(properties.comfort, trace_of(ego, driven(FARTHER)), jerk=None, braking=None, **STRAIGHT_ON) == []
+
+
+def turning(rates, speed=20.0):
+    """An ego that drives with a turning rate [rad/s] in each tick, at 15 ticks a second."""
+    ego = driven(0.0, speed=speed)[: len(rates) + 1]
+    ego[1:, HEADING] = np.cumsum(rates) / 15
+    return trace_of(ego, driven(FARTHER)[: len(ego)])
+
+
+@table(("ticks", "share"), [(4, 0.5), (8, 1.0), (60, 1.0)])
+@table("sign", [1.0, -1.0])
+def test_a_pull_to_the_side_is_the_mean_of_half_a_second(ticks, share, sign):
+    """By the circle: a turning rate w at a speed v pulls with v w; half a second are eight ticks."""
+    rates = np.zeros(200)
+    rates[100 : 100 + ticks] = sign * 0.2
+    made = only(properties.comfort, turning(rates), lateral_jerk=None, **ONLY_SIDEWAYS)
+    assert made.value == pytest.approx(20.0 * 0.2 * share)
+    assert (made.name, made.unit, made.holds) == ("lateral acceleration", "m/s^2", share < 1.0)
+
+
+@table(("seconds", "holds"), [(0.2, False), (0.6, False), (0.9, True), (2.0, True)])
+def test_a_pull_that_builds_up_in_time_is_no_jerk(seconds, holds):
+    """A spiral: the pull goes from 0 to 4 m/s^2 in so many seconds, in half of one by at most as much of it."""
+    rates = np.interp(np.arange(200) / 15, [5.0, 5.0 + seconds], [0.0, 4.0 / 20.0])
+    made = only(properties.comfort, turning(rates), lateral_acceleration=None, **ONLY_SIDEWAYS)
+    assert made.value == pytest.approx(4.0 / max(seconds, 8 / 15), rel=0.02)
+    assert (made.name, made.unit, made.holds) == ("lateral jerk", "m/s^3", holds)
+
+
+def test_what_a_bend_of_the_road_takes_counts():
+    """On a circle of 100 m and at 20 m/s everybody is pulled with 4 m/s^2."""
+    made = only(properties.comfort, turning(np.full(200, 20.0 / 100.0)), lateral_jerk=None, **ONLY_SIDEWAYS)
+    assert made.value == pytest.approx(400.0 / 100.0)
+
+
+def on_empty_road(ads, *, speed, seconds):
+    """The run of an ego with an NPC that falls behind."""
+    npcs = [[pafot.PositionInstruction(6, 0.0)]]
+    scenario = pafot.Scenario(npcs=npcs, ego_lane=1, ego_speed=speed, gene_seconds=seconds)
+    return pafot.Highway(duration=seconds).rollout(scenario, lambda: ads)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from([0.0, 10.0, 27.0])), min_size=9, max_size=9))
+def test_who_changes_lanes_by_a_drive_is_comfortable_sideways(goals):
+    """However hard it brakes and speeds up while it does, at whatever speed."""
+
+    def decide(now):
+        lane, speed = goals[int(now.time / 2.1) % 9]
+        return pafot.Drive(lane=lane, speed=speed)
+
+    trace = on_empty_road(decide, speed=27.0, seconds=40)
+    assert [made.holds for made in judged(properties.comfort, trace, **ONLY_SIDEWAYS)] == [True, True]
+
+
+@table("left_out", ["lateral_acceleration", "lateral_jerk"])
+def test_a_policy_that_jerks_the_wheel_is_not_comfortable(left_out):
+    trace = on_empty_road(lambda now: (0.0, 0.03 if int(now.time) % 2 else -0.03), speed=25.0, seconds=3)
+    assert not only(properties.comfort, trace, **ONLY_SIDEWAYS, **{left_out: None}).holds
 
 
 # The road.
@@ -443,6 +510,8 @@ def test_keeping_up_with_what_is_no_speed_is_refused(speed):
     [
         (properties.comfort, "jerk"),
         (properties.comfort, "braking"),
+        (properties.comfort, "lateral_acceleration"),
+        (properties.comfort, "lateral_jerk"),
         (properties.keeps_up, "share"),
         (properties.keeps_up, "headway"),
         (properties.keeps_up, "seconds"),
