@@ -131,27 +131,44 @@ def _checked_drive(drive: Drive, lanes: int) -> Drive:
     given = [value for value in (drive.speed, drive.acceleration) if value is not None]
     if len(given) != 1:
         raise _bad_drive("either a speed [m/s] or an acceleration [m/s^2]", drive)
-    try:
-        if isinstance(drive.lane, bool) or isinstance(given[0], (str, bytes)):
-            raise TypeError("neither is a number")
-        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(drive.lane)  # also 2.0, as of JSON
-        lane, value = operator.index(int(drive.lane) if is_whole else drive.lane), float(given[0])
-    except (TypeError, ValueError, OverflowError):
-        raise _bad_drive("numbers, that of the lane a whole one", drive) from None
+    most, jerk = drive.lateral_acceleration, drive.lateral_jerk
+    is_plain = type(drive.lane) is int and type(given[0]) is float and type(most) is float and type(jerk) is float
+    lane, value = drive.lane, given[0]
+    if not is_plain:  # what takes longer than the whole rest of a tick is left to those who need it
+        lane, value = _lane_and_value(drive, given[0])
+        most, jerk = _finite(most), _finite(jerk)
     if not 0 <= lane < lanes:
         raise _bad_drive(f"a lane from 0, at the left, to {lanes - 1}", drive)
     if not math.isfinite(value):
         raise _bad_drive("finite numbers", drive)
-    most, jerk = plain_number(drive.lateral_acceleration), plain_number(drive.lateral_jerk)
-    if most is None or not 0.1 <= most <= 100.0:
-        raise _bad_drive("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", drive)
-    if jerk is None or not 0.1 <= jerk <= 1000.0:
-        raise _bad_drive("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", drive)
-    if drive.speed is None:
-        return Drive(lane=lane, acceleration=value, lateral_acceleration=float(most), lateral_jerk=float(jerk))
-    if value < 0.0:
+    if drive.speed is not None and value < 0.0:
         raise _bad_drive("a speed of at least 0 m/s", drive)
-    return Drive(lane=lane, speed=value, lateral_acceleration=float(most), lateral_jerk=float(jerk))
+    if not 0.1 <= most <= 100.0:
+        raise _bad_drive("lateral_acceleration= from 0.1 to 100 m/s^2, or without it", drive)
+    if not 0.1 <= jerk <= 1000.0:
+        raise _bad_drive("lateral_jerk= from 0.1 to 1000 m/s^3, or without it", drive)
+    if is_plain and type(drive) is Drive:
+        return drive
+    if drive.speed is None:
+        return Drive(lane=lane, acceleration=value, lateral_acceleration=most, lateral_jerk=jerk)
+    return Drive(lane=lane, speed=value, lateral_acceleration=most, lateral_jerk=jerk)
+
+
+def _lane_and_value(drive: Drive, given: Any) -> tuple[int, float]:
+    """Return the lane as an int and what is given of speed and acceleration as a float."""
+    try:
+        if isinstance(drive.lane, bool) or isinstance(given, (str, bytes)):
+            raise TypeError("neither is a number")
+        is_whole = isinstance(drive.lane, numbers.Real) and drive.lane == int(drive.lane)  # also 2.0, as of JSON
+        return operator.index(int(drive.lane) if is_whole else drive.lane), float(given)
+    except (TypeError, ValueError, OverflowError):
+        raise _bad_drive("numbers, that of the lane a whole one", drive) from None
+
+
+def _finite(value: Any) -> float:
+    """Return a limit as a float, -1 where it is no number."""
+    number = plain_number(value)
+    return -1.0 if number is None else float(number)
 
 
 def _bad_drive(expected: str, drive: Drive) -> BadAction:

@@ -49,6 +49,8 @@ CLOSEST_GAIN = 3.0
 """Highest planned lateral speed per distance to the lane's centre [1/s]."""
 SPEEDING_UP = 6.0
 """Acceleration along the road that a lane change leaves room for: all that an ego has [m/s^2]."""
+HALF_TURN = math.pi
+"""A number of C's where compiled, which ``math.pi`` is not [rad]."""
 
 
 def gap_speed(distance: float) -> float:
@@ -274,4 +276,4 @@ class LaneTracker:
 
 def _turn(angle: float) -> float:
     """Return the same direction as an angle from -pi to pi [rad]."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
